@@ -1,0 +1,1 @@
+"""Typed client for the BOPTEST REST protocol; knows nothing about control."""

@@ -1,0 +1,258 @@
+"""The data that travels between plant, forecaster, world model and controller.
+
+Time is in seconds since 1 January 00:00 (BOPTEST's clock). `N` steps have `N + 1` boundaries: what is *sampled*
+(temperatures, weather, comfort bounds) has `N + 1` values, what *acts over a step* (u, power, heat) has `N`.
+Temperatures are in °C, differences and effects in K, powers and heat flows in W, energies in kWh, u in [0, 1].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.errors import DataError
+
+Array = NDArray[np.float64]
+
+HOUR_S = 3600.0
+DAY_S = 86400.0
+
+
+def _freeze(value: object, name: str, length: int) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != (length,):
+        raise DataError(f"{name} has shape {array.shape}, expected ({length},)")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Block:
+    """One stretch of constant actuation: level `u` in [0, 1], or None for the plant's native control."""
+
+    u: float | None
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Boundary conditions at `N + 1` equally spaced instants, the first being *now*.
+
+    Every array has shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m², `occupancy` persons,
+    `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh.
+    """
+
+    time_s: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    occupancy: Array
+    lower_C: Array
+    upper_C: Array
+    price_per_kWh: Array
+    emission_kg_per_kWh: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_s)
+        for item in fields(self):
+            object.__setattr__(self, item.name, _freeze(getattr(self, item.name), item.name, n))
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps N."""
+        return int(self.time_s.size - 1)
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step, s."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    def head(self, n_steps: int) -> Boundary:
+        """The first `n_steps` steps."""
+        return Boundary(**{f.name: getattr(self, f.name)[: n_steps + 1] for f in fields(self)})
+
+
+@dataclass(frozen=True)
+class History:
+    """What was measured over `n` past steps of equal length, the last boundary being *now*.
+
+    Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent), `T_out_C`, `solar_W_m2`.
+    Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat (NaN where not measured).
+    """
+
+    time_s: Array
+    T_zone_C: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    u: Array
+    power_W: Array
+    heat_W: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_s)
+        if n < 1:
+            raise DataError("a history needs at least one instant")
+        for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2"):
+            object.__setattr__(self, name, _freeze(getattr(self, name), name, n))
+        for name in ("u", "power_W", "heat_W"):
+            object.__setattr__(self, name, _freeze(getattr(self, name), name, n - 1))
+
+    @property
+    def n_steps(self) -> int:
+        """Number of past steps n (0 when only the present instant is known)."""
+        return int(self.time_s.size - 1)
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step, s (NaN when only the present instant is known)."""
+        return float(self.time_s[1] - self.time_s[0]) if self.n_steps else float("nan")
+
+    def tail(self, n_steps: int) -> History:
+        """The last `n_steps` steps (all of it when shorter)."""
+        n = min(n_steps, self.n_steps)
+        start = self.n_steps - n
+        return History(
+            **{name: getattr(self, name)[start:] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
+            **{name: getattr(self, name)[start:] for name in ("u", "power_W", "heat_W")},
+        )
+
+    def extended(self, measurement: Measurement) -> History:
+        """This history with one more step, the one that `measurement` closes."""
+        m = measurement
+        sampled = {
+            "time_s": m.time_s,
+            "T_zone_C": m.T_zone_C,
+            "T_out_C": m.T_out_C,
+            "solar_W_m2": m.solar_W_m2,
+        }
+        acting = {"u": m.u, "power_W": m.power_W, "heat_W": m.heat_W}
+        return History(**{k: np.append(getattr(self, k), v) for k, v in (sampled | acting).items()})
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the plant reports at one instant.
+
+    `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W` (total electric) and
+    `heat_W` are means over the interval just advanced (NaN right after a reset). `points` holds the plant's own signals by
+    their own names and units, as at the wire.
+    """
+
+    time_s: float
+    T_zone_C: float
+    T_out_C: float
+    solar_W_m2: float
+    u: float = float("nan")
+    power_W: float = float("nan")
+    heat_W: float = float("nan")
+    points: Mapping[str, float] = field(default_factory=dict)
+
+    def averaged_with(self, parts: list[tuple[float, Measurement]]) -> Measurement:
+        """This measurement with `u`, `power_W`, `heat_W` replaced by the time-weighted means over `(duration_s, part)`."""
+        weights = np.array([duration for duration, _ in parts])
+        means = {
+            name: float(np.average([getattr(part, name) for _, part in parts], weights=weights))
+            for name in ("u", "power_W", "heat_W")
+        }
+        return replace(self, **means)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """All a controller gets to see: the past, the forecast of the boundary conditions, and nothing else."""
+
+    history: History
+    boundary: Boundary
+
+    @property
+    def time_s(self) -> float:
+        """Now, s since 1 January."""
+        return float(self.history.time_s[-1])
+
+    @property
+    def T_zone_C(self) -> float:
+        """Zone temperature now, °C (NaN when the sensor is silent)."""
+        return float(self.history.T_zone_C[-1])
+
+
+@dataclass(frozen=True)
+class FreeForecast:
+    """A free response over `N` steps: `quantiles_C` °C has shape (Q, N) for the increasing `levels` (Q,); `note` says what made it."""
+
+    levels: Array
+    quantiles_C: Array
+    note: str = ""
+
+    @property
+    def median_C(self) -> Array:
+        """The 0.5 quantile, shape (N,), °C."""
+        index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
+        return np.asarray(self.quantiles_C[index], dtype=np.float64)
+
+    def quantile_C(self, level: float) -> Array:
+        """The quantile nearest to `level` that was forecast, shape (N,), °C."""
+        index = int(np.argmin(np.abs(np.asarray(self.levels) - level)))
+        return np.asarray(self.quantiles_C[index], dtype=np.float64)
+
+
+class PlanStatus(StrEnum):
+    """Where an action came from."""
+
+    SOLVED = "solved"  # an optimisation whose status and solution were checked
+    SHIFTED = "shifted"  # first rung of the ladder: the previous plan, one step on
+    THERMOSTAT = "thermostat"  # second rung: on/off rule
+    RULE = "rule"  # the controller is a rule; nothing was solved
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A decision and its reasons.
+
+    `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`, predicted
+    `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and predicted `power_W`;
+    they are empty for rules. `why` is one sentence a person can read; `solver_status` is the solver's own word.
+    """
+
+    blocks: tuple[Block, ...]
+    status: PlanStatus
+    why: str
+    u: Array = field(default_factory=lambda: np.empty(0))
+    T_free_C: Array = field(default_factory=lambda: np.empty(0))
+    T_forced_K: Array = field(default_factory=lambda: np.empty(0))
+    T_free_low_C: Array = field(default_factory=lambda: np.empty(0))
+    T_free_high_C: Array = field(default_factory=lambda: np.empty(0))
+    slack_K: Array = field(default_factory=lambda: np.empty(0))
+    power_W: Array = field(default_factory=lambda: np.empty(0))
+    solver_status: str = ""
+    iterations: int = 0
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def T_zone_C(self) -> Array:
+        """Predicted zone temperature at the end of each step, free plus forced (paper eq:compose), shape (N,), °C."""
+        return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Period:
+    """A scored window: it starts at `start_s`, lasts `scored_s`, and follows `warmup_s` of native control."""
+
+    name: str
+    start_s: float
+    scored_s: float = 14 * DAY_S
+    warmup_s: float = 7 * DAY_S
+
+
+@dataclass(frozen=True)
+class PlantInfo:
+    """What a plant is, for manifests and headlines: never leave a reader guessing which plant made a number."""
+
+    kind: str
+    testcase: str
+    description: str
+    weather: str
+    version: str
+    details: Mapping[str, str] = field(default_factory=dict)
