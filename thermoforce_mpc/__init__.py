@@ -1,4 +1,4 @@
-"""ThermoForce-MPC: free response by a frozen forecaster, forced response by a monotone operator, decision by CasADi and Ipopt."""
+"""ThermoForce-MPC: predictive control of buildings over a free and a forced response."""
 
 from importlib.metadata import PackageNotFoundError, version
 

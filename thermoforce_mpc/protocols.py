@@ -67,7 +67,8 @@ class FreeResponse(Protocol):
     def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
         """Forecast the control-free temperature over the steps of `boundary`.
 
-        `free_C` (n + 1,) is the control-free history T − F at the boundaries of `history` (NaN gaps allowed); of `history` only
+        `free_C` (n + 1,) is the control-free history T − F at the boundaries of `history` (NaN gaps
+        allowed); of `history` only
         time and weather may be used. Returns N = `boundary.n_steps` values, at the end of each step.
         """
         ...

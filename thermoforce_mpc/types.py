@@ -42,8 +42,10 @@ class Block:
 class Boundary:
     """Boundary conditions at `N + 1` equally spaced instants, the first being *now*.
 
-    Every array has shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m², `occupancy` persons,
-    `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh.
+    Every array has shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m²,
+    `occupancy` persons,
+    `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg
+    CO2/kWh.
     """
 
     time_s: Array
@@ -79,8 +81,10 @@ class Boundary:
 class History:
     """What was measured over `n` past steps of equal length, the last boundary being *now*.
 
-    Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent), `T_out_C`, `solar_W_m2`.
-    Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat (NaN where not measured).
+    Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent),
+    `T_out_C`, `solar_W_m2`.
+    Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat (NaN
+    where not measured).
     """
 
     time_s: Array
@@ -136,8 +140,10 @@ class History:
 class Measurement:
     """What the plant reports at one instant.
 
-    `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W` (total electric) and
-    `heat_W` are means over the interval just advanced (NaN right after a reset). `points` holds the plant's own signals by
+    `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W`
+    (total electric) and
+    `heat_W` are means over the interval just advanced (NaN right after a reset). `points` holds the plant's
+    own signals by
     their own names and units, as at the wire.
     """
 
@@ -151,13 +157,13 @@ class Measurement:
     points: Mapping[str, float] = field(default_factory=dict)
 
     def averaged_with(self, parts: list[tuple[float, Measurement]]) -> Measurement:
-        """This measurement with `u`, `power_W`, `heat_W` replaced by the time-weighted means over `(duration_s, part)`."""
+        """This measurement with the means of `u`, `power_W`, `heat_W` taken over `(duration_s, part)`."""
         weights = np.array([duration for duration, _ in parts])
-        means = {
-            name: float(np.average([getattr(part, name) for _, part in parts], weights=weights))
-            for name in ("u", "power_W", "heat_W")
-        }
-        return replace(self, **means)
+
+        def mean(name: str) -> float:
+            return float(np.average([getattr(part, name) for _, part in parts], weights=weights))
+
+        return replace(self, u=mean("u"), power_W=mean("power_W"), heat_W=mean("heat_W"))
 
 
 @dataclass(frozen=True)
@@ -180,7 +186,10 @@ class Observation:
 
 @dataclass(frozen=True)
 class FreeForecast:
-    """A free response over `N` steps: `quantiles_C` °C has shape (Q, N) for the increasing `levels` (Q,); `note` says what made it."""
+    """A free response over `N` steps.
+
+    `quantiles_C` °C has shape (Q, N) for the increasing `levels` (Q,); `note` says what made it.
+    """
 
     levels: Array
     quantiles_C: Array
@@ -211,8 +220,10 @@ class PlanStatus(StrEnum):
 class Plan:
     """A decision and its reasons.
 
-    `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`, predicted
-    `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and predicted `power_W`;
+    `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports:
+    planned `u`, predicted
+    `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
+    predicted `power_W`;
     they are empty for rules. `why` is one sentence a person can read; `solver_status` is the solver's own word.
     """
 

@@ -1,0 +1,83 @@
+"""Test cases: which point means what, in which unit, and how to act. One YAML file each, in `configs/testcases`."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Price = Literal["constant", "dynamic", "highly_dynamic"]
+PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
+
+
+class StrictModel(BaseModel):
+    """Base of everything users write: unknown keys are refused, values are immutable once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Actuator(StrictModel):
+    """How u in [0, 1] reaches the plant: `<point>_u` = minimum + u · (maximum − minimum), `<point>_activate` = 1."""
+
+    point: str = Field(description="overwrite point of the test case, without the `_u` ending")
+    minimum: float = Field(0.0, description="value at u = 0, in `unit`")
+    maximum: float = Field(1.0, description="value at u = 1, in `unit`")
+    unit: str = Field("1", description="unit of the value at the wire")
+    kind: Literal["level", "setpoint"] = Field("level", description="a machine's level, or the set-point of a loop")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Actuator:
+        if not self.minimum < self.maximum:
+            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        return self
+
+    def value(self, u: float) -> float:
+        """The value at the wire for `u` in [0, 1], in `unit`."""
+        return self.minimum + u * (self.maximum - self.minimum)
+
+    def level(self, value: float) -> float:
+        """The u in [0, 1] that gives `value` at the wire (clipped)."""
+        return min(max((value - self.minimum) / (self.maximum - self.minimum), 0.0), 1.0)
+
+
+class Measurements(StrictModel):
+    """Points that are measured. Temperatures are in kelvin at the wire, powers in W, irradiance in W/m²."""
+
+    zone_temperature: str
+    outdoor_temperature: str
+    solar: str = Field(description="global horizontal irradiance")
+    electric_power: tuple[str, ...] = Field(min_length=1, description="points whose sum is the total electric power")
+    heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat; empty if not measured")
+
+
+class ForecastPoints(StrictModel):
+    """Points of the forecast. Temperatures are in kelvin at the wire."""
+
+    outdoor_temperature: str = "TDryBul"
+    solar: str = "HGloHor"
+    occupancy: str = "Occupancy[1]"
+    lower: str = "LowerSetp[1]"
+    upper: str = "UpperSetp[1]"
+    price: dict[Price, str] = {
+        "constant": "PriceElectricPowerConstant",
+        "dynamic": "PriceElectricPowerDynamic",
+        "highly_dynamic": "PriceElectricPowerHighlyDynamic",
+    }
+    emission: str = "EmissionsElectricPower"
+
+
+class TestCase(StrictModel):
+    """One building: names, units, area, actuator and default control step."""
+
+    __test__ = False  # not a pytest class, whatever its name
+
+    name: str
+    description: str
+    floor_area_m2: float = Field(gt=0)
+    currency: str = "EUR"
+    mode: Literal["heating", "cooling"] = Field("heating", description="sign of the actuator's effect on the zone")
+    step_s: float = Field(3600.0, ge=60, le=86400, description="default control step")
+    actuator: Actuator
+    measurements: Measurements
+    forecast: ForecastPoints = ForecastPoints()
+    embedded: bool = Field(False, description="whether the embedded emulator is this test case")
