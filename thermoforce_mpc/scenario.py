@@ -1,0 +1,71 @@
+"""A scenario: everything that decides what a run computes. One YAML file, every key explained here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
+
+from thermoforce_mpc.configuration import find_config, merge, read_yaml, validate
+from thermoforce_mpc.testcase import Price, StrictModel, TestCase
+
+
+class PlantSpec(StrictModel):
+    """Which plant is controlled."""
+
+    kind: Literal["embedded", "boptest"] = Field("embedded", description="embedded emulator, or a BOPTEST service")
+    url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
+    weather: str = Field("synthetic", description="'synthetic', or a .mos / .epw file (kind: embedded)")
+    forecast_uncertainty: Literal["none", "low", "medium", "high"] = Field(
+        "none", description="BOPTEST's forecast uncertainty level for outdoor temperature and solar radiation"
+    )
+    prices_file: str | None = Field(None, description="CSV with your own highly dynamic tariff (kind: embedded)")
+
+
+class ProbingSpec(StrictModel):
+    """Where the operator comes from: a saved model, or days of probing before the warm-up of the scored window."""
+
+    model: str | None = Field(None, description="folder of a saved model; probing is skipped")
+    days: float = Field(3.0, ge=1, le=60, description="days of probing")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the identification, see `identify`")
+
+
+class ControllerSpec(StrictModel):
+    """Which controller decides. `options` belong to the controller named; `tf-mpc controllers` lists them."""
+
+    name: str = Field("thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of that controller")
+
+
+class Scenario(StrictModel):
+    """What to run. Every field has a default but the test case."""
+
+    testcase: str = Field(description="name in configs/testcases, or a YAML file")
+    plant: PlantSpec = PlantSpec()
+    period: str = Field("peak_heat_day", description="peak_heat_day, typical_heat_day, or a start day such as 44")
+    days: float = Field(14.0, gt=0, le=365, description="scored days")
+    price: Price = Field("constant", description="tariff")
+    controller: ControllerSpec = ControllerSpec()
+    identification: ProbingSpec = ProbingSpec()
+    baselines: tuple[str, ...] = Field(("native", "thermostat"), description="controllers to compare with")
+    seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
+
+    @field_validator("period", mode="before")
+    @classmethod
+    def _day_number_as_text(cls, value: object) -> object:
+        return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def load_testcase(name: str) -> TestCase:
+    """Read a test case by name or YAML path; raises `ConfigError`."""
+    path = find_config("testcases", name)
+    return validate(TestCase, read_yaml(path), str(path))
+
+
+def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
+    """Read a scenario file (or none) and lay `overrides` on top; raises `ConfigError` naming file and key."""
+    data = read_yaml(path) if path else {}
+    source = str(path) if path else "options"
+    return validate(Scenario, merge(data, overrides), source)
