@@ -1,0 +1,77 @@
+"""On/off thermostat with a dead band and an optional weekday setback: the baseline every controller must beat."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field
+
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import DAY_S, HOUR_S, Block, Observation, Plan, PlanStatus
+
+
+class Setback(StrictModel):
+    """A daily stretch during which the machine stays off, on weekdays only."""
+
+    from_hour: float = Field(ge=0, le=24, description="hour of day the setback begins")
+    to_hour: float = Field(ge=0, le=24, description="hour of day it ends; earlier than from_hour: past midnight")
+    weekend_days: tuple[int, ...] = Field((4, 5), description="days of the year modulo 7 without setback (BOPTEST)")
+
+    def active(self, time_s: float) -> bool:
+        """Whether the machine has to stay off at `time_s`."""
+        if int(time_s // DAY_S) % 7 in self.weekend_days:
+            return False
+        hour = (time_s % DAY_S) / HOUR_S
+        if self.from_hour <= self.to_hour:
+            return self.from_hour <= hour < self.to_hour
+        return hour >= self.from_hour or hour < self.to_hour
+
+
+class ThermostatConfig(StrictModel):
+    """Options of the on/off thermostat. Defaults are the reference thermostat of this test case."""
+
+    setpoint_C: float = Field(21.3, ge=0, le=40, description="centre of the dead band, °C")
+    deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
+    level: float = Field(1.0, gt=0, le=1, description="level while on")
+    step_s: float = Field(900.0, ge=60, le=86400, description="how often the thermostat looks, s")
+    mode: Literal["heating", "cooling"] = Field("heating", description="which side of the dead band needs the machine")
+    setback: Setback | None = Field(None, description="weekday hours during which the machine stays off")
+
+
+class Thermostat:
+    """Hysteresis on the zone temperature; heats (or cools) at one level."""
+
+    name = "thermostat"
+
+    def __init__(self, config: ThermostatConfig | None = None) -> None:
+        self.config = config or ThermostatConfig()
+        self._on = False
+
+    @property
+    def step_s(self) -> float:
+        """How long a plan is followed, s."""
+        return self.config.step_s
+
+    @property
+    def horizon_s(self) -> float:
+        """One step: no foresight is used."""
+        return self.config.step_s
+
+    def plan(self, observation: Observation) -> Plan:
+        """On below the dead band, off above it, unchanged inside; native control while the sensor is silent."""
+        c = self.config
+        T = observation.T_zone_C
+        if not math.isfinite(T):
+            return Plan((Block(None, self.step_s),), PlanStatus.RULE, "zone temperature missing: native control")
+        # How far the zone is on the side that needs the machine: below the set-point heating, above it cooling.
+        need_K = (c.setpoint_C - T) * (1.0 if c.mode == "heating" else -1.0)
+        if c.setback and c.setback.active(observation.time_s):
+            self._on, why = False, "setback"
+        elif need_K > c.deadband_K:
+            self._on, why = True, f"{T:.2f} °C is beyond the dead band: on"
+        elif need_K < -c.deadband_K:
+            self._on, why = False, f"{T:.2f} °C is beyond the dead band: off"
+        else:
+            why = f"{T:.2f} °C is inside the dead band: unchanged"
+        return Plan((Block(c.level if self._on else 0.0, self.step_s),), PlanStatus.RULE, why)
