@@ -1,0 +1,24 @@
+"""The forced-response operator: what an action adds to the zone temperature. Imports neither torch nor casadi."""
+
+from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap, OnLoad
+from thermoforce_mpc.operator.certificate import Certificate, certificate
+from thermoforce_mpc.operator.features import FEATURES, feature_matrix, time_of_day
+from thermoforce_mpc.operator.parameters import GAMMA, HIDDEN, OperatorParameters, linear_operator
+from thermoforce_mpc.operator.rollout import forced_rollout, marginal_effect
+
+__all__ = [
+    "FEATURES",
+    "GAMMA",
+    "HIDDEN",
+    "IDENTITY",
+    "ActuatorMap",
+    "Certificate",
+    "OnLoad",
+    "OperatorParameters",
+    "certificate",
+    "feature_matrix",
+    "forced_rollout",
+    "linear_operator",
+    "marginal_effect",
+    "time_of_day",
+]

@@ -1,0 +1,188 @@
+"""The forced-response operator in numbers (paper eq:operator to eq:mod), in numpy alone.
+
+`r` parallel modes, F = Σ F_i with F_i(t+1) = a_i F_i(t) + g_i m(x_t) v(u_t, T_out): every a_i in (0, 1) and every g_i
+of one sign, so ∂F(t+k)/∂u(t) keeps that sign for any weights. Order 1 with v = u is the paper's operator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
+from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR
+from thermoforce_mpc.types import HOUR_S, Array
+
+HIDDEN = 32
+GAMMA = 0.75
+
+# Weights and features below this cannot overflow float64 inside the network, so saturation is the worst that happens.
+_LARGEST = 1e100
+
+
+@dataclass(frozen=True)
+class OperatorParameters:
+    """One identified operator.
+
+    Attributes:
+        poles: a_i, shape (r,), 1, in (0, 1), per step.
+        gains: g_i, shape (r,), K per step at v = 1 and m = 1, all of `sign` (zero allowed).
+        hidden_weight, hidden_bias, output_weight, output_bias: the MLP, shapes (H, 4), (H,), (H,), scalar.
+        feature_mean, feature_scale: normalisation of the features, shape (4,), in their physical units.
+        gamma: γ of eq:mod, in [0, 1).
+        sign: +1 heating, −1 cooling.
+        step_s: length of the step the poles and gains belong to, s.
+        pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2).
+        actuator: v(u, T_out) in front of the modes.
+
+    Raises:
+        DataError: a shape or value is not allowed; the message names the field.
+    """
+
+    poles: Array
+    gains: Array
+    hidden_weight: Array
+    hidden_bias: Array
+    output_weight: Array
+    output_bias: float
+    feature_mean: Array
+    feature_scale: Array
+    step_s: float
+    pole_bounds: Array
+    gamma: float = GAMMA
+    sign: int = 1
+    actuator: ActuatorMap = field(default=IDENTITY)
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray | list | tuple):
+                array = np.array(value, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, item.name, array)
+        r, h = np.size(self.poles), np.size(self.hidden_bias)
+        shapes = {
+            "poles": (r,),
+            "gains": (r,),
+            "pole_bounds": (r, 2),
+            "hidden_weight": (h, N_FEATURES),
+            "hidden_bias": (h,),
+            "output_weight": (h,),
+            "feature_mean": (N_FEATURES,),
+            "feature_scale": (N_FEATURES,),
+        }
+        for name, shape in shapes.items():
+            found = np.shape(getattr(self, name))
+            if found != shape or 0 in shape:
+                raise DataError(f"operator: {name} has shape {found}, expected {shape} with nothing empty")
+        for name in (*shapes, "output_bias", "step_s", "gamma"):
+            value = np.asarray(getattr(self, name))
+            if not (np.isfinite(value).all() and (np.abs(value) <= _LARGEST).all()):
+                raise DataError(f"operator: {name} has values that are not finite or beyond ±{_LARGEST:g}")
+        low, high = self.pole_bounds[:, 0], self.pole_bounds[:, 1]
+        if not ((low >= 0) & (low < high) & (high <= 1)).all():
+            raise DataError(f"operator: pole_bounds {self.pole_bounds.tolist()} are not inside [0, 1] and ordered")
+        if not ((self.poles > 0) & (self.poles < 1) & (self.poles >= low) & (self.poles <= high)).all():
+            raise DataError(f"operator: poles {self.poles.tolist()} leave (0, 1) or {self.pole_bounds.tolist()}")
+        if self.sign not in (1, -1):
+            raise DataError(f"operator: sign is {self.sign}, expected 1 (heating) or -1 (cooling)")
+        if (self.gains * self.sign < 0).any():
+            raise DataError(f"operator: gains {self.gains.tolist()} do not all have the sign {self.sign:+d}")
+        if not 0.0 <= self.gamma < 1.0:
+            raise DataError(f"operator: gamma is {self.gamma}, expected a value in [0, 1)")
+        if not (self.feature_scale > 0).all():
+            raise DataError(f"operator: feature_scale {self.feature_scale.tolist()} is not positive")
+        if not self.step_s > 0:
+            raise DataError(f"operator: step_s is {self.step_s}, expected a positive number of seconds")
+
+    @property
+    def order(self) -> int:
+        """Number of modes r."""
+        return int(self.poles.size)
+
+    @property
+    def n_trained(self) -> int:
+        """Number of trained parameters: 195 at order 1 with 32 hidden units."""
+        return int(self.poles.size + self.gains.size + self.hidden_weight.size + self.hidden_bias.size) + int(
+            self.output_weight.size + 1
+        )
+
+    @property
+    def time_constants_h(self) -> Array:
+        """−step / ln(a_i), shape (r,), h."""
+        return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
+
+    @property
+    def steady_gains_K(self) -> Array:
+        """g_i / (1 − a_i): what full actuation adds in the end at m = 1, shape (r,), K."""
+        return np.asarray(self.gains / (1.0 - self.poles))
+
+    def modulation(self, features: Array) -> Array:
+        """m(x) of eq:mod for `features` (..., 4) in physical units; shape (...), inside [1 − γ, 1 + γ]."""
+        x = (np.asarray(features, dtype=np.float64) - self.feature_mean) / self.feature_scale
+        hidden = np.tanh(x @ self.hidden_weight.T + self.hidden_bias)
+        return np.asarray(1.0 + self.gamma * np.tanh(hidden @ self.output_weight + self.output_bias))
+
+    def drive(self, u: Array, features: Array) -> Array:
+        """m(x_t) · v(u_t, T_out,t), the scalar that enters every mode; `u` (..., N), `features` (..., N, 4)."""
+        features = np.asarray(features, dtype=np.float64)
+        return self.modulation(features) * self.actuator(u, features[..., OUTDOOR])
+
+    def step(self, forced_K: Array, u: Array, features: Array) -> Array:
+        """One step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) → (..., r) K."""
+        return np.asarray(self.poles * forced_K + self.gains * self.drive(u, features)[..., None])
+
+    def resampled(self, step_s: float) -> OperatorParameters:
+        """The same operator at another step: exact where v and m are constant over the longer of the two steps."""
+        ratio = step_s / self.step_s
+        if ratio == 1.0:
+            return self
+        poles = self.poles**ratio
+        return replace(
+            self,
+            poles=poles,
+            gains=self.steady_gains_K * (1.0 - poles),
+            # Rounding must not push a pole that sits on its bound outside of it.
+            pole_bounds=np.stack(
+                [
+                    np.minimum(self.pole_bounds[:, 0] ** ratio, poles),
+                    np.maximum(self.pole_bounds[:, 1] ** ratio, poles),
+                ],
+                axis=1,
+            ),
+            step_s=step_s,
+        )
+
+
+def linear_operator(
+    poles: Array,
+    gains: Array,
+    *,
+    step_s: float,
+    pole_bounds: Array | None = None,
+    sign: int = 1,
+    gamma: float = GAMMA,
+    feature_mean: Array | None = None,
+    feature_scale: Array | None = None,
+    actuator: ActuatorMap = IDENTITY,
+    hidden: int = HIDDEN,
+) -> OperatorParameters:
+    """An operator whose modulation is exactly 1 (all weights zero): the linear gain of paper eq:arx."""
+    r = np.size(poles)
+    return OperatorParameters(
+        poles=np.asarray(poles, dtype=np.float64),
+        gains=np.asarray(gains, dtype=np.float64),
+        hidden_weight=np.zeros((hidden, N_FEATURES)),
+        hidden_bias=np.zeros(hidden),
+        output_weight=np.zeros(hidden),
+        output_bias=0.0,
+        feature_mean=np.zeros(N_FEATURES) if feature_mean is None else feature_mean,
+        feature_scale=np.ones(N_FEATURES) if feature_scale is None else feature_scale,
+        gamma=gamma,
+        sign=sign,
+        step_s=step_s,
+        pole_bounds=np.tile([0.0, 1.0], (r, 1)) if pole_bounds is None else pole_bounds,
+        actuator=actuator,
+    )

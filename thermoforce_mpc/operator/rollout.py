@@ -1,0 +1,56 @@
+"""Rolling the forced state over a horizon, for any number of candidate trajectories at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.operator.features import N_FEATURES
+from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.types import Array
+
+
+def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
+    """Forced state of every mode at the end of each of N steps (paper eq:operator).
+
+    Args:
+        params: the operator; its step is the step of `u`.
+        F0: forced state now, shape (..., r), K.
+        u: planned control, acting over each step, shape (..., N), in [0, 1].
+        features: x_t at the start of each step, shape (..., N, 4), physical units.
+
+    Returns:
+        Shape (..., N, r), K; the sum over the last axis is the forced response F.
+
+    Raises:
+        DataError: shapes do not fit together, or a value is not finite.
+    """
+    u = np.asarray(u, dtype=np.float64)
+    F0 = np.asarray(F0, dtype=np.float64)
+    features = np.asarray(features, dtype=np.float64)
+    if u.ndim < 1 or features.shape[-2:] != (u.shape[-1], N_FEATURES):
+        raise DataError(f"forced rollout: u {u.shape} and features {features.shape} do not describe the same steps")
+    if F0.shape[-1:] != (params.order,):
+        raise DataError(f"forced rollout: F0 has shape {F0.shape}, expected (..., {params.order})")
+    if not (np.isfinite(u).all() and np.isfinite(F0).all() and np.isfinite(features).all()):
+        raise DataError("forced rollout: u, F0 and features must be finite")
+    drive = params.drive(u, features)
+    lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
+    drive = np.broadcast_to(drive, (*lead, drive.shape[-1]))
+    F0 = np.broadcast_to(F0, (*lead, params.order))
+    modes = [
+        lfilter([g], [1.0, -a], drive, axis=-1, zi=(a * F0[..., i])[..., None])[0]
+        for i, (a, g) in enumerate(zip(params.poles, params.gains, strict=True))
+    ]
+    return np.stack(modes, axis=-1)
+
+
+def marginal_effect(params: OperatorParameters, features: Array, n_steps: int) -> Array:
+    """∂F(t+k)/∂v(t) for k = 1 … `n_steps` at the features x_t (4,), shape (n_steps,), K (paper eq:marginal).
+
+    The paper's a^k counts the steps after the action's own step has ended: lag k here is a^(k−1) g m(x_t).
+    """
+    lags = np.arange(n_steps)
+    impulse = (params.gains[:, None] * params.poles[:, None] ** lags).sum(axis=0)
+    return np.asarray(impulse * params.modulation(features))
