@@ -47,6 +47,11 @@ class Actuation:
         """The highest level a plan may ask for."""
         return self.config.level if self.config.mode == "duty" else 1.0
 
+    @property
+    def lowest_level(self) -> float:
+        """Below this level a plan is made by switching: power and heat are then a share of being on."""
+        return self.config.level if self.config.mode == "duty" else max(self.config.lowest_level, 1e-3)
+
     def realise(self, u: float, step_s: float) -> tuple[Block, ...]:
         """Blocks of `step_s` in total whose mean level is as near to `u` (in [0, `highest`]) as the machine allows."""
         if self.config.mode == "modulating":

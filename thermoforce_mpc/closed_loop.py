@@ -101,7 +101,7 @@ def run_closed_loop(
         observation = Observation(history, boundary)
         plan = controller.plan(observation)
         t2 = time.perf_counter()
-        blocks, refused = checked_blocks(plan, end_s - now_s)
+        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s)
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
         for block in blocks:
@@ -130,19 +130,18 @@ def run_closed_loop(
     return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began)
 
 
-def checked_blocks(plan: Plan, remaining_s: float) -> tuple[tuple[Block, ...], str]:
-    """The blocks of `plan` cut to the window, or native control and the reason where an action is not fit to apply.
+def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple[Block, ...], str]:
+    """The blocks of `plan` cut to the window, or a step of native control and why where an action is unfit.
 
     The last gate before the plant: a level must be None or finite and in [0, 1], a duration finite and positive.
     """
-    total = math.fsum(block.duration_s for block in plan.blocks)
+    native = (Block(None, min(step_s, remaining_s)),)
     for block in plan.blocks:
         level_ok = block.u is None or (math.isfinite(block.u) and 0.0 <= block.u <= 1.0)
         if not level_ok or not (math.isfinite(block.duration_s) and block.duration_s > 0):
-            duration = total if math.isfinite(total) and total > 0 else remaining_s
-            return (Block(None, min(duration, remaining_s)),), f"refused {block}: native control instead"
+            return native, f"refused {block}: native control instead"
     if not plan.blocks:
-        return (Block(None, remaining_s),), "the plan had no action: native control instead"
+        return native, "the plan had no action: native control instead"
     out: list[Block] = []
     left = remaining_s
     for block in plan.blocks:

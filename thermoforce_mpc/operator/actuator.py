@@ -41,16 +41,18 @@ class OnLoad:
         if not 0.0 < self.lowest_level <= 1.0:
             raise DataError(f"lowest level of the actuator is {self.lowest_level}, expected a value in (0, 1]")
         for T in (low, high):
-            fixed, slope = self._parts(T)
+            fixed, slope = self.parts(T)
             if fixed < 0 or slope < 0 or fixed + slope <= 0:
                 raise DataError(
                     f"load of the actuator is not increasing in u at T_out = {T:g} °C "
                     f"(fixed part {fixed:g} W, proportional part {slope:g} W)"
                 )
 
-    def _parts(self, T_out_C: float) -> tuple[float, float]:
+    def parts(self, T_out_C: Array | float) -> tuple[Array, Array]:
+        """The part that is fixed while on and the part per unit of u at `T_out_C` °C, both W."""
+        T = np.clip(T_out_C, *self.T_out_range_C)
         c0, c1, c2, c3 = self.coefficients
-        return c0 + c1 * T_out_C, c2 + c3 * T_out_C
+        return np.asarray(c0 + c1 * T), np.asarray(c2 + c3 * T)
 
     def on_share(self, u: Array) -> Array:
         """Share of the step the machine runs, same shape as `u`."""
@@ -59,19 +61,17 @@ class OnLoad:
 
     def __call__(self, u: Array, T_out_C: Array) -> Array:
         """Load for `u` in [0, 1] at `T_out_C` °C (shapes broadcast), W."""
-        u = np.asarray(u, dtype=np.float64)
-        T = np.clip(T_out_C, *self.T_out_range_C)
-        c0, c1, c2, c3 = self.coefficients
-        return np.asarray(self.on_share(u) * (c0 + c1 * T) + u * (c2 + c3 * T))
+        fixed, per_u = self.parts(T_out_C)
+        return np.asarray(self.on_share(u) * fixed + np.asarray(u, dtype=np.float64) * per_u)
 
     def slope_bounds(self) -> tuple[float, float]:
         """Smallest and largest ∂load/∂u over u in [0, 1] and the outdoor range, W."""
         slopes: list[float] = []
         for T in self.T_out_range_C:
-            fixed, slope = self._parts(T)
+            fixed, slope = self.parts(T)
             below = fixed / self.lowest_level + slope
             above = slope if self.lowest_level < 1.0 else below
-            slopes += [below, above]
+            slopes += [float(below), float(above)]
         return min(slopes), max(slopes)
 
     def at_lowest_level(self, lowest_level: float) -> OnLoad:

@@ -1,0 +1,240 @@
+"""ThermoForce MPC: predict free and forced response, solve, check, act, and fall back with a reason when that fails."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from pydantic import Field
+from thermoforce_mpc.free_response.registry import build_free_response
+
+from controllers.actuation import Actuation, ActuationConfig
+from controllers.errors import ControllerConfigError
+from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.ladder import Ladder, LadderConfig
+from controllers.problem import MPCProblem, Solution, Weights
+from controllers.search import CandidateSearch, SearchConfig
+from thermoforce_mpc.errors import DataError, ThermoForceError
+from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus
+from thermoforce_mpc.world_model import ThermalModel, WorldModel
+
+
+class FreeResponseConfig(StrictModel):
+    """Which free response the plan is built on."""
+
+    name: str = Field("chronos", description="name in the registry of free responses")
+    options: dict[str, Any] = Field(default_factory=dict, description="its options, for example backbone: shipped")
+
+
+class MPCConfig(StrictModel):
+    """Options of the MPC."""
+
+    horizon_h: float = Field(24.0, gt=0, le=168, description="prediction horizon, h")
+    comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
+    comfort_margin_K: float = Field(0.05, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
+    curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
+    solver: Literal["ipopt", "search"] = Field("ipopt", description="Ipopt over the exported operator, or candidates")
+    free_response: FreeResponseConfig = FreeResponseConfig()
+    actuation: ActuationConfig = ActuationConfig()
+    ladder: LadderConfig = LadderConfig()
+    ipopt: IpoptConfig = IpoptConfig()
+    search: SearchConfig = SearchConfig()
+
+
+class Solver(Protocol):
+    """Anything that solves `MPCProblem`s of one operator and horizon."""
+
+    def solve(self, problem: MPCProblem) -> Solution:
+        """Solve one instance; a failure is a value."""
+        ...
+
+
+# What a forecast or a solve may raise on data nobody foresaw; anything else is a bug and must surface.
+_SURVIVABLE = (ThermoForceError, ValueError, ArithmeticError, RuntimeError)
+
+
+class ThermoForceMPC:
+    """Receding-horizon control over the superposition of a free and a forced response (paper eq:compose).
+
+    ```python
+    from controllers import ThermoForceMPC
+    from thermoforce_mpc.artifact import load_model
+
+    controller = ThermoForceMPC(load_model("my_model"))
+    plan = controller.plan(observation)
+    ```
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        config: MPCConfig | None = None,
+        *,
+        free_response: FreeResponse | None = None,
+        name: str = "thermoforce_mpc",
+    ) -> None:
+        """Build the problem once.
+
+        Args:
+            model: identified thermal model; its step is the control step.
+            config: options.
+            free_response: use this one instead of the one named in `config`.
+            name: name in reports.
+
+        Raises:
+            ControllerConfigError: the horizon is shorter than a step, or the actuation does not fit the step.
+            BackboneError, ConfigError: the free response cannot be built.
+        """
+        self.model, self.config, self._name = model, config or MPCConfig(), name
+        c = self.config
+        step_s = model.operator.step_s
+        self._n_steps = round(c.horizon_h * HOUR_S / step_s)
+        if self._n_steps < 1:
+            raise ControllerConfigError(
+                f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one step of the model"
+                f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
+            )
+        if c.actuation.mode == "duty" and step_s < 2 * c.actuation.block_s:
+            raise ControllerConfigError(
+                f"controller.options.actuation.block_s: blocks of {c.actuation.block_s:g} s cannot share a step of"
+                f" {step_s:g} s; use shorter blocks or mode: modulating"
+            )
+        if model.power is None:
+            raise ControllerConfigError("the model was identified without measured power: energy cannot be planned")
+        self._actuation = Actuation(c.actuation)
+        # The plan's model has to match the actuation: in both, the machine switches below its lowest level.
+        lowest = self._actuation.lowest_level
+        self._operator = replace(model.operator, actuator=model.operator.actuator.at_lowest_level(lowest))
+        self._power = model.power.load.at_lowest_level(lowest)
+        free = free_response or build_free_response(c.free_response.name, model=model, **c.free_response.options)
+        self.world = WorldModel(model, free)
+        mode = "heating" if self._operator.sign > 0 else "cooling"
+        self._ladder = Ladder(c.ladder, self.step_s, self._actuation.highest, mode)
+        self._solver = self._build_solver()
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return self._name
+
+    @property
+    def step_s(self) -> float:
+        """How long a plan is followed: the step of the model, s."""
+        return self.model.operator.step_s
+
+    @property
+    def horizon_s(self) -> float:
+        """How far ahead the boundary forecast is needed, s."""
+        return self._n_steps * self.step_s
+
+    def plan(self, observation: Observation) -> Plan:
+        """Decide for the next step. Never raises for a failed forecast or solve: the ladder acts and says why."""
+        began = time.perf_counter()
+        try:
+            problem, forecast = self._problem(observation)
+        except _SURVIVABLE as error:
+            return self._fall_back(observation, f"no prediction ({error})", "not started", {})
+        predicted = time.perf_counter()
+        solution = self._solver.solve(problem)
+        seconds = {"predict": predicted - began, "solve": time.perf_counter() - predicted}
+        if not solution.ok:
+            return self._fall_back(observation, solution.problem, solution.status, seconds)
+        return self._accept(observation, problem, forecast, solution, seconds)
+
+    def _build_solver(self) -> Solver:
+        c, actuation = self.config, self._actuation
+        if c.solver == "search":
+            return CandidateSearch(self._operator, self._n_steps, c.search)
+        return IpoptSolver(self._operator, self._n_steps, actuation.highest, actuation.lowest_level, c.ipopt)
+
+    def _problem(self, observation: Observation) -> tuple[MPCProblem, FreeForecast]:
+        """Forecast, and put all numbers of this instance together."""
+        c, boundary = self.config, observation.boundary
+        if boundary.n_steps < self._n_steps:
+            raise DataError(f"boundary forecast has {boundary.n_steps} steps, the horizon needs {self._n_steps}")
+        boundary = boundary.head(self._n_steps)
+        outlook = self.world.outlook(Observation(observation.history, boundary))
+        T_free = outlook.free.median_C
+        if T_free.shape != (self._n_steps,) or not np.isfinite(T_free).all():
+            raise DataError(f"free response '{self.world.free_response.name}' is not {self._n_steps} finite values")
+        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1])
+        # A margin wider than half the band would turn the bounds around.
+        margin = np.minimum(c.comfort_margin_K, 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:]))
+        problem = MPCProblem(
+            forced_state_K=outlook.forced_K,
+            features=outlook.features,
+            T_free_C=T_free,
+            lower_C=boundary.lower_C[1:] + margin,
+            upper_C=boundary.upper_C[1:] - margin,
+            price_per_kWh=boundary.price_per_kWh[:-1],
+            power_fixed_W=fixed_W,
+            power_per_u_W=per_u_W,
+            step_s=self.step_s,
+            u_max=self._actuation.highest,
+            lowest_level=self._actuation.lowest_level,
+            weights=Weights(c.comfort_weight, c.curvature),
+        )
+        return problem, outlook.free
+
+    def _accept(
+        self,
+        observation: Observation,
+        problem: MPCProblem,
+        forecast: FreeForecast,
+        solution: Solution,
+        seconds: dict[str, float],
+    ) -> Plan:
+        u = solution.u
+        forced_K = problem.forced_K(self._operator, u)
+        slack_K = problem.slack_K(problem.T_free_C + forced_K)
+        plan = Plan(
+            blocks=self._actuation.realise(float(u[0]), self.step_s),
+            status=PlanStatus.SOLVED,
+            why=_reason(problem, problem.T_free_C + forced_K, slack_K, forecast),
+            u=u,
+            T_free_C=problem.T_free_C,
+            T_forced_K=forced_K,
+            T_free_low_C=forecast.quantile_C(0.1),
+            T_free_high_C=forecast.quantile_C(0.9),
+            slack_K=slack_K,
+            power_W=problem.power_W(u),
+            solver_status=solution.status,
+            iterations=solution.iterations,
+            seconds=seconds,
+        )
+        self._ladder.remember(plan, observation.time_s)
+        return plan
+
+    def _fall_back(self, observation: Observation, reason: str, solver_status: str, seconds: dict[str, float]) -> Plan:
+        u = self._ladder.level_to_follow(observation)
+        if u is None:
+            plan = self._ladder.rule(observation, reason)
+        else:
+            blocks = self._actuation.realise(min(max(u, 0.0), self._actuation.highest), self.step_s)
+            plan = Plan(blocks, PlanStatus.SHIFTED, f"{reason}; following the previous plan (u = {u:.2f})")
+        return replace(plan, solver_status=solver_status, seconds=seconds)
+
+
+def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: FreeForecast) -> str:
+    """One sentence: which bound shapes the plan and when, and how wide the forecast is there."""
+    band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
+    violated = int(np.argmax(slack_K))
+    if slack_K[violated] > 1e-3:
+        side = "below" if T_zone_C[violated] < problem.lower_C[violated] else "above"
+        what = f"{slack_K[violated]:.2f} K {side} the comfort band cannot be avoided economically"
+        when = violated
+    else:
+        gap = np.minimum(T_zone_C - problem.lower_C, problem.upper_C - T_zone_C)
+        when = int(np.argmin(gap))
+        if gap[when] > 0.02:
+            return (
+                f"comfort is not binding within the horizon (nearest {gap[when]:.2f} K); free forecast: {forecast.note}"
+            )
+        side = "lower" if T_zone_C[when] - problem.lower_C[when] <= problem.upper_C[when] - T_zone_C[when] else "upper"
+        what = f"{side} bound binds"
+    hours = (when + 1) * problem.step_s / HOUR_S
+    return f"{what} in {hours:g} h (80 % band of the free forecast there: {band[when]:.2f} K)"

@@ -1,0 +1,104 @@
+"""All controllers by name. A new controller is one new file and one entry here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from controllers.errors import ControllerConfigError
+from controllers.native import NativeConfig, NativeController
+from controllers.thermostat import Thermostat, ThermostatConfig
+from thermoforce_mpc.configuration import merge, suggestion, validate
+from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.testcase import StrictModel, TestCase
+
+if TYPE_CHECKING:  # CasADi and the world model are loaded only when a controller needs them
+    from thermoforce_mpc.world_model import ThermalModel
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One controller: what it is, whether it needs an identified model, its defaults and how it is built."""
+
+    summary: str
+    needs_model: bool
+    config: Callable[[], type[StrictModel]]
+    build: Callable[[str, Any, TestCase, ThermalModel | None], Controller]
+    defaults: Mapping[str, Any]
+
+
+def _mpc_config() -> type[StrictModel]:
+    from controllers.mpc import MPCConfig
+
+    return MPCConfig
+
+
+def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | None) -> Controller:
+    from controllers.mpc import ThermoForceMPC
+
+    if model is None:
+        raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
+    return ThermoForceMPC(model, config, name=name)
+
+
+def _mpc_entry(summary: str, **defaults: Any) -> Entry:
+    return Entry(summary, True, _mpc_config, _build_mpc, defaults)
+
+
+REGISTRY: dict[str, Entry] = {
+    "thermoforce_mpc": _mpc_entry("Ipopt over frozen forecaster and forced-response operator; on/off duty blocks"),
+    "thermoforce_paper": _mpc_entry(
+        "the same in the paper's setting: level held over the step, frozen forecaster on T - F",
+        actuation={"mode": "modulating"},
+        free_response={"name": "chronos"},
+    ),
+    "rc_mpc": _mpc_entry("the same operator, free response of a linear RC model", free_response={"name": "rc"}),
+    "candidate_search": _mpc_entry(
+        "the paper's search over candidate trajectories, level held over the step",
+        solver="search",
+        actuation={"mode": "modulating"},
+    ),
+    "thermostat": Entry(
+        "on/off thermostat, optional weekday setback",
+        False,
+        lambda: ThermostatConfig,
+        lambda name, config, testcase, model: Thermostat(config),
+        {},
+    ),
+    "native": Entry(
+        "the controller built into the plant",
+        False,
+        lambda: NativeConfig,
+        lambda name, config, testcase, model: NativeController(config),
+        {},
+    ),
+}
+
+
+def find_entry(name: str) -> Entry:
+    """The entry called `name`; raises `ControllerConfigError` naming near misses and all known names."""
+    if name not in REGISTRY:
+        raise ControllerConfigError(
+            f"unknown controller '{name}'{suggestion(name, REGISTRY)}; known: {', '.join(REGISTRY)}"
+        )
+    return REGISTRY[name]
+
+
+def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
+    """Validate the options of a controller; raises `ConfigError` naming each wrong key."""
+    entry = find_entry(name)
+    defaults: dict[str, Any] = dict(entry.defaults)
+    if name == "native":
+        defaults["step_s"] = testcase.step_s
+    if name == "thermostat":
+        defaults["mode"] = testcase.mode
+    return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
+
+
+def build_controller(
+    name: str, options: Mapping[str, Any], testcase: TestCase, model: ThermalModel | None = None
+) -> Controller:
+    """Build a controller by name; raises `ConfigError` for wrong options or a missing model."""
+    config = controller_config(name, options, testcase)
+    return find_entry(name).build(name, config, testcase, model)

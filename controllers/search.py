@@ -1,0 +1,54 @@
+"""The paper's solver: roll out a set of candidate trajectories and take the cheapest (paper sec:deployment)."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from pydantic import Field
+
+from controllers.problem import MPCProblem, Solution
+from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import Array
+
+
+class SearchConfig(StrictModel):
+    """Which trajectories are tried: every level held for a first stretch, then every level for the rest."""
+
+    levels: tuple[float, ...] = Field((0.0, 0.25, 0.5, 0.75, 1.0), min_length=2, description="levels tried, in [0, 1]")
+    first_stretch_steps: tuple[int, ...] = Field(
+        (1, 2, 3, 4, 6, 8, 12, 18), min_length=1, description="lengths of the first stretch tried, steps"
+    )
+
+
+class CandidateSearch:
+    """Evaluates all candidates of the configuration, and the previous answer one step on, in one vectorised rollout."""
+
+    def __init__(self, operator: OperatorParameters, n_steps: int, config: SearchConfig) -> None:
+        self.operator = operator
+        self._candidates = _two_level_trajectories(config, n_steps)
+        self._previous: Array | None = None
+
+    def solve(self, problem: MPCProblem) -> Solution:
+        """The cheapest candidate. A failure is a value: `ok` is False and `problem` says why."""
+        candidates = np.unique(np.minimum(self._candidates, problem.u_max), axis=0)
+        if self._previous is not None:
+            candidates = np.vstack([candidates, self._previous])
+        costs = problem.cost(self.operator, candidates)
+        if not np.isfinite(costs).any():
+            self._previous = None
+            return Solution(False, np.empty(0), "no candidate", len(costs), "no candidate has a finite cost")
+        best = candidates[int(np.nanargmin(costs))]
+        self._previous = np.append(best[1:], best[-1])
+        return Solution(True, best, "best_candidate", len(costs))
+
+
+def _two_level_trajectories(config: SearchConfig, n_steps: int) -> Array:
+    """All two-level trajectories, shape (candidates, n_steps)."""
+    rows = []
+    for first, then, length in itertools.product(config.levels, config.levels, config.first_stretch_steps):
+        u = np.full(n_steps, then)
+        u[:length] = first
+        rows.append(u)
+    return np.unique(np.array(rows), axis=0)

@@ -1,0 +1,81 @@
+"""One self-contained HTML page per run: what was run, how it did, what happened, and what went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+from markupsafe import Markup
+
+from thermoforce_mpc.closed_loop import RunResult
+from thermoforce_mpc.report.forecast_check import forecast_errors
+from thermoforce_mpc.report.plots import actuation_plot, kpi_plot, temperature_plot
+from thermoforce_mpc.run_folder import steps_frame, trajectory_frame
+
+KPI_LABELS = {
+    "cost_tot": ("Cost", "{currency}/m²"),
+    "ener_tot": ("Energy", "kWh/m²"),
+    "tdis_tot": ("Discomfort", "K·h"),
+    "emis_tot": ("Emissions", "kg CO₂/m²"),
+    "pele_tot": ("Peak power (15 min)", "kW/m²"),
+    "time_rat": ("Computing time / real time", "–"),
+}
+
+
+def write_report(
+    path: Path,
+    *,
+    kpis: Mapping[str, Any],
+    manifest: Mapping[str, Any],
+    result: RunResult,
+    baselines: Mapping[str, RunResult],
+    currency: str,
+) -> None:
+    """Write the report of a run to `path`; `kpis` and `manifest` are the run folder's own."""
+    trajectory, steps = trajectory_frame(result), steps_frame(result)
+    everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
+    events = steps[(steps.status.isin(["shifted", "thermostat"])) | (steps.refused != "")]
+    template = _environment().get_template("report.html.j2")
+    page = template.render(
+        kpis=kpis,
+        manifest=manifest,
+        table=_kpi_rows(everyone, currency),
+        controllers=list(everyone),
+        temperature=Markup(temperature_plot(trajectory, steps, {n: trajectory_frame(b) for n, b in baselines.items()})),
+        actuation=Markup(actuation_plot(trajectory, currency)),
+        comparison=Markup(kpi_plot(everyone, currency)),
+        forecast=forecast_errors(result),
+        events=events.to_dict("records"),
+        ladder=result.ladder(),
+        sentences=_sentences(steps),
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("thermoforce_mpc.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
+def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
+    """One row per KPI; the best value of a row is marked."""
+    rows = []
+    for key, (label, unit) in KPI_LABELS.items():
+        values = [kpis.get(key) for kpis in everyone.values()]
+        numbers = [value for value in values if value is not None]
+        best = min(numbers) if numbers and key != "time_rat" else None
+        rows.append(
+            {"label": label, "unit": unit.format(currency=currency), "key": key, "values": values, "best": best}
+        )
+    return rows
+
+
+def _sentences(steps: pd.DataFrame) -> list[dict[Hashable, Any]]:
+    """The reasons of the first day's plans: what a reader needs to learn how the controller thinks."""
+    return steps.head(24)[["time_s", "T_zone_C", "u_planned", "why"]].to_dict("records")
