@@ -1,0 +1,44 @@
+"""Random operators for the tests, from ordinary to adversarial."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.operator import HIDDEN, IDENTITY, ActuatorMap, OnLoad, OperatorParameters
+
+HEAT_MAP = ActuatorMap(heat=OnLoad((1600.0, 20.0, 8500.0, 300.0), (-4.0, 15.0), lowest_level=0.2), reference_C=0.0)
+
+
+def random_operator(
+    seed: int,
+    order: int = 1,
+    *,
+    scale: float = 1.0,
+    sign: int = 1,
+    gamma: float = 0.75,
+    actuator: ActuatorMap = IDENTITY,
+    step_s: float = 3600.0,
+) -> OperatorParameters:
+    """An operator with normal weights of size `scale`."""
+    rng = np.random.default_rng(seed)
+    return OperatorParameters(
+        poles=rng.uniform(0.02, 0.995, order),
+        gains=sign * rng.uniform(0.01, 1.0, order),
+        hidden_weight=rng.normal(size=(HIDDEN, 4)) * scale,
+        hidden_bias=rng.normal(size=HIDDEN) * scale,
+        output_weight=rng.normal(size=HIDDEN) * scale,
+        output_bias=float(rng.normal()) * scale,
+        feature_mean=np.array([20.0, 5.0, 100.0, 0.0]),
+        feature_scale=np.array([2.0, 5.0, 150.0, 0.7]),
+        gamma=gamma,
+        sign=sign,
+        step_s=step_s,
+        pole_bounds=np.tile([0.0, 1.0], (order, 1)),
+        actuator=actuator,
+    )
+
+
+def random_features(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Features (..., 4) in physical units, of the size a building shows."""
+    low, high = np.array([10.0, -10.0, 0.0, -1.0]), np.array([28.0, 20.0, 900.0, 1.0])
+    return rng.uniform(low, high, size=(*shape, 4))

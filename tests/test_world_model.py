@@ -1,0 +1,205 @@
+"""Superposition: free and forced are taken apart and put together without loss."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from operators import HEAT_MAP, random_operator
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.free_response.rc import RcFreeResponse, RcParameters
+from thermoforce_mpc.operator import linear_operator
+from thermoforce_mpc.types import Boundary, FreeForecast, History, Observation
+from thermoforce_mpc.world_model import ThermalModel, WorldModel, forced_history
+
+STEP = 3600.0
+
+
+class HoldLast:
+    """A free response that stays where it is."""
+
+    name = "hold"
+
+    def forecast(self, free_C, history, boundary) -> FreeForecast:
+        last = free_C[np.isfinite(free_C)][-1]
+        return FreeForecast(levels=np.array([0.5]), quantiles_C=np.full((1, boundary.n_steps), last))
+
+
+def make_history(n: int = 48, seed: int = 0, T_zone=None) -> History:
+    rng = np.random.default_rng(seed)
+    hours = np.arange(n + 1)
+    return History(
+        time_s=hours * STEP,
+        T_zone_C=rng.normal(21, 0.5, n + 1) if T_zone is None else T_zone,
+        T_out_C=5 + 3 * np.cos(2 * np.pi * (hours - 15) / 24),
+        solar_W_m2=np.maximum(0, 300 * np.cos(2 * np.pi * (hours - 13) / 24)),
+        u=rng.choice([0.0, 0.5, 1.0], n),
+        power_W=np.full(n, np.nan),
+        heat_W=np.full(n, np.nan),
+    )
+
+
+def make_boundary(history: History, n: int = 24) -> Boundary:
+    hours = history.time_s[-1] / STEP + np.arange(n + 1)
+    return Boundary(
+        time_s=hours * STEP,
+        T_out_C=5 + 3 * np.cos(2 * np.pi * (hours - 15) / 24),
+        solar_W_m2=np.maximum(0, 300 * np.cos(2 * np.pi * (hours - 13) / 24)),
+        occupancy=np.zeros(n + 1),
+        lower_C=np.full(n + 1, 21.0),
+        upper_C=np.full(n + 1, 24.0),
+        price_per_kWh=np.full(n + 1, 0.25),
+        emission_kg_per_kWh=np.full(n + 1, 0.17),
+    )
+
+
+@pytest.fixture
+def world() -> WorldModel:
+    return WorldModel(ThermalModel(random_operator(3, 3, actuator=HEAT_MAP)), HoldLast())
+
+
+def test_free_plus_forced_is_what_was_measured(world):
+    history = make_history()
+    total = world.free_history(history) + world.forced_history(history).sum(axis=1)
+    np.testing.assert_allclose(total, history.T_zone_C, atol=1e-12)
+    np.testing.assert_array_equal(world.forced_state(history), world.forced_history(history)[-1])
+
+
+def test_zero_start_is_the_papers_and_steady_start_holds():
+    operator = linear_operator([0.5, 0.98], [0.3, 0.05], step_s=STEP)
+    history = replace(make_history(), u=np.full(48, 0.6))
+    zero = forced_history(operator, history, initial_force="zero")
+    assert np.all(zero[0] == 0)
+    steady = forced_history(operator, history, initial_force="steady")
+    np.testing.assert_allclose(steady, np.broadcast_to(0.6 * operator.steady_gains_K, (49, 2)), rtol=1e-12)
+
+
+def test_exact_recovery_of_a_free_response_under_control():
+    """A building that *is* the model: subtracting F must give its control-free temperature back."""
+    operator = linear_operator([0.9], [0.2], step_s=STEP)
+    base = make_history()
+    free, forced = np.empty(49), np.empty(49)
+    free[0], forced[0] = 19.0, 0.0
+    for t in range(48):
+        free[t + 1] = 0.9 * free[t] + 0.1 * base.T_out_C[t] + 1.2
+        forced[t + 1] = 0.9 * forced[t] + 0.2 * base.u[t]
+    history = replace(base, T_zone_C=free + forced)
+    world = WorldModel(ThermalModel(operator), HoldLast(), initial_force="zero")
+    np.testing.assert_allclose(world.free_history(history), free, atol=1e-12)
+
+
+def test_predict_effect_and_counterfactuals_agree(world):
+    history = make_history()
+    outlook = world.outlook(Observation(history, make_boundary(history)))
+    rng = np.random.default_rng(1)
+    u, alt = rng.uniform(0, 1, 24), rng.uniform(0, 1, 24)
+    np.testing.assert_allclose(
+        outlook.effect(alt, u), outlook.predict(alt).total_C - outlook.predict(u).total_C, atol=1e-12
+    )
+    levels = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    fan = outlook.counterfactuals(levels)
+    assert fan.forced_K.shape == (5, 24)
+    assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
+    np.testing.assert_allclose(fan.total_C[1], outlook.predict(np.full(24, 0.25)).total_C, atol=1e-12)
+    np.testing.assert_allclose(outlook.predict(u).total_C, outlook.free.median_C + outlook.predict(u).forced_K)
+
+
+def test_plan_continues_the_history(world):
+    """Splitting time into past and future must not change the forced response."""
+    history = make_history(72)
+    operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, actuator=HEAT_MAP)
+    world = WorldModel(ThermalModel(operator), HoldLast())
+    past = History(
+        **{n: getattr(history, n)[:49] for n in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
+        **{n: getattr(history, n)[:48] for n in ("u", "power_W", "heat_W")},
+    )
+    outlook = world.outlook(Observation(past, make_boundary(past)))
+    whole = forced_history(operator, history).sum(axis=1)[49:]
+    np.testing.assert_allclose(outlook.predict(history.u[48:]).forced_K, whole, atol=1e-9)
+
+
+def test_silent_sensor_leaves_a_hole_and_nothing_else(world):
+    history = make_history()
+    T = np.array(history.T_zone_C)
+    T[10:14] = np.nan
+    free = world.free_history(replace(history, T_zone_C=T))
+    assert np.isnan(free[10:14]).all()
+    assert np.isfinite(np.delete(free, range(10, 14))).all()
+    silent = Observation(replace(history, T_zone_C=np.full(49, np.nan)), make_boundary(history))
+    with pytest.raises(DataError, match="never measured"):
+        world.outlook(silent)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "word"), [("u", np.nan, "u is not finite at step 5"), ("u", 1.5, "u is 1.5")]
+)
+def test_broken_histories_are_refused_with_the_place(world, name, value, word):
+    history = make_history()
+    u = np.array(history.u)
+    u[5] = value
+    with pytest.raises(DataError, match=word):
+        world.forced_state(replace(history, **{name: u}))
+
+
+def test_impossible_actions_are_refused(world):
+    history = make_history()
+    outlook = world.outlook(Observation(history, make_boundary(history)))
+    with pytest.raises(DataError, match="expected"):
+        outlook.predict(np.zeros(23))
+    with pytest.raises(DataError, match=r"inside \[0, 1\]"):
+        outlook.predict(np.full(24, np.nan))
+    with pytest.raises(DataError, match="initial_force"):
+        WorldModel(world.model, HoldLast(), initial_force="warm")  # type: ignore[arg-type]
+
+
+RC = RcParameters(
+    poles=np.array([0.6, 0.985]),
+    outdoor=np.array([0.05, 0.006]),
+    solar=np.array([5e-4, 1e-4]),
+    constant=np.array([1.0, 0.1]),
+    step_s=STEP,
+    process_sd_K=np.array([0.02, 0.01]),
+)
+
+
+def _simulate(params: RcParameters, T_out, solar, start) -> np.ndarray:
+    z, out = np.array(start, dtype=float), [float(np.sum(start))]
+    for t in range(len(T_out) - 1):
+        z = params.poles * z + params.outdoor * T_out[t] + params.solar * solar[t] + params.constant
+        out.append(float(z.sum()))
+    return np.array(out)
+
+
+def test_rc_forecast_follows_a_building_that_is_the_model():
+    history = make_history(96)
+    boundary = make_boundary(history)
+    T_out = np.concatenate([history.T_out_C, boundary.T_out_C[1:]])
+    solar = np.concatenate([history.solar_W_m2, boundary.solar_W_m2[1:]])
+    truth = _simulate(RC, T_out, solar, [3.0, 12.0])
+    free = truth[:97].copy()
+    free[30:40] = np.nan
+    forecast = RcFreeResponse(RC).forecast(free, history, boundary)
+    np.testing.assert_allclose(forecast.median_C, truth[97:], atol=0.05)
+    assert np.all(np.diff(forecast.quantiles_C, axis=0) > 0)
+    spread = forecast.quantiles_C[-1] - forecast.quantiles_C[0]
+    assert spread[-1] > spread[0]
+
+
+def test_rc_keeps_its_response_when_resampled():
+    constant = np.full(200, 7.0), np.full(200, 100.0)
+    hourly = _simulate(RC, *constant, start=[0.0, 0.0])
+    fine = _simulate(RC.resampled(900.0), np.full(797, 7.0), np.full(797, 100.0), start=[0.0, 0.0])
+    np.testing.assert_allclose(fine[::4], hourly, atol=1e-9)
+
+
+def test_rc_refuses_what_it_cannot_use():
+    history = make_history(24)
+    free_response = RcFreeResponse(RC)
+    with pytest.raises(DataError, match="shape"):
+        free_response.forecast(np.zeros(3), history, make_boundary(history))
+    with pytest.raises(DataError, match="silent"):
+        free_response.forecast(np.full(25, np.nan), history, make_boundary(history))
+    with pytest.raises(DataError, match="poles"):
+        replace(RC, poles=np.array([0.5, 1.0]))
