@@ -28,6 +28,7 @@ from thermoforce_mpc.operator.casadi_export import modulation_function, rollout_
 from thermoforce_mpc.operator.torch_module import ForcedResponseOperator
 
 N = 24
+TWO = np.array([[0.0, 0.7], [0.7, 1.0]])
 
 
 def _loop(params: OperatorParameters, F0, u, features) -> np.ndarray:
@@ -160,6 +161,12 @@ def test_features_are_what_the_docstring_says():
         ({"poles": np.array([0.2])}, "poles"),  # outside of its own bounds
         ({"gains": np.array([-0.1])}, "gains"),
         ({"gains": np.array([0.1, 0.1])}, "gains"),
+        (
+            {"poles": np.array([0.8, 0.6]), "gains": np.ones(2), "pole_bounds": np.array([[0, 0.9], [0.5, 1]])},
+            "increase",
+        ),
+        ({"poles": np.array([0.5, 0.9]), "gains": np.array([1.0, -0.1]), "pole_bounds": TWO}, "beyond the first"),
+        ({"poles": np.array([0.5, 0.9]), "gains": np.array([-2.0, 1.0]), "pole_bounds": TWO}, "answer an action"),
         ({"gamma": 1.0}, "gamma"),
         ({"sign": 0}, "sign"),
         ({"step_s": 0.0}, "step_s"),
@@ -171,7 +178,7 @@ def test_features_are_what_the_docstring_says():
     ],
 )
 def test_impossible_operators_are_refused(change, word):
-    params = linear_operator([0.8], [0.1], step_s=3600.0, pole_bounds=np.array([[0.5, 0.9]]))
+    params = linear_operator(np.array([0.8]), np.array([0.1]), step_s=3600.0, pole_bounds=np.array([[0.5, 0.9]]))
     with pytest.raises(DataError, match=word):
         replace(params, **change)
 

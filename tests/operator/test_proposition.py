@@ -40,7 +40,7 @@ def _jacobian_by_autodiff(params, F0, u, features) -> np.ndarray:
 def _impulse_bounds(params) -> tuple[np.ndarray, np.ndarray]:
     """The proposition's bounds by lag, written out anew from the paper (eq:marginal), largest magnitude second."""
     lags = np.arange(N)
-    impulse = sum(abs(g) * a**lags for a, g in zip(params.poles, params.gains, strict=True))
+    impulse = params.sign * sum(g * a**lags for a, g in zip(params.poles, params.gains, strict=True))
     slope_low, slope_high = params.actuator.slope_bounds()
     return impulse * (1 - params.gamma) * slope_low, impulse * (1 + params.gamma) * slope_high
 
@@ -53,13 +53,15 @@ def test_effect_keeps_its_sign_and_bounds_by_autodiff(params, seed, size):
     u, F0 = rng.uniform(0, 1, N), rng.normal(size=params.order) * 5
     jacobian = _jacobian_by_autodiff(params, F0, u, features)
     low, high = _impulse_bounds(params)
+    # A pure delay is a difference of modes: near zero its sign is known to rounding only.
+    rounding = 1e-13 * float(np.abs(params.gains).sum()) * params.actuator.slope_bounds()[1]
     for j in range(N):
         for t in range(N):
             effect = jacobian[j, t] * params.sign
             if t > j:
                 assert effect == 0.0, "the future acts on the past"
             else:
-                assert low[j - t] * (1 - 1e-9) <= effect <= high[j - t] * (1 + 1e-9)
+                assert low[j - t] * (1 - 1e-9) - rounding <= effect <= high[j - t] * (1 + 1e-9) + rounding
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -108,12 +110,21 @@ def test_certificate_contains_every_effect(params, seed):
     assert np.all(np.array(proof.effect_low_K) * params.sign >= 0)
 
 
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(params=operators, step_s=st.sampled_from([60.0, 300.0, 900.0, 3600.0, 14400.0]))
+def test_sign_holds_at_every_step_length(params, step_s):
+    other = params.resampled(step_s)
+    lags = np.arange(200)
+    impulse = params.sign * sum(g * a**lags for a, g in zip(other.poles, other.gains, strict=True))
+    assert impulse.min() >= -1e-12 * np.abs(other.gains).sum()
+
+
 def test_certificate_is_refused_when_no_action_has_an_effect():
     params = random_operator(0)
     dead = type(params)(**{**vars(params), "gains": np.zeros(1)})
     proof = certificate(dead)
     assert not proof.certified
-    assert "gains" in proof.reasons[0]
+    assert "no action has an effect" in proof.reasons[0]
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -122,4 +133,4 @@ def test_effect_formula_is_the_rollouts_derivative(sign):
     rng = np.random.default_rng(2)
     features = random_features(rng, N)
     jacobian = _jacobian_by_autodiff(params, np.zeros(3), rng.uniform(0, 1, N), features)
-    np.testing.assert_allclose(jacobian[3:, 3], marginal_effect(params, features[3], N - 3), rtol=1e-12)
+    np.testing.assert_allclose(jacobian[3:, 3], marginal_effect(params, features[3], N - 3), rtol=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.operator import HIDDEN, IDENTITY, ActuatorMap, OnLoad, OperatorParameters
+from thermoforce_mpc.operator.parameters import initial_weight
 
 HEAT_MAP = ActuatorMap(heat=OnLoad((1600.0, 20.0, 8500.0, 300.0), (-4.0, 15.0), lowest_level=0.2), reference_C=0.0)
 
@@ -21,9 +22,16 @@ def random_operator(
 ) -> OperatorParameters:
     """An operator with normal weights of size `scale`."""
     rng = np.random.default_rng(seed)
+    edges = np.linspace(0.0, 1.0, order + 1)
+    bounds = np.stack([edges[:-1], edges[1:]], axis=1)
+    poles = rng.uniform(bounds[:, 0] + 0.005, bounds[:, 1] - 0.005)
+    gains = rng.uniform(0.01, 1.0, order)
+    if order > 1 and rng.random() < 0.7:  # an answer that comes late, up to a pure delay
+        weight = initial_weight(poles)
+        gains[0] = rng.choice([0.0, 0.1]) - gains[1:] @ weight[1:] / weight[0]
     return OperatorParameters(
-        poles=rng.uniform(0.02, 0.995, order),
-        gains=sign * rng.uniform(0.01, 1.0, order),
+        poles=poles,
+        gains=sign * gains,
         hidden_weight=rng.normal(size=(HIDDEN, 4)) * scale,
         hidden_bias=rng.normal(size=HIDDEN) * scale,
         output_weight=rng.normal(size=HIDDEN) * scale,
@@ -33,7 +41,7 @@ def random_operator(
         gamma=gamma,
         sign=sign,
         step_s=step_s,
-        pole_bounds=np.tile([0.0, 1.0], (order, 1)),
+        pole_bounds=bounds,
         actuator=actuator,
     )
 

@@ -1,7 +1,8 @@
 """The certificate: what the weights at hand guarantee about the effect of an action (paper, proposition).
 
-For k = 1 … K, ∂F(t+k)/∂u(t) = m(x_t) · ∂v/∂u · Σ_i g_i a_i^(k−1). With a_i in (0, 1), all g_i of one sign, m inside
-[1 − γ, 1 + γ] and ∂v/∂u inside known bounds, the effect lies in an interval that never crosses zero, for any features.
+For k = 1 … K, ∂F(t+k)/∂u(t) = m(x_t) · ∂v/∂u · Σ_i g_i a_i^(k−1). With a_i in (0, 1), an impulse response of one sign
+(see `operator.parameters` for why two conditions on the gains are enough), m inside [1 − γ, 1 + γ] and ∂v/∂u inside
+known bounds, the effect lies in an interval that never crosses zero, for any features.
 """
 
 from __future__ import annotations
@@ -60,16 +61,15 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
     reasons: list[str] = []
     if not ((params.poles > 0) & (params.poles < 1)).all():
         reasons.append(f"a pole is outside (0, 1): {params.poles.tolist()}")
-    magnitude = params.gains * params.sign
-    if (magnitude < 0).any() or not (magnitude > 0).any():
-        reasons.append(f"gains are not all of sign {params.sign:+d} with one nonzero: {params.gains.tolist()}")
+    impulse: Array = params.impulse(n_steps) * params.sign
+    if not (impulse > 0).any():
+        reasons.append(f"no action has an effect: gains {params.gains.tolist()}")
     m_low, m_high = modulation_interval(params)
     if m_low <= 0:
         reasons.append(f"the modulation can reach {m_low:g}")
     v_low, v_high = params.actuator.slope_bounds()
     if v_low < 0:
         reasons.append(f"the actuator map falls with u (slope {v_low:g})")
-    impulse: Array = (magnitude[:, None] * params.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
     weak, strong = impulse * m_low * v_low, impulse * m_high * v_high
     low, high = (weak, strong) if params.sign > 0 else (-strong, -weak)
     return Certificate(

@@ -1,7 +1,10 @@
 """The forced-response operator in numbers (paper eq:operator to eq:mod), in numpy alone.
 
-`r` parallel modes, F = Σ F_i with F_i(t+1) = a_i F_i(t) + g_i m(x_t) v(u_t, T_out): every a_i in (0, 1) and every g_i
-of one sign, so ∂F(t+k)/∂u(t) keeps that sign for any weights. Order 1 with v = u is the paper's operator.
+`r` parallel modes, fastest first, F = Σ F_i with F_i(t+1) = a_i F_i(t) + g_i m(x_t) v(u_t, T_out). Order 1 with v = u
+is the paper's operator. A sum of modes of one sign is strongest right after the action, but a floor slab answers hours
+later: so the fastest gain may be negative, as the delay of what the others bring, as far as Σ g_i (−ln a_i)/(1 − a_i)
+keeps the sign. That sum is the slope of the step response at its start (up to the step), and it is enough: divided by
+the fastest decay the impulse response only grows, so it never crosses zero, at any step length and for any weights.
 """
 
 from __future__ import annotations
@@ -20,6 +23,13 @@ GAMMA = 0.75
 
 # Weights and features below this cannot overflow float64 inside the network, so saturation is the worst that happens.
 _LARGEST = 1e100
+# A pure delay has a starting slope of exactly zero, which rounding may put a hair below.
+_ROUNDING = 1e-9
+
+
+def initial_weight(poles: Array) -> Array:
+    """(−ln a_i)/(1 − a_i): what one unit of each g_i adds to the starting slope of the step response, shape (r,)."""
+    return np.asarray(-np.log(poles) / (1.0 - poles))
 
 
 @dataclass(frozen=True)
@@ -27,14 +37,14 @@ class OperatorParameters:
     """One identified operator.
 
     Attributes:
-        poles: a_i, shape (r,), 1, in (0, 1), per step.
-        gains: g_i, shape (r,), K per step at v = 1 and m = 1, all of `sign` (zero allowed).
+        poles: a_i, shape (r,), 1, in (0, 1), per step, increasing.
+        gains: g_i, shape (r,), K per step at v = 1 and m = 1; all but the first are of `sign` or zero.
         hidden_weight, hidden_bias, output_weight, output_bias: the MLP, shapes (H, 4), (H,), (H,), scalar.
         feature_mean, feature_scale: normalisation of the features, shape (4,), in their physical units.
         gamma: γ of eq:mod, in [0, 1).
         sign: +1 heating, −1 cooling.
         step_s: length of the step the poles and gains belong to, s.
-        pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2).
+        pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2), not overlapping.
         actuator: v(u, T_out) in front of the modes.
 
     Raises:
@@ -88,8 +98,15 @@ class OperatorParameters:
             raise DataError(f"operator: poles {self.poles.tolist()} leave (0, 1) or {self.pole_bounds.tolist()}")
         if self.sign not in (1, -1):
             raise DataError(f"operator: sign is {self.sign}, expected 1 (heating) or -1 (cooling)")
-        if (self.gains * self.sign < 0).any():
-            raise DataError(f"operator: gains {self.gains.tolist()} do not all have the sign {self.sign:+d}")
+        if not ((np.diff(self.poles) > 0).all() and (high[:-1] <= low[1:]).all()):
+            raise DataError(f"operator: poles {self.poles.tolist()} and their bounds must increase without overlap")
+        if (self.gains[1:] * self.sign < 0).any():
+            raise DataError(f"operator: gains {self.gains.tolist()} beyond the first must have the sign {self.sign:+d}")
+        rates = self.gains * initial_weight(self.poles) * self.sign
+        if rates.sum() < -_ROUNDING * np.abs(rates).sum():
+            raise DataError(
+                f"operator: gains {self.gains.tolist()} answer an action with the sign {-self.sign:+d} first"
+            )
         if not 0.0 <= self.gamma < 1.0:
             raise DataError(f"operator: gamma is {self.gamma}, expected a value in [0, 1)")
         if not (self.feature_scale > 0).all():
@@ -118,6 +135,14 @@ class OperatorParameters:
     def steady_gains_K(self) -> Array:
         """g_i / (1 − a_i): what full actuation adds in the end at m = 1, shape (r,), K."""
         return np.asarray(self.gains / (1.0 - self.poles))
+
+    def impulse(self, n_steps: int) -> Array:
+        """Σ g_i a_i^(k−1) for k = 1 … `n_steps`, shape (n_steps,), K: what one step of v = m = 1 adds k steps on.
+
+        Never of the other sign; what rounding leaves beyond zero is cut off.
+        """
+        response = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
+        return np.asarray(self.sign * np.maximum(self.sign * response, 0.0))
 
     def modulation(self, features: Array) -> Array:
         """m(x) of eq:mod for `features` (..., 4) in physical units; shape (...), inside [1 − γ, 1 + γ]."""
@@ -156,6 +181,12 @@ class OperatorParameters:
         )
 
 
+def bounds_between(poles: Array) -> Array:
+    """Bounds (r, 2) that fill (0, 1) and part in the middle between neighbouring poles."""
+    edges = np.concatenate([[0.0], 0.5 * (poles[:-1] + poles[1:]), [1.0]])
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
 def linear_operator(
     poles: Array,
     gains: Array,
@@ -170,7 +201,6 @@ def linear_operator(
     hidden: int = HIDDEN,
 ) -> OperatorParameters:
     """An operator whose modulation is exactly 1 (all weights zero): the linear gain of paper eq:arx."""
-    r = np.size(poles)
     return OperatorParameters(
         poles=np.asarray(poles, dtype=np.float64),
         gains=np.asarray(gains, dtype=np.float64),
@@ -183,6 +213,6 @@ def linear_operator(
         gamma=gamma,
         sign=sign,
         step_s=step_s,
-        pole_bounds=np.tile([0.0, 1.0], (r, 1)) if pole_bounds is None else pole_bounds,
+        pole_bounds=bounds_between(np.asarray(poles, dtype=np.float64)) if pole_bounds is None else pole_bounds,
         actuator=actuator,
     )

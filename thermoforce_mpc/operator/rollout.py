@@ -51,6 +51,4 @@ def marginal_effect(params: OperatorParameters, features: Array, n_steps: int) -
 
     The paper's a^k counts the steps after the action's own step has ended: lag k here is a^(k−1) g m(x_t).
     """
-    lags = np.arange(n_steps)
-    impulse = (params.gains[:, None] * params.poles[:, None] ** lags).sum(axis=0)
-    return np.asarray(impulse * params.modulation(features))
+    return np.asarray(params.impulse(n_steps) * params.modulation(features))

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from thermoforce_mpc.operator.actuator import ActuatorMap
 from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR
-from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.operator.parameters import OperatorParameters, initial_weight
 from thermoforce_mpc.types import Array
 
 # How close to a bound a pole may start: its logit must stay finite for the gradient to live.
@@ -31,7 +31,10 @@ class ForcedResponseOperator(nn.Module):
         super().__init__()
         low, high = params.pole_bounds[:, 0], params.pole_bounds[:, 1]
         share = np.clip((params.poles - low) / (high - low), _EDGE, 1.0 - _EDGE)
-        magnitude = np.maximum(np.abs(params.gains), _SMALLEST_GAIN)
+        weight = initial_weight(params.poles)
+        magnitude = params.gains * params.sign
+        magnitude = np.append(magnitude @ weight / weight[0], magnitude[1:])
+        magnitude = np.maximum(magnitude, _SMALLEST_GAIN)
         self.raw_pole = nn.Parameter(_tensor(np.log(share) - np.log1p(-share)))
         self.raw_gain = nn.Parameter(_tensor(magnitude + np.log(-np.expm1(-magnitude))))
         self.hidden = nn.Linear(N_FEATURES, params.hidden_bias.size, dtype=torch.float64)
@@ -57,8 +60,15 @@ class ForcedResponseOperator(nn.Module):
 
     @property
     def gains(self) -> Tensor:
-        """g = ±softplus(g̃) (eq:gain), shape (r,), K per step."""
-        return self.sign * nn.functional.softplus(self.raw_gain)
+        """Gains g (r,), K per step: ±softplus(g̃) (eq:gain) for all but the fastest mode.
+
+        The fastest takes what leaves softplus(g̃_1) as the step response's starting slope; alone, that is eq:gain.
+        """
+        magnitude = nn.functional.softplus(self.raw_gain)
+        poles = self.poles
+        weight = -torch.log(poles) / (1.0 - poles)
+        first = magnitude[:1] - (magnitude[1:] * weight[1:]).sum()[None] / weight[:1]
+        return self.sign * torch.cat([first, magnitude[1:]])
 
     def modulation(self, features: Tensor) -> Tensor:
         """m(x) (eq:mod) for `features` (..., 4) in physical units; shape (...)."""
