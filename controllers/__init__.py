@@ -1,1 +1,23 @@
-"""Everything that decides an action."""
+"""Everything that decides an action. `ThermoForceMPC` is loaded on first use: it brings CasADi along."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["MPCConfig", "NativeController", "ThermoForceMPC", "Thermostat", "build_controller"]
+
+_WHERE = {
+    "MPCConfig": "controllers.mpc",
+    "ThermoForceMPC": "controllers.mpc",
+    "NativeController": "controllers.native",
+    "Thermostat": "controllers.thermostat",
+    "build_controller": "controllers.registry",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'controllers' has no attribute '{name}'")
+    import importlib
+
+    return getattr(importlib.import_module(_WHERE[name]), name)

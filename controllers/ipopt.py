@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -39,8 +40,10 @@ class IpoptSolver:
         """Build the NLP for plans in [0, `u_max`] on a machine that switches below `lowest_level`."""
         self.operator, self.n_steps = operator, n_steps
         n, r = n_steps, operator.order
-        # Without a kink inside the range, power (and heat) are linear in u and every derivative is constant.
+        # Without a kink inside the range, power and heat are linear in u and every derivative is constant.
         linear = lowest_level >= u_max
+        heat = operator.actuator.heat
+        linear_dynamics = heat is None or heat.lowest_level >= u_max
         step = step_function(operator)
         u, F, slack = ca.SX.sym("u", n), ca.SX.sym("F", r, n), ca.SX.sym("slack", n)
         F_now, features = ca.SX.sym("F_now", r), ca.SX.sym("features", n, N_FEATURES)
@@ -67,19 +70,37 @@ class IpoptSolver:
                 "max_iter": config.max_iterations,
                 "tol": config.tolerance,
                 "max_wall_time": config.max_seconds,
-                "jac_c_constant": "yes" if linear else "no",
+                "jac_c_constant": "yes" if linear_dynamics else "no",
                 "jac_d_constant": "yes",
-                "hessian_constant": "yes" if linear else "no",
+                "hessian_constant": "yes" if linear and linear_dynamics else "no",
             },
         }
         nlp = {"x": decisions, "p": parameters, "f": objective, "g": constraints}
         self._solver = ca.nlpsol("thermoforce_mpc", "ipopt", nlp, options)
         self._lbg = np.concatenate([np.zeros(n * r), np.zeros(2 * n)])
         self._ubg = np.concatenate([np.zeros(n * r), np.full(2 * n, np.inf)])
+        # A kink makes the power concave in u and local optima possible. Its convex envelope on [0, u_max] is the
+        # straight line, so the linear problem, which has one optimum, gives a first guess near the best one.
+        on_off = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
+        self._relaxed = None if linear else IpoptSolver(on_off, n_steps, u_max, u_max, config)
         self._guess: Array | None = None
 
     def solve(self, problem: MPCProblem) -> Solution:
         """Solve one instance. A failure is a value: `ok` is False and `problem` says why."""
+        guesses = [np.full(self.n_steps, 0.3 * problem.u_max) if self._guess is None else self._guess]
+        if self._relaxed:
+            relaxed = self._relaxed.solve(straightened(problem))
+            guesses += [relaxed.u] if relaxed.ok else []
+        solutions = [self._solve_from(problem, guess) for guess in guesses]
+        good = [solution for solution in solutions if solution.ok]
+        if not good:
+            self._guess = None
+            return solutions[0]
+        best = min(good, key=lambda solution: float(problem.cost(self.operator, solution.u)))
+        self._guess = np.append(best.u[1:], best.u[-1])
+        return best
+
+    def _solve_from(self, problem: MPCProblem, u_guess: Array) -> Solution:
         p = problem
         n, r = self.n_steps, self.operator.order
         parameters = np.concatenate(
@@ -97,7 +118,6 @@ class IpoptSolver:
         )
         if not np.isfinite(parameters).all():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
-        u_guess = self._guess if self._guess is not None else np.full(n, 0.3 * p.u_max)
         result = self._solver(
             x0=self._complete(p, u_guess),
             p=parameters,
@@ -111,11 +131,8 @@ class IpoptSolver:
         u = np.asarray(result["x"], dtype=np.float64).ravel()[:n]
         trouble = self._trouble(status, u, p.u_max)
         if trouble:
-            self._guess = None
             return Solution(False, np.empty(0), status, iterations, trouble)
-        u = np.clip(u, 0.0, p.u_max)
-        self._guess = np.append(u[1:], u[-1])
-        return Solution(True, u, status, iterations)
+        return Solution(True, np.clip(u, 0.0, p.u_max), status, iterations)
 
     def _complete(self, problem: MPCProblem, u: Array) -> Array:
         """A first guess for all variables that is consistent with `u`."""
@@ -132,3 +149,14 @@ class IpoptSolver:
         if u.min() < -_BOUND_TOLERANCE or u.max() > u_max + _BOUND_TOLERANCE:
             return f"Ipopt reported {status} but u leaves its bounds (from {u.min():.4g} to {u.max():.4g})"
         return ""
+
+
+def straightened(problem: MPCProblem) -> MPCProblem:
+    """The problem with its power replaced by the straight line from off to `u_max`: its convex envelope in u."""
+    full = problem.power_W(np.full(problem.n_steps, problem.u_max))
+    return replace(
+        problem,
+        power_fixed_W=np.zeros(problem.n_steps),
+        power_per_u_W=full / problem.u_max,
+        lowest_level=problem.u_max,
+    )

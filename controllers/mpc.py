@@ -8,7 +8,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
-from thermoforce_mpc.free_response.registry import build_free_response
 
 from controllers.actuation import Actuation, ActuationConfig
 from controllers.errors import ControllerConfigError
@@ -52,6 +51,9 @@ class Solver(Protocol):
         """Solve one instance; a failure is a value."""
         ...
 
+
+# A bound nearer than this shapes the plan, K.
+_BINDING_K = 0.02
 
 # What a forecast or a solve may raise on data nobody foresaw; anything else is a bug and must surface.
 _SURVIVABLE = (ThermoForceError, ValueError, ArithmeticError, RuntimeError)
@@ -110,8 +112,7 @@ class ThermoForceMPC:
         lowest = self._actuation.lowest_level
         self._operator = replace(model.operator, actuator=model.operator.actuator.at_lowest_level(lowest))
         self._power = model.power.load.at_lowest_level(lowest)
-        free = free_response or build_free_response(c.free_response.name, model=model, **c.free_response.options)
-        self.world = WorldModel(model, free)
+        self.world = WorldModel(model, free_response or _build_free_response(c.free_response, model))
         mode = "heating" if self._operator.sign > 0 else "cooling"
         self._ladder = Ladder(c.ladder, self.step_s, self._actuation.highest, mode)
         self._solver = self._build_solver()
@@ -219,6 +220,12 @@ class ThermoForceMPC:
         return replace(plan, solver_status=solver_status, seconds=seconds)
 
 
+def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> FreeResponse:
+    from thermoforce_mpc.free_response.registry import build_free_response  # may load torch
+
+    return build_free_response(config.name, model=model, **config.options)
+
+
 def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: FreeForecast) -> str:
     """One sentence: which bound shapes the plan and when, and how wide the forecast is there."""
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
@@ -229,8 +236,9 @@ def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: Free
         when = violated
     else:
         gap = np.minimum(T_zone_C - problem.lower_C, problem.upper_C - T_zone_C)
-        when = int(np.argmin(gap))
-        if gap[when] > 0.02:
+        # The first of the bounds that bind, not the tightest: the next hours are spent on that one.
+        when = int(np.argmax(gap <= max(_BINDING_K, float(gap.min()))))
+        if gap[when] > _BINDING_K:
             return (
                 f"comfort is not binding within the horizon (nearest {gap[when]:.2f} K); free forecast: {forecast.note}"
             )

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from controllers.actuation import Actuation, ActuationConfig
+
+HOUR = 3600.0
+
+
+def mean_level(blocks) -> float:
+    return sum(b.u * b.duration_s for b in blocks) / sum(b.duration_s for b in blocks)
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=40), st.sampled_from([300.0, 900.0]))
+def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s):
+    actuation = Actuation(ActuationConfig(block_s=block_s, min_on_s=900.0, min_off_s=900.0))
+    states = []
+    for u in levels:
+        blocks = actuation.realise(u, HOUR)
+        assert sum(b.duration_s for b in blocks) == pytest.approx(HOUR)
+        for block in blocks:
+            assert block.u in (0.0, 1.0)
+            assert block.duration_s % block_s == 0
+            states += [block.u] * round(block.duration_s / block_s)
+    # Runs of one state, but for the last which the end of the test cuts.
+    runs, length = [], 1
+    for before, now in itertools.pairwise(states):
+        if now == before:
+            length += 1
+        else:
+            runs.append(length)
+            length = 1
+    assert all(run * block_s >= 900.0 for run in runs)
+
+
+def test_shares_too_small_to_realise_are_owed_until_they_are_large_enough():
+    actuation = Actuation(ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0))
+    given_s = [sum(b.duration_s for b in actuation.realise(0.05, HOUR) if b.u) for _ in range(40)]
+    assert given_s[0] == 0.0
+    assert sum(given_s) == pytest.approx(40 * 0.05 * HOUR, abs=600.0)
+
+
+def test_nothing_is_owed_to_a_plan_that_wants_the_machine_off():
+    actuation = Actuation(ActuationConfig(block_s=900.0, min_on_s=900.0, min_off_s=900.0))
+    actuation.realise(0.1, HOUR)
+    assert all(mean_level(actuation.realise(0.0, HOUR)) == 0.0 for _ in range(5))
+
+
+def test_a_running_machine_keeps_running_at_the_start_of_the_next_step():
+    actuation = Actuation(ActuationConfig(block_s=300.0))
+    first, second = actuation.realise(0.5, HOUR), actuation.realise(0.5, HOUR)
+    assert [b.u for b in first + second] == [0.0, 1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(("u", "held"), [(0.0, 0.0), (0.1, 0.0), (0.2, 0.3), (0.3, 0.3), (0.77, 0.77), (1.0, 1.0)])
+def test_modulating_is_off_or_at_least_the_lowest_level(u, held):
+    (block,) = Actuation(ActuationConfig(mode="modulating", lowest_level=0.3)).realise(u, HOUR)
+    assert (block.u, block.duration_s) == (held, HOUR)
+
+
+def test_duty_at_a_partial_level_scales_the_share():
+    actuation = Actuation(ActuationConfig(level=0.8, block_s=300.0))
+    assert mean_level(actuation.realise(0.4, HOUR)) == pytest.approx(0.4)
+
+
+def test_minimum_times_that_are_not_whole_blocks_are_refused():
+    with pytest.raises(ValidationError, match="min_on_s must be a multiple of block_s"):
+        ActuationConfig(block_s=300.0, min_on_s=400.0)

@@ -1,0 +1,162 @@
+"""ThermoForceMPC on a house whose model is exact: it saves, it holds comfort, and it survives what goes wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.errors import ControllerConfigError
+from controllers.mpc import MPCConfig
+from controllers.problem import Solution
+from controllers.thermostat import Thermostat
+from thermoforce_mpc.closed_loop import run_closed_loop
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.types import HOUR_S, Observation, PlanStatus
+
+
+def controller(free=None, **options) -> ThermoForceMPC:
+    return ThermoForceMPC(simple_model(), MPCConfig(**options), free_response=free or OutdoorResponse())
+
+
+def observation(house: SimpleHouse | None = None) -> Observation:
+    house = house or SimpleHouse()
+    house.reset(10 * 86400.0, 2 * 86400.0)
+    return Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
+
+
+def test_in_closed_loop_it_is_comfortable_and_cheaper_than_the_thermostat():
+    house = SimpleHouse()
+    ours = run_closed_loop(house, controller(), house.period("x"))
+    theirs = run_closed_loop(house, Thermostat(), house.period("x"))
+    assert ours.kpis["tdis_tot"] < 0.3
+    assert ours.kpis["cost_tot"] < 0.98 * theirs.kpis["cost_tot"]
+    assert ours.ladder() == {"solved": 48, "shifted": 0, "thermostat": 0, "rule": 0, "refused": 0}
+
+
+def test_predictions_of_an_exact_model_come_true():
+    house = SimpleHouse()
+    result = run_closed_loop(house, controller(comfort_margin_K=0.0), house.period("x"))
+    actual = np.array([step.T_zone_C for step in result.steps[1:]])
+    predicted = np.array([step.plan.T_zone_C[0] for step in result.steps[:-1]])
+    owed = np.array([step.plan.u[0] - np.mean([s.u_measured for s in step.samples]) for step in result.steps[:-1]])
+    # What is left is the share that five-minute blocks could not realise, and where in the hour it was put.
+    assert np.abs(actual - predicted).max() < 0.9 * np.abs(owed).max() + 0.05
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "search"])
+@pytest.mark.parametrize("mode", ["duty", "modulating"])
+def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
+    if mode == "modulating":
+        model = simple_model()
+        load = replace(model.power.load, lowest_level=0.3)
+        mpc = ThermoForceMPC(
+            replace(model, power=replace(model.power, load=load)),
+            MPCConfig(solver=solver, actuation={"mode": mode}),
+            free_response=OutdoorResponse(),
+        )
+    else:
+        mpc = controller(solver=solver)
+    plan = mpc.plan(observation())
+    assert plan.status is PlanStatus.SOLVED
+    assert sum(block.duration_s for block in plan.blocks) == HOUR_S
+    assert all(0.0 <= block.u <= 1.0 for block in plan.blocks)
+    assert np.isfinite(plan.T_zone_C).all()
+    assert plan.why
+
+
+class FailingSolver:
+    def __init__(self, inner, failing: set[int]) -> None:
+        self.inner, self.failing, self.calls = inner, failing, 0
+
+    def solve(self, problem) -> Solution:
+        self.calls += 1
+        if self.calls - 1 in self.failing:
+            return Solution(False, np.empty(0), "Restoration_Failed", 7, "Ipopt ended with Restoration_Failed")
+        return self.inner.solve(problem)
+
+
+def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
+    house, mpc = SimpleHouse(), controller()
+    mpc._solver = FailingSolver(mpc._solver, failing=set(range(10, 16)))
+    result = run_closed_loop(house, mpc, house.period("x"))
+    status = [step.plan.status for step in result.steps]
+    assert status[10:16] == [PlanStatus.SHIFTED] * 3 + [PlanStatus.THERMOSTAT] * 3
+    assert set(status[:10] + status[16:]) == {PlanStatus.SOLVED}
+    assert "Restoration_Failed" in result.steps[10].plan.why
+    assert result.steps[10].plan.solver_status == "Restoration_Failed"
+    assert result.kpis["tdis_tot"] < 1.0
+
+
+def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted():
+    mpc = controller()
+    first = observation()
+    mpc.plan(first)
+    later = observation(SimpleHouse(T_start_C=12.0))
+    later = Observation(
+        replace(later.history, time_s=later.history.time_s + HOUR_S),
+        replace(later.boundary, time_s=later.boundary.time_s + HOUR_S),
+    )
+    mpc._solver = FailingSolver(None, failing={0})
+    plan = mpc.plan(later)
+    assert plan.status is PlanStatus.THERMOSTAT
+    assert [block.u for block in plan.blocks] == [1.0], "the zone is cold"
+
+
+class Sabotage:
+    name = "sabotage"
+
+    def __init__(self, action) -> None:
+        self.action = action
+
+    def forecast(self, free_C, history, boundary):
+        return self.action(OutdoorResponse().forecast(free_C, history, boundary))
+
+
+def _raise(error):
+    raise error
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        lambda f: _raise(DataError("no weather")),
+        lambda f: _raise(RuntimeError("tensor trouble")),
+        lambda f: replace(f, quantiles_C=f.quantiles_C * np.nan),
+        lambda f: replace(f, quantiles_C=f.quantiles_C[:, :3]),
+    ],
+    ids=["refused", "crashed", "not finite", "too short"],
+)
+def test_a_broken_forecast_falls_back_with_a_reason(action):
+    plan = controller(free=Sabotage(action)).plan(observation())
+    assert plan.status is PlanStatus.THERMOSTAT
+    assert plan.why.startswith("no prediction (")
+    assert plan.blocks[0].u in (0.0, 1.0)
+
+
+def test_a_silent_sensor_is_survived_without_inventing_a_temperature():
+    seen = observation()
+    silent = replace(seen.history, T_zone_C=np.append(seen.history.T_zone_C[:-1], np.nan))
+    mpc = controller()
+    plan = mpc.plan(Observation(silent, seen.boundary))
+    assert plan.blocks[0].u is None or 0.0 <= plan.blocks[0].u <= 1.0
+    assert plan.why
+
+
+def test_a_horizon_shorter_than_a_step_is_refused_with_advice():
+    with pytest.raises(ControllerConfigError, match=r"horizon_h: 0\.25 h is shorter than one step"):
+        controller(horizon_h=0.25)
+
+
+def test_a_model_without_power_is_refused():
+    with pytest.raises(ControllerConfigError, match="without measured power"):
+        ThermoForceMPC(replace(simple_model(), power=None), free_response=OutdoorResponse())
+
+
+def test_same_observation_same_plan():
+    a, b = controller().plan(observation()), controller().plan(observation())
+    assert a.blocks == b.blocks
+    np.testing.assert_array_equal(a.u, b.u)

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simple_house import SimpleHouse
+
+from controllers.native import NativeController
+from controllers.thermostat import Setback, Thermostat, ThermostatConfig
+from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Observation
+
+
+def observation(T: float, time_s: float = 0.0) -> Observation:
+    history = History([time_s], [T], [0.0], [0.0], [], [], [])
+    line = np.ones(2)
+    return Observation(
+        history, Boundary(time_s + np.array([0, 900.0]), 0 * line, 0 * line, line, 21 * line, 24 * line, line, line)
+    )
+
+
+def levels(thermostat: Thermostat, temperatures: list[float]) -> list[float | None]:
+    return [thermostat.plan(observation(T)).blocks[0].u for T in temperatures]
+
+
+def test_hysteresis_keeps_its_state_inside_the_dead_band():
+    assert levels(Thermostat(), [21.15, 21.3, 21.39, 21.41, 21.3, 21.21, 21.19]) == [1, 1, 1, 0, 0, 0, 1]
+
+
+def test_cooling_acts_on_the_other_side():
+    config = ThermostatConfig(mode="cooling", setpoint_C=24.0)
+    assert levels(Thermostat(config), [24.2, 24.0, 23.8, 24.05]) == [1, 1, 0, 0]
+
+
+def test_a_silent_sensor_hands_over_to_native_control():
+    plan = Thermostat().plan(observation(float("nan")))
+    assert plan.blocks[0].u is None
+    assert "missing" in plan.why
+
+
+@pytest.mark.parametrize(
+    ("day", "hour", "active"), [(0, 6.4, False), (0, 6.5, True), (0, 14.9, True), (0, 15, False), (4, 10, False)]
+)
+def test_setback_runs_on_weekdays_only(day, hour, active):
+    setback = Setback(from_hour=6.5, to_hour=15)
+    assert setback.active(day * DAY_S + hour * HOUR_S) is active
+
+
+def test_setback_past_midnight():
+    setback = Setback(from_hour=22, to_hour=5)
+    assert [setback.active(h * HOUR_S) for h in (21, 23, 4, 6)] == [False, True, True, False]
+
+
+def test_setback_keeps_the_machine_off_in_a_cold_zone():
+    config = ThermostatConfig(setback=Setback(from_hour=0, to_hour=24, weekend_days=()))
+    assert Thermostat(config).plan(observation(10.0)).blocks[0].u == 0.0
+
+
+def test_native_overwrites_nothing():
+    house = SimpleHouse()
+    house.reset(0, 0)
+    plan = NativeController().plan(Observation(house.past(HOUR_S), house.forecast(HOUR_S, HOUR_S)))
+    assert [b.u for b in plan.blocks] == [None]
