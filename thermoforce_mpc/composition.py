@@ -1,25 +1,87 @@
-"""The composition root: builds plant, model and controllers from a scenario. The only module that knows both sides."""
+"""The composition root: builds plant, model and controllers from a scenario and runs it.
+
+The only module that knows both sides, `thermoforce_mpc` and `controllers`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
+from controllers.registry import build_controller, controller_config, find_entry
+from thermoforce_mpc.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.configuration import suggestion
-from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario import PlantSpec
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.protocols import Controller, Plant
+from thermoforce_mpc.run_folder import create_run_folder, write_partial, write_results
+from thermoforce_mpc.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.testcase import TestCase
 from thermoforce_mpc.types import DAY_S, Period
 
-__all__ = ["build_plant", "scored_period"]
+if TYPE_CHECKING:  # the world model is loaded only when a controller needs it
+    from thermoforce_mpc.world_model import ThermalModel
+
+_NAMED_PERIODS = ("peak_heat_day", "typical_heat_day")
+
+
+class StepFollower(Protocol):
+    """Shown the steps of one closed loop."""
+
+    def step(self, record: StepRecord) -> None:
+        """Take one control step in."""
+        ...
+
+
+class Display(Protocol):
+    """What `run_scenario` tells its reader while it works."""
+
+    def say(self, text: str) -> None:
+        """One line."""
+        ...
+
+    def working(self, text: str) -> AbstractContextManager[object]:
+        """Shown while something takes a while."""
+        ...
+
+    def loop(self, controller: str, period: Period, area_m2: float) -> AbstractContextManager[StepFollower]:
+        """Follows one closed loop."""
+        ...
+
+    def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
+        """KPIs side by side."""
+        ...
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A model and where it came from, for the manifest."""
+
+    model: ThermalModel
+    origin: Mapping[str, Any]
+
+
+def validate_scenario(scenario: Scenario) -> TestCase:
+    """Check everything that can be checked before work starts; returns the test case. Raises `ConfigError`."""
+    testcase = load_testcase(scenario.testcase)
+    controller_config(scenario.controller.name, scenario.controller.options, testcase)
+    for name in scenario.baselines:
+        if find_entry(name).needs_model and not find_entry(scenario.controller.name).needs_model:
+            raise ConfigError(f"baselines: '{name}' needs a model, but the controller of this scenario identifies none")
+    if scenario.plant.kind == "embedded" and not testcase.embedded:
+        raise ConfigError(
+            f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
+            "give the address of a BOPTEST service with --url"
+        )
+    return testcase
 
 
 def build_plant(spec: PlantSpec, testcase: TestCase, seed: int = 1) -> Plant:
     """Build the plant of a scenario.
 
     Raises:
-        ConfigError: the embedded emulator is not this test case.
         WeatherError: the weather file cannot be used.
         PlantError: the service does not answer.
     """
@@ -27,11 +89,6 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int = 1) -> Plant:
         from thermoforce_mpc.plants.boptest import BoptestPlant
 
         return BoptestPlant(spec.url, testcase)
-    if not testcase.embedded:
-        raise ConfigError(
-            f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
-            "give the address of a BOPTEST service with --url"
-        )
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
     from thermoforce_mpc.weather import load_weather, synthetic_weather
 
@@ -41,13 +98,125 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int = 1) -> Plant:
 
 def scored_period(plant: Plant, name: str, days: float) -> Period:
     """The window called `name` on this plant, `days` long; raises `ConfigError` for a name that is not one."""
-    known = ("peak_heat_day", "typical_heat_day")
     try:
         float(name)
     except ValueError:
-        if name not in known:
+        if name not in _NAMED_PERIODS:
             raise ConfigError(
-                f"period: '{name}' is not a window{suggestion(name, known)}; "
-                f"use {', '.join(known)}, or the day of the year it starts, such as 44"
+                f"period: '{name}' is not a window{suggestion(name, _NAMED_PERIODS)}; "
+                f"use {', '.join(_NAMED_PERIODS)}, or the day of the year it starts, such as 44"
             ) from None
     return replace(plant.period(name), scored_s=days * DAY_S)
+
+
+def run_scenario(scenario: Scenario, display: Display, out: Path | None, command: Sequence[str]) -> Path:
+    """Run a scenario and its baselines, print the KPI table, and write the run folder.
+
+    Returns:
+        The run folder.
+
+    Raises:
+        InputError: something given cannot be used; nothing is left behind.
+        PlantError: the plant or service failed; what had been recorded is in the run folder the message names.
+    """
+    testcase = validate_scenario(scenario)
+    name = scenario.controller.name
+    stem = f"{testcase.name}-{scenario.period}-{scenario.price}-{name}"
+    folder = create_run_folder(out, stem)
+    records: dict[str, list[StepRecord]] = {}
+    try:
+        with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+            period = scored_period(plant, scenario.period, scenario.days)
+            display.say(_headline(plant, period, scenario))
+            learned = _learn(scenario, testcase, plant, period, display) if find_entry(name).needs_model else None
+            model = learned.model if learned else None
+            controller = build_controller(name, scenario.controller.options, testcase, model)
+            before = _weight_hash(controller)
+            result = _follow(plant, controller, period, scenario, testcase, display, records)
+            forecaster = _frozen(controller, before)
+            baselines = {
+                other: _follow(
+                    plant, build_controller(other, {}, testcase, model), period, scenario, testcase, display, records
+                )
+                for other in scenario.baselines
+                if other != name
+            }
+            info = plant.info
+    except PlantError as error:
+        write_partial(folder, records, str(error))
+        raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
+    except BaseException:
+        if records:
+            write_partial(folder, records, "interrupted")
+        else:
+            folder.rmdir()  # nothing was done yet, and an empty folder says nothing
+        raise
+    kpis = write_results(
+        folder,
+        scenario=scenario,
+        plant=info,
+        result=result,
+        baselines=baselines,
+        identification=learned.origin if learned else {},
+        command=command,
+        forecaster=forecaster,
+    )
+    with display.working("Drawing the report"):
+        from thermoforce_mpc.report import write_report
+
+        write_report(folder, currency=testcase.currency, kpis=kpis, result=result, baselines=baselines)
+    everyone = {name: result.kpis, **{other: b.kpis for other, b in baselines.items()}}
+    title = f"{info.kind} plant, {info.weather}; {_window(period)}; {scenario.price} tariff"
+    display.kpi_table(everyone, title, testcase.currency)
+    fallbacks = {rung: n for rung, n in result.ladder().items() if n and rung not in ("solved", "rule")}
+    if fallbacks:
+        display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
+    return folder
+
+
+def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:
+    info = plant.info
+    return (
+        f"Plant: {info.kind} {info.testcase} ({info.description})\n"
+        f"Weather: {info.weather}\n"
+        f"Window: {_window(period)}, {scenario.price} tariff; controller {scenario.controller.name}"
+    )
+
+
+def _window(period: Period) -> str:
+    first = period.start_s / DAY_S
+    return f"{period.name}, days {first:g} to {first + period.scored_s / DAY_S:g}"
+
+
+def _follow(
+    plant: Plant,
+    controller: Controller,
+    period: Period,
+    scenario: Scenario,
+    testcase: TestCase,
+    display: Display,
+    records: dict[str, list[StepRecord]],
+) -> RunResult:
+    """One closed loop, shown and recorded step by step so that a failure half way loses nothing."""
+    kept = records.setdefault(controller.name, [])
+    with display.loop(controller.name, period, testcase.floor_area_m2) as follower:
+
+        def on_step(record: StepRecord) -> None:
+            kept.append(record)
+            follower.step(record)
+
+        return run_closed_loop(plant, controller, period, scenario.price, on_step)
+
+
+def _weight_hash(controller: Controller) -> str | None:
+    """Hash of the forecaster's weights, where the controller has a forecaster with weights."""
+    free = getattr(getattr(controller, "world", None), "free_response", None)
+    return free.weight_hash() if hasattr(free, "weight_hash") else None
+
+
+def _frozen(controller: Controller, before: str | None) -> dict[str, Any]:
+    """Proof for the manifest that the run left the forecaster as it was."""
+    if before is None:
+        return {}
+    after = _weight_hash(controller)
+    return {"weights_before": before, "weights_after": after, "frozen": before == after}

@@ -16,7 +16,7 @@ import pandas as pd
 import yaml
 
 from thermoforce_mpc import __version__
-from thermoforce_mpc.closed_loop import RunResult
+from thermoforce_mpc.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario import Scenario
 from thermoforce_mpc.types import PlantInfo
@@ -49,15 +49,15 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
     raise ConfigError(f"{root}: no free run folder name left for {stem}")
 
 
-def trajectory_frame(result: RunResult) -> pd.DataFrame:
+def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     """One row per applied block: what was in force, what was applied and what came of it (units in the names)."""
-    return pd.DataFrame([asdict(sample) for sample in result.samples])
+    return pd.DataFrame([asdict(sample) for step in steps for sample in step.samples])
 
 
-def steps_frame(result: RunResult) -> pd.DataFrame:
+def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     """One row per plan: status, solver's word, timings, first predicted step and the sentence that explains it."""
     rows = []
-    for step in result.steps:
+    for step in steps:
         plan = step.plan
         rows.append(
             {
@@ -113,10 +113,10 @@ def write_results(
     """
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
     (folder / "scenario.yaml").write_text(resolved, encoding="utf-8")
-    trajectory_frame(result).to_csv(folder / "trajectory.csv", index=False)
-    steps_frame(result).to_csv(folder / "steps.csv", index=False)
+    trajectory_frame(result.steps).to_csv(folder / "trajectory.csv", index=False)
+    steps_frame(result.steps).to_csv(folder / "steps.csv", index=False)
     for name, baseline in baselines.items():
-        trajectory_frame(baseline).to_csv(folder / f"trajectory_{name}.csv", index=False)
+        trajectory_frame(baseline.steps).to_csv(folder / f"trajectory_{name}.csv", index=False)
     kpis = {
         "testcase": plant.testcase,
         "plant": f"{plant.kind}: {plant.description}",
@@ -146,6 +146,15 @@ def write_results(
     }
     write_json(folder / "manifest.json", manifest)
     return kpis
+
+
+def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
+    """Keep what was recorded of a run that could not finish; a file says that it is incomplete, and why."""
+    for name, steps in records.items():
+        if steps:
+            trajectory_frame(steps).to_csv(folder / f"incomplete_trajectory_{name}.csv", index=False)
+            steps_frame(steps).to_csv(folder / f"incomplete_steps_{name}.csv", index=False)
+    (folder / "INCOMPLETE.txt").write_text(f"This run did not finish: {reason}\n", encoding="utf-8")
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,16 +27,12 @@ KPI_LABELS = {
 
 
 def write_report(
-    path: Path,
-    *,
-    kpis: Mapping[str, Any],
-    manifest: Mapping[str, Any],
-    result: RunResult,
-    baselines: Mapping[str, RunResult],
-    currency: str,
-) -> None:
-    """Write the report of a run to `path`; `kpis` and `manifest` are the run folder's own."""
-    trajectory, steps = trajectory_frame(result), steps_frame(result)
+    folder: Path, *, kpis: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], currency: str
+) -> Path:
+    """Write `report.html` into a run folder that holds its manifest already; `kpis` is the content of `kpis.json`."""
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
+    others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
     events = steps[(steps.status.isin(["shifted", "thermostat"])) | (steps.refused != "")]
     template = _environment().get_template("report.html.j2")
@@ -44,7 +41,7 @@ def write_report(
         manifest=manifest,
         table=_kpi_rows(everyone, currency),
         controllers=list(everyone),
-        temperature=Markup(temperature_plot(trajectory, steps, {n: trajectory_frame(b) for n, b in baselines.items()})),
+        temperature=Markup(temperature_plot(trajectory, steps, others)),
         actuation=Markup(actuation_plot(trajectory, currency)),
         comparison=Markup(kpi_plot(everyone, currency)),
         forecast=forecast_errors(result),
@@ -52,7 +49,9 @@ def write_report(
         ladder=result.ladder(),
         sentences=_sentences(steps),
     )
+    path = folder / "report.html"
     path.write_text(page, encoding="utf-8")
+    return path
 
 
 def _environment() -> jinja2.Environment:

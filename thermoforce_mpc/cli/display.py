@@ -1,0 +1,113 @@
+"""What a person sees while a run goes on: a live line on a terminal, a line per simulated day elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from thermoforce_mpc.closed_loop import StepRecord
+from thermoforce_mpc.types import DAY_S, HOUR_S, Period, PlanStatus
+
+KPI_ROWS = {
+    "cost_tot": "cost, {currency}/m²",
+    "ener_tot": "energy, kWh/m²",
+    "tdis_tot": "discomfort, K·h",
+    "emis_tot": "emissions, kg CO2/m²",
+    "pele_tot": "peak power, kW/m²",
+    "time_rat": "computing time ratio",
+}
+
+
+class LoopDisplay:
+    """Follows one closed loop step by step; energy and discomfort so far are running estimates from the blocks."""
+
+    def __init__(self, console: Console, controller: str, period: Period, area_m2: float, quiet: bool) -> None:
+        self._console, self._controller, self._period, self._area = console, controller, period, area_m2
+        self._quiet = quiet
+        self._live: Live | None = None
+        self._kWh = self._discomfort_Kh = 0.0
+        self._day_shown = 0
+        self._fallbacks = 0
+
+    def __enter__(self) -> LoopDisplay:
+        if not self._quiet and self._console.is_terminal:
+            self._live = Live(Text(""), console=self._console, refresh_per_second=8)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live:
+            self._live.__exit__(None, None, None)
+
+    def step(self, record: StepRecord) -> None:
+        """Take one control step in and show where the run stands."""
+        for sample in record.samples:
+            if np.isfinite(sample.power_W):
+                self._kWh += sample.power_W * sample.duration_s / 3.6e6 / self._area
+            below, above = sample.lower_C - sample.T_zone_C, sample.T_zone_C - sample.upper_C
+            self._discomfort_Kh += max(below, above, 0.0) * sample.duration_s / HOUR_S
+        self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT) or bool(record.refused)
+        if self._quiet:
+            return
+        last = record.samples[-1]
+        day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
+        mean_u = np.average([s.u_measured for s in record.samples], weights=[s.duration_s for s in record.samples])
+        solve_s = record.plan.seconds.get("solve")
+        line = (
+            f"{self._controller}: day {day:5.2f}/{self._period.scored_s / DAY_S:g}"
+            f"  T {last.T_zone_C:5.2f} °C in [{last.lower_C:g}, {last.upper_C:g}]  u {mean_u:4.2f}"
+            f"  {self._kWh:.3f} kWh/m²  {self._discomfort_Kh:.2f} K·h"
+        )
+        line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
+        line += f"  fallbacks {self._fallbacks}" if self._fallbacks else ""
+        if self._live:
+            self._live.update(Text(line))
+        elif int(day) > self._day_shown:
+            self._day_shown = int(day)
+            self._console.print(line, highlight=False, soft_wrap=True)
+
+
+class RunDisplay:
+    """Everything a run says: headline, stages, the loops, and the table at the end."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.console = Console(highlight=False)
+        self.quiet = quiet
+
+    def say(self, text: str) -> None:
+        """One line for the reader."""
+        if not self.quiet:
+            self.console.print(text, soft_wrap=True, markup=False)
+
+    def working(self, text: str) -> AbstractContextManager[object]:
+        """Shown while something takes a while."""
+        if self.quiet:
+            return nullcontext()
+        if not self.console.is_terminal:
+            self.say(text)
+            return nullcontext()
+        return self.console.status(text)
+
+    def loop(self, controller: str, period: Period, area_m2: float) -> LoopDisplay:
+        """A display for one closed loop."""
+        return LoopDisplay(self.console, controller, period, area_m2, self.quiet)
+
+    def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
+        """KPIs side by side, the best of each row marked with an asterisk."""
+        table = Table(title=title, title_justify="left")
+        table.add_column("KPI")
+        for name in everyone:
+            table.add_column(name, justify="right")
+        for key, label in KPI_ROWS.items():
+            values = [kpis.get(key) for kpis in everyone.values()]
+            numbers = [value for value in values if value is not None and np.isfinite(value)]
+            best = min(numbers) if numbers and key != "time_rat" else None
+            cells = ["–" if v is None else f"{v:.4g}" + (" *" if v == best else "  ") for v in values]
+            table.add_row(label.format(currency=currency), *cells)
+        self.console.print(table)

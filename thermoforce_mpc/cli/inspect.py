@@ -1,0 +1,64 @@
+"""`tf-mpc inspect MODEL`: what a saved model believes, what is proven about it, and what it has seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.artifact import load_model
+from thermoforce_mpc.operator.certificate import certificate
+
+_LAGS_H = (1, 2, 4, 8, 12, 24, 48)
+
+
+@click.command(short_help="Show a saved model: parameters, certificate, data it has seen.")
+@click.argument("model", type=click.Path(path_type=Path))
+def command(model: Path) -> None:
+    """Show the saved MODEL (a folder): its operator in physical terms, its certificate, its power model and its data.
+
+    The certificate is proven again from the weights; a model that fails is refused with exit code 2.
+    """
+    thermal = load_model(model)
+    operator, card, console = thermal.operator, thermal.card, Console(highlight=False)
+    proof = certificate(operator, n_steps=round(48 * 3600 / operator.step_s))
+    say = console.print
+    say(f"{model}: order {operator.order}, {operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h")
+    say(f"made from: {card.source}")
+    modes = Table(title="Modes of the forced response", title_justify="left")
+    for heading in ("mode", "time constant, h", "steady gain, K"):
+        modes.add_column(heading, justify="right")
+    for i, (tau, gain) in enumerate(zip(operator.time_constants_h, operator.steady_gains_K, strict=True), start=1):
+        modes.add_row(str(i), f"{tau:.2f}", f"{gain:.2f}")
+    say(modes)
+    low, high = proof.modulation_bounds
+    say(
+        f"Certificate: {'CERTIFIED' if proof.certified else 'NOT CERTIFIED'}; sign {proof.sign:+d}, "
+        f"modulation within [{low:.3f}, {high:.3f}]"
+    )
+    effects = Table(title="One full step of action changes the zone by, K (proven interval)", title_justify="left")
+    effects.add_column("hours later", justify="right")
+    effects.add_column("at least", justify="right")
+    effects.add_column("at most", justify="right")
+    for hours in _LAGS_H:
+        k = round(hours * 3600 / operator.step_s) - 1
+        if 0 <= k < len(proof.effect_low_K):
+            effects.add_row(f"{hours:g}", f"{proof.effect_low_K[k]:.4f}", f"{proof.effect_high_K[k]:.4f}")
+    say(effects)
+    if thermal.power:
+        c0, c1, c2, c3 = thermal.power.coefficients
+        say(
+            f"Power: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; "
+            f"RMSE {thermal.power.rmse_W:.0f} W, R2 {thermal.power.r2:.4f}"
+        )
+    for title, numbers in (("Scores", card.scores), ("Uncertainty", card.uncertainty)):
+        if numbers:
+            say(f"{title}: " + ", ".join(f"{key} {value:.4g}" for key, value in numbers.items()))
+    for name, (least, most) in card.ranges.items():
+        say(f"  seen {name}: {least:.4g} to {most:.4g}")
+    for name, digest in card.data.items():
+        say(f"  data {name}: sha256 {digest[:16]}")
+    for note in card.notes:
+        say(f"  note: {note}")

@@ -1,0 +1,66 @@
+"""Options that several commands share, and how they become a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from thermoforce_mpc.configuration import find_config, merge, parse_overrides
+from thermoforce_mpc.scenario import Scenario, load_scenario
+
+Function = Callable[..., Any]
+
+
+def scenario_options(function: Function) -> Function:
+    """The options that say which building, plant and window; the command gets them as keyword arguments."""
+    for option in reversed(
+        [
+            click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
+            click.option("--config", metavar="FILE", help="Scenario: a YAML file or a shipped name."),
+            click.option("--period", metavar="P", help="peak_heat_day, typical_heat_day, or a start day such as 44."),
+            click.option("--days", type=float, help="Scored days.  [default: 14]"),
+            click.option("--price", metavar="TARIFF", help="constant, dynamic or highly_dynamic."),
+            click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
+            click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
+            click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
+            click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def scenario_from(options: dict[str, Any]) -> Scenario:
+    """Build the scenario of a command from its file, its options, and `--set`, later ones winning.
+
+    Raises:
+        ConfigError: naming the file or option, the key and what is allowed.
+    """
+    named: dict[str, Any] = {}
+    for key in ("testcase", "period", "days", "price", "seed"):
+        if options.get(key) is not None:
+            named[key] = options[key]
+    if options.get("controller") is not None:
+        named["controller"] = {"name": options["controller"]}
+    if options.get("model") is not None:
+        named["identification"] = {"model": str(options["model"])}
+    if options.get("backbone") is not None:
+        named = merge(
+            named, {"controller": {"options": {"free_response": {"options": {"backbone": options["backbone"]}}}}}
+        )
+    plant: dict[str, Any] = {}
+    if options.get("url") is not None:
+        plant |= {"kind": "boptest", "url": options["url"]}
+    if options.get("weather") is not None:
+        plant["weather"] = options["weather"]
+    if plant:
+        named["plant"] = plant
+    if options.get("baselines") is not None:
+        named["baselines"] = [name for name in options["baselines"].split(",") if name]
+    path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
+    if path is None and "testcase" not in named:
+        raise click.UsageError("say which building: --testcase NAME, or --config FILE (see `tf-mpc testcases`)")
+    return load_scenario(path, merge(named, parse_overrides(options.get("assignments", ()))))

@@ -1,0 +1,42 @@
+"""`tf-mpc run`: the main job."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from thermoforce_mpc.cli.display import RunDisplay
+from thermoforce_mpc.cli.options import scenario_from, scenario_options
+from thermoforce_mpc.composition import run_scenario
+
+
+@click.command(short_help="Control a building over a scored window.")
+@scenario_options
+@click.option("--controller", metavar="NAME", help="Which controller decides (see `tf-mpc controllers`).")
+@click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
+@click.option("--backbone", metavar="NAME", help="Forecaster: shipped, a local directory, or a hub name.")
+@click.option("--baselines", metavar="A,B", help="Compare with these; '' for none.  [default: native,thermostat]")
+@click.option("--out", type=click.Path(path_type=Path), help="Run folder; must not exist.  [default: runs/...]")
+@click.option("--quiet", is_flag=True, help="Only the table at the end.")
+def command(**options: Any) -> None:
+    """Control a building over a scored window and report how it went.
+
+    Builds the plant, probes it for a few days and identifies what our actions do (or loads --model), runs the
+    controller over the window after seven days of native warm-up, runs the baselines on the same plant, weather and
+    window, prints the KPIs side by side and writes a run folder with a report.
+
+    \b
+    Examples:
+      tf-mpc run --testcase bestest_hydronic_heat_pump
+      tf-mpc run --testcase bestest_hydronic_heat_pump --period typical_heat_day --weather Brussels.mos
+      tf-mpc run --testcase bestest_hydronic_heat_pump --url http://127.0.0.1:8000
+      tf-mpc run --config configs/scenarios/peak.yaml --set controller.options.horizon_h=36
+    """
+    scenario = scenario_from(options)
+    display = RunDisplay(options["quiet"])
+    folder = run_scenario(scenario, display, options["out"], command=["tf-mpc", *sys.argv[1:]])
+    display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)

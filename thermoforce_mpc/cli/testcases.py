@@ -1,0 +1,21 @@
+"""`tf-mpc testcases`: what ships."""
+
+from __future__ import annotations
+
+import click
+
+from thermoforce_mpc.configuration import named_configs, read_yaml
+from thermoforce_mpc.scenario import load_testcase
+
+
+@click.command(short_help="List the test cases and scenarios that ship.")
+def command() -> None:
+    """List the test cases and scenarios that ship with the package, with their files."""
+    click.echo("Test cases (--testcase NAME):")
+    for name, path in named_configs("testcases").items():
+        testcase = load_testcase(name)
+        plants = "embedded emulator or BOPTEST service" if testcase.embedded else "BOPTEST service (--url)"
+        click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
+    click.echo("\nScenarios (--config FILE):")
+    for name, path in named_configs("scenarios").items():
+        click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")

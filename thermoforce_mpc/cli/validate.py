@@ -1,0 +1,29 @@
+"""`tf-mpc validate FILE`: check a YAML file without running anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from thermoforce_mpc.composition import validate_scenario
+from thermoforce_mpc.configuration import read_yaml, validate
+from thermoforce_mpc.scenario import Scenario
+from thermoforce_mpc.testcase import TestCase
+
+
+@click.command(short_help="Check a scenario or test case file.")
+@click.argument("file", type=click.Path(path_type=Path))
+def command(file: Path) -> None:
+    """Check FILE, a scenario or a test case, and say what is wrong with it: file, key, and what is allowed.
+
+    A file with an `actuator` is taken for a test case, any other for a scenario. The exit code is 2 when it is wrong.
+    """
+    data = read_yaml(file)
+    if "actuator" in data:
+        testcase = validate(TestCase, data, str(file))
+        click.echo(f"{file}: valid test case '{testcase.name}'")
+        return
+    scenario = validate(Scenario, data, str(file))
+    validate_scenario(scenario)
+    click.echo(f"{file}: valid scenario, {scenario.controller.name} on {scenario.testcase}, {scenario.period}")
