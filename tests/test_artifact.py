@@ -20,9 +20,7 @@ from thermoforce_mpc.world_model import ModelCard, ThermalModel
 def model() -> ThermalModel:
     free = RcParameters(
         poles=np.array([0.5, 0.98]),
-        outdoor=np.array([0.01, 0.02]),
-        solar=np.array([1e-3, 2e-3]),
-        constant=np.array([0.1, 0.2]),
+        weights=np.arange(14.0).reshape(2, 7) / 100,
         step_s=3600.0,
         process_sd_K=np.array([0.05, 0.01]),
     )
@@ -53,7 +51,7 @@ def test_a_model_comes_back_bit_for_bit(tmp_path, model):
     assert back.power == model.power
     assert back.free is not None
     assert model.free is not None
-    for name in ("poles", "outdoor", "solar", "constant", "process_sd_K"):
+    for name in ("poles", "weights", "process_sd_K"):
         np.testing.assert_array_equal(getattr(back.free, name), getattr(model.free, name))
     assert back.card.ranges == model.card.ranges
     assert back.card.scores["rmse_K"] == 0.02

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.power import fit_load, fit_power
+from thermoforce_mpc.power import HEAT_SLOPE, fit_load, fit_power
 from thermoforce_mpc.types import History
 
 
@@ -31,19 +31,32 @@ def _history(u, T, power) -> History:
 def test_levels_recover_fixed_and_proportional_part():
     rng = np.random.default_rng(0)
     u, T = rng.choice([0, 0.2, 0.4, 0.7, 1.0], 400), rng.uniform(-5, 12, 400)
+    fit = fit_load(u, T, _machine(u, T), what="power")
+    np.testing.assert_allclose(fit.load.coefficients, (1500, 5, 2000, 40), rtol=1e-6)
+    assert fit.load.lowest_level == 0.2
+    assert fit.rmse_W < 1e-6
+    assert fit.r2 == pytest.approx(1.0)
     model = fit_power(_history(u, T, _machine(u, T)))
-    np.testing.assert_allclose(model.coefficients, (1500, 5, 2000, 40), rtol=1e-6)
-    assert model.load.lowest_level == 0.2
-    assert model.rmse_W < 1e-6
-    assert model.r2 == pytest.approx(1.0)
-    np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)])
+    np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)], rtol=1e-3)
+
+
+def test_a_narrow_range_leans_on_the_slope_known_beforehand():
+    rng = np.random.default_rng(3)
+    u, T = rng.choice([0, 0.2, 0.4, 0.7, 1.0], 96), rng.uniform(4.5, 5.5, 96)
+    y = u * 9000 * (1 + 0.025 * T) * (1 + 0.02 * rng.normal(size=96))
+    truth = 9000 * (1 - 0.025 * 5)
+    with_prior = fit_load(u, T, y, what="heat", slope=HEAT_SLOPE).load(np.array(1.0), np.array(-5.0))
+    without = fit_load(u, T, y, what="heat").load(np.array(1.0), np.array(-5.0))
+    assert abs(with_prior / truth - 1) < 0.05
+    assert abs(without - truth) > 2 * abs(with_prior - truth)
 
 
 def test_duty_data_give_a_load_proportional_to_the_share_of_time():
     rng = np.random.default_rng(1)
     u, T = rng.choice([0, 1 / 3, 2 / 3, 1.0], 300), rng.uniform(-5, 12, 300)
     share = u * _machine(1.0, T)
-    fit = fit_load(u, T, share, what="power", lowest_level=1.0)
+    fit = fit_load(u, T, share, what="power")
+    assert fit.load.lowest_level == 1.0
     assert not fit.load.levels_seen
     np.testing.assert_allclose(fit.load(u, T), share, rtol=1e-9)
 

@@ -156,18 +156,20 @@ def test_impossible_actions_are_refused(world):
 
 RC = RcParameters(
     poles=np.array([0.6, 0.985]),
-    outdoor=np.array([0.05, 0.006]),
-    solar=np.array([5e-4, 1e-4]),
-    constant=np.array([1.0, 0.1]),
+    weights=np.array([[0.05, 5e-4, 1.0, 1e-4, -1e-4, 0.02, 0.01], [0.006, 1e-4, 0.1, 0.0, 0.0, 0.0, 0.0]]),
     step_s=STEP,
     process_sd_K=np.array([0.02, 0.01]),
 )
 
 
-def _simulate(params: RcParameters, T_out, solar, start) -> np.ndarray:
+def _simulate(params: RcParameters, T_out, solar, start, patterns: bool = True) -> np.ndarray:
+    """The modes' recursion written out, with the mean weather of each step."""
     z, out = np.array(start, dtype=float), [float(np.sum(start))]
     for t in range(len(T_out) - 1):
-        z = params.poles * z + params.outdoor * T_out[t] + params.solar * solar[t] + params.constant
+        T, sun = 0.5 * (T_out[t] + T_out[t + 1]), 0.5 * (solar[t] + solar[t + 1])
+        angle = 2 * np.pi * ((t + 0.5) * params.step_s / 86400 - 0.5)
+        c, s = (np.cos(angle), np.sin(angle)) if patterns else (0.0, 0.0)
+        z = params.poles * z + params.weights @ np.array([T, sun, 1.0, sun * c, sun * s, c, s])
         out.append(float(z.sum()))
     return np.array(out)
 
@@ -189,8 +191,8 @@ def test_rc_forecast_follows_a_building_that_is_the_model():
 
 def test_rc_keeps_its_response_when_resampled():
     constant = np.full(200, 7.0), np.full(200, 100.0)
-    hourly = _simulate(RC, *constant, start=[0.0, 0.0])
-    fine = _simulate(RC.resampled(900.0), np.full(797, 7.0), np.full(797, 100.0), start=[0.0, 0.0])
+    hourly = _simulate(RC, *constant, start=[0.0, 0.0], patterns=False)
+    fine = _simulate(RC.resampled(900.0), np.full(797, 7.0), np.full(797, 100.0), start=[0.0, 0.0], patterns=False)
     np.testing.assert_allclose(fine[::4], hourly, atol=1e-9)
 
 

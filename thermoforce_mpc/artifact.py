@@ -49,7 +49,7 @@ _OPERATOR_ARRAYS = (
     "feature_scale",
     "pole_bounds",
 )
-_FREE_ARRAYS = ("poles", "outdoor", "solar", "constant", "process_sd_K")
+_FREE_ARRAYS = ("poles", "weights", "process_sd_K")
 
 
 def save_model(folder: Path, model: ThermalModel, *, overwrite: bool = False) -> Path:

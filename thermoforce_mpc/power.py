@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.errors import DataError
@@ -17,12 +18,32 @@ from thermoforce_mpc.types import Array, History
 
 # A level between these shares of full is an intermediate level; outside, off or full.
 _LEVEL_EDGE = 0.02
-# Intermediate samples needed before the fixed and the proportional part count as known apart.
+# Intermediate samples needed before the fixed and the proportional part can be told apart.
 _MIN_LEVELS = 8
 # Bound below, a hair above zero so that rounding in the affine law cannot make a load negative.
 _LEAST_W = 1e-3
-# An outdoor range narrower than this cannot tell a slope from a constant.
-_MIN_RANGE_K = 2.0
+# How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.
+_TRUST_K = 15.0
+# Share of full load that a step's measurement is off by (dynamics inside the step, return temperature).
+_MISFIT = 0.02
+
+
+@dataclass(frozen=True)
+class SlopePrior:
+    """What is believed about (1/load) · d load/d T_out before measuring: mean and standard deviation, 1/K.
+
+    A few days of one season say little about it, and the days to be planned for are colder or warmer.
+    """
+
+    mean_per_K: float
+    sd_per_K: float
+
+
+HEAT_SLOPE = SlopePrior(0.025, 0.015)
+"""Heating capacity of air-source heat pumps: A−7/W35 is some 65 to 80 % of A7/W35 in EN 14511 data sheets."""
+
+POWER_SLOPE = SlopePrior(0.0, 0.015)
+"""Electric power at a given speed hardly depends on the outdoor temperature."""
 
 
 @dataclass(frozen=True)
@@ -55,25 +76,41 @@ class PowerModel:
         return self.load.coefficients
 
 
-def fit_power(history: History, *, lowest_level: float | None = None) -> PowerModel:
+def fit_power(history: History, *, lowest_level: float | None = None, slope: SlopePrior = POWER_SLOPE) -> PowerModel:
     """Fit the power model to the measured power of a probe; see `fit_load` for arguments and errors."""
-    fit = fit_load(history.u, history.T_out_C[:-1], history.power_W, what="electric power", lowest_level=lowest_level)
+    fit = fit_load(
+        history.u,
+        history.T_out_C[:-1],
+        history.power_W,
+        what="electric power",
+        lowest_level=lowest_level,
+        slope=slope,
+    )
     return PowerModel(load=fit.load, rmse_W=fit.rmse_W, r2=fit.r2, source=f"fitted to {fit.n_samples} steps")
 
 
-def fit_load(u: Array, T_out_C: Array, load_W: Array, *, what: str, lowest_level: float | None = None) -> LoadFit:
-    """Least squares for `OnLoad`, with both parts kept nonnegative over the outdoor range seen.
+def fit_load(
+    u: Array,
+    T_out_C: Array,
+    load_W: Array,
+    *,
+    what: str,
+    lowest_level: float | None = None,
+    slope: SlopePrior | None = None,
+) -> LoadFit:
+    """Least squares for `OnLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
 
     Args:
         u: mean control over each step, shape (n,), in [0, 1].
         T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
         load_W: measured mean load over each step, shape (n,), W; NaN where silent.
         what: name of the load for messages.
-        lowest_level: level below which the machine switches; by default the lowest level above 2 % in the data when
-            there are intermediate ones, else 1 (an on/off machine, whose fixed and proportional parts are one).
+        lowest_level: level below which the machine switches. By default both an on/off machine (1, where fixed and
+            proportional part are one) and one with the lowest level in the data are tried, and the better fit kept.
+        slope: prior on the dependence on T_out; none by default.
 
     Raises:
-        DataError: fewer than ten usable steps, or the load was never on.
+        DataError: fewer than ten usable steps, or the load was on in fewer than five.
     """
     u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, load_W))
     usable = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
@@ -84,34 +121,49 @@ def fit_load(u: Array, T_out_C: Array, load_W: Array, *, what: str, lowest_level
     if running.sum() < 5 or np.mean(y[running]) <= 0:
         raise DataError(f"{what}: the actuator was on in {int(running.sum())} measured steps, need at least 5")
     levels = running & (u < 1.0 - _LEVEL_EDGE)
-    if lowest_level is None:
-        lowest_level = float(np.min(u[levels])) if levels.sum() >= _MIN_LEVELS else 1.0
+    if lowest_level is not None:
+        candidates = [lowest_level]
+    else:
+        candidates = [1.0] + ([float(np.min(u[levels]))] if levels.sum() >= _MIN_LEVELS else [])
+    fits = [_fit_at(u, T, y, lowest, running, slope) for lowest in candidates]
+    return min(fits, key=lambda fit: fit.rmse_W)
+
+
+def _fit_at(
+    u: Array, T: Array, y: Array, lowest_level: float, running: NDArray[np.bool_], slope: SlopePrior | None
+) -> LoadFit:
     levels_seen = lowest_level < 1.0
     on = np.minimum(u / lowest_level, 1.0)
-    T_low, T_high = float(T.min()), float(T.max())
-    with_slope = T_high - T_low >= _MIN_RANGE_K
+    seen_low, seen_high = float(T[running].min()), float(T[running].max())
+    low, high = seen_low - _TRUST_K, seen_high + _TRUST_K
+    middle = 0.5 * (seen_low + seen_high)
 
     # An affine law is nonnegative on an interval exactly when it is at both ends: fit the end values, bounded below.
-    share = (T - T_low) / (T_high - T_low) if with_slope else np.zeros_like(T)
+    share = (np.clip(T, low, high) - low) / (high - low)
     carriers = [on, u] if levels_seen else [u]
-    columns = [c * w for c in carriers for w in ((1.0 - share, share) if with_slope else (np.ones_like(T),))]
-    design = np.stack(columns, axis=1)
-    solution = lsq_linear(design, y, bounds=(_LEAST_W, np.inf))
-    ends = iter(solution.x)
-    parts: list[tuple[float, float]] = []
-    for _ in carriers:
-        at_low = float(next(ends))
-        at_high = float(next(ends)) if with_slope else at_low
-        slope = (at_high - at_low) / (T_high - T_low) if with_slope else 0.0
-        parts.append((at_low - slope * T_low, slope))
+    design = np.stack([c * w for c in carriers for w in (1.0 - share, share)], axis=1)
+    full = float(np.max(y[running]))
+    rows: list[Array] = [design / (_MISFIT * full)]
+    values: list[Array] = [y / (_MISFIT * full)]
+    if slope is not None:
+        # Slope minus mean times the value in the middle is zero, give or take; the load's own size sets the scale.
+        at_middle = (middle - low) / (high - low)
+        relation = np.array([-1.0, 1.0]) / (high - low) - slope.mean_per_K * np.array([1.0 - at_middle, at_middle])
+        per_part = slope.sd_per_K * full / len(carriers)
+        rows.append(np.asarray(np.kron(np.eye(len(carriers)), relation) / per_part))
+        values.append(np.zeros(len(carriers)))
+    solution = lsq_linear(np.concatenate(rows), np.concatenate(values), bounds=(_LEAST_W, np.inf)).x
+    parts = [
+        (at_low - (at_high - at_low) / (high - low) * low, (at_high - at_low) / (high - low))
+        for at_low, at_high in solution.reshape(-1, 2)
+    ]
     fixed = parts[0] if levels_seen else (0.0, 0.0)
-    proportional = parts[-1]
-    residual = design @ solution.x - y
+    residual = design @ solution - y
     variance = float(np.var(y))
     return LoadFit(
         load=OnLoad(
-            coefficients=(*fixed, *proportional),
-            T_out_range_C=(T_low, T_high),
+            coefficients=(float(fixed[0]), float(fixed[1]), float(parts[-1][0]), float(parts[-1][1])),
+            T_out_range_C=(low, high),
             lowest_level=lowest_level,
             levels_seen=levels_seen,
         ),

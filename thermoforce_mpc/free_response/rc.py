@@ -1,8 +1,10 @@
 """The linear, weather-driven free response of the grey-box model (paper eq:free-evol), with q parallel modes.
 
 z_i(t+1) = a_i z_i(t) + c_i T_out(t) + d_i I_sol(t) + e_i and T_free = Σ z_i. One mode is the paper's (a, c, d, e); a
-building with a slab needs two or three. The modes are not measured: a Kalman filter (Kalman 1960) estimates them from
-the control-free history, skips silent sensors, and its covariance gives the quantiles.
+building with a slab needs two. What the sun does depends on where it stands and people come and go by the clock, so
+irradiance and constant may also carry a daily wave (their weights are zero in the paper's form). The modes are not
+measured: a Kalman filter (Kalman 1960) estimates them from the control-free history, skips silent sensors, and its
+covariance gives the quantiles.
 """
 
 from __future__ import annotations
@@ -13,9 +15,20 @@ import numpy as np
 from scipy.stats import norm
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.types import HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
 
 LEVELS = np.arange(1, 10) / 10.0
+
+INPUTS: tuple[str, ...] = (
+    "outdoor",
+    "solar",
+    "constant",
+    "solar_cosine",
+    "solar_sine",
+    "daily_cosine",
+    "daily_sine",
+)
+"""What drives the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the solar day."""
 
 # How uncertain the modes are before the first measurement, K: a building's temperature is known to some ten degrees.
 _PRIOR_SD_K = 10.0
@@ -27,9 +40,7 @@ class RcParameters:
 
     Attributes:
         poles: a_i, shape (q,), in (0, 1) per step.
-        outdoor: c_i, shape (q,), K per K of outdoor temperature per step.
-        solar: d_i, shape (q,), K per W/m² per step.
-        constant: e_i, shape (q,), K per step (internal gains, ground).
+        weights: shape (q, 7), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
         step_s: length of a step, s.
         process_sd_K: what the weather does not explain, per mode and step, shape (q,), K.
         sensor_sd_K: noise of the temperature sensor, K.
@@ -39,9 +50,7 @@ class RcParameters:
     """
 
     poles: Array
-    outdoor: Array
-    solar: Array
-    constant: Array
+    weights: Array
     step_s: float
     process_sd_K: Array
     sensor_sd_K: float = 0.02
@@ -52,8 +61,11 @@ class RcParameters:
             if item.name in ("step_s", "sensor_sd_K"):
                 continue
             array = np.array(getattr(self, item.name), dtype=np.float64)
-            if array.shape != (q,) or q == 0 or not np.isfinite(array).all():
-                raise DataError(f"free model: {item.name} is {array.tolist()}, expected {q} finite numbers")
+            shape = (q, len(INPUTS)) if item.name == "weights" else (q,)
+            if array.shape != shape or q == 0 or not np.isfinite(array).all():
+                raise DataError(
+                    f"free model: {item.name} is {array.tolist()}, expected finite numbers of shape {shape}"
+                )
             array.setflags(write=False)
             object.__setattr__(self, item.name, array)
         if not ((self.poles > 0) & (self.poles < 1)).all():
@@ -82,18 +94,25 @@ class RcParameters:
         spread = np.sqrt((1.0 - poles**2) / (1.0 - self.poles**2))
         return RcParameters(
             poles=poles,
-            outdoor=self.outdoor * scale,
-            solar=self.solar * scale,
-            constant=self.constant * scale,
+            weights=self.weights * scale[:, None],
             step_s=step_s,
             process_sd_K=self.process_sd_K * spread,
             sensor_sd_K=self.sensor_sd_K,
         )
 
-    def drive(self, T_out_C: Array, solar_W_m2: Array) -> Array:
-        """What enters each mode in each step, shape (n, q), K; weather at the start of the steps, shape (n,)."""
-        T_out, solar = np.asarray(T_out_C)[:, None], np.asarray(solar_W_m2)[:, None]
-        return np.asarray(self.outdoor * T_out + self.solar * solar + self.constant)
+    def drive(self, time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
+        """What enters each mode in each of n steps, shape (n, q), K; weather sampled at the n + 1 boundaries."""
+        return weather_inputs(time_s, T_out_C, solar_W_m2) @ self.weights.T
+
+
+def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
+    """`INPUTS` over n steps, shape (n, 7): means of the samples at both ends of each step, arguments (n + 1,)."""
+    T_out, solar = (0.5 * (np.asarray(x)[:-1] + np.asarray(x)[1:]) for x in (T_out_C, solar_W_m2))
+    time_s = np.asarray(time_s)
+    # Angle of the clock at mid-step, zero at noon.
+    angle = 2.0 * np.pi * (0.5 * (time_s[:-1] + time_s[1:]) / DAY_S - 0.5)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([T_out, solar, np.ones_like(T_out), solar * cosine, solar * sine, cosine, sine], axis=1)
 
 
 class RcFreeResponse:
@@ -118,7 +137,7 @@ class RcFreeResponse:
         past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
         mean, covariance = _filter(past, free_C, history)
         ahead = self._params.resampled(boundary.step_s)
-        drive = ahead.drive(boundary.T_out_C[:-1], boundary.solar_W_m2[:-1])
+        drive = ahead.drive(boundary.time_s, boundary.T_out_C, boundary.solar_W_m2)
         if not np.isfinite(drive).all():
             raise DataError("weather forecast has values that are not finite")
         n = boundary.n_steps
@@ -140,7 +159,7 @@ def _filter(params: RcParameters, free_C: Array, history: History) -> tuple[Arra
     """Mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
     q = params.order
     first = free_C[np.isfinite(free_C)][0]
-    drive = params.drive(history.T_out_C[:-1], history.solar_W_m2[:-1])
+    drive = params.drive(history.time_s, history.T_out_C, history.solar_W_m2)
     if not np.isfinite(drive).all():
         raise DataError("weather of the history has values that are not finite")
     # Start from the steady state under the first day's weather, shifted so that the modes add up to what was measured.
