@@ -1,0 +1,98 @@
+"""The three electricity tariffs of the test case, and emissions. Prices in EUR/kWh, emissions in kg CO2/kWh."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array
+
+EMISSION_KG_PER_KWH = 0.167
+CONSTANT = 0.2535
+DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
+
+Tariff = Callable[[Array], Array]
+
+
+def constant(time_s: Array) -> Array:
+    """The constant tariff."""
+    return np.full(np.shape(time_s), CONSTANT)
+
+
+def dynamic(time_s: Array) -> Array:
+    """Day and night: the day price holds from 07:00 up to and including the 22:00 sample."""
+    hour = (np.asarray(time_s) % DAY_S) / HOUR_S
+    # BOPTEST's price series is quarter-hourly and held forward: the 22:00 value lasts to 22:15.
+    return np.where((hour >= 7.0) & (hour < 22.25), DYNAMIC_DAY, DYNAMIC_NIGHT)
+
+
+def synthetic_spot(seed: int = 0) -> Tariff:
+    """A synthetic highly dynamic tariff: hourly, spot-like, mean near 0.24 EUR/kWh, with rare negative hours.
+
+    Stands in for the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which are not ours to ship. Morning
+    and evening peaks, cheap nights and weekends, slow weather-driven swings.
+    """
+    rng = np.random.default_rng(seed)
+    hour = np.arange(8760)
+    of_day = hour % 24
+    day = hour // 24
+    shape = 0.010 * np.exp(-(((of_day - 8.5) / 2.0) ** 2)) + 0.014 * np.exp(-(((of_day - 19.0) / 2.2) ** 2))
+    night = -0.009 * np.exp(-(((of_day - 3.5) / 2.5) ** 2))
+    weekend = np.where(np.isin(day % 7, (4, 5)), -0.006, 0.0)
+    slow = np.repeat(_autoregressive(rng, 365, 0.8) * 0.007, 24)
+    fast = _autoregressive(rng, 8760, 0.7) * 0.0045
+    season = 0.006 * np.cos(2 * np.pi * (day - 15) / 365)
+    prices = 0.2375 + shape + night + weekend + season + slow + fast
+    # A few windy holiday nights, as every real year has.
+    for start in rng.choice(8752, size=3, replace=False):
+        prices[start : start + 5] -= rng.uniform(0.1, 0.3)
+    return _held(np.arange(8760) * HOUR_S, np.round(prices, 5))
+
+
+def tariff_from_file(path: Path) -> Tariff:
+    """Read a tariff of your own: CSV with columns `time` (s since 1 January, increasing) and `price`, held forward.
+
+    Raises:
+        ConfigError: the file is missing, has other columns, a value that is not a number, or times that do not rise.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    if not rows or not {"time", "price"} <= set(rows[0]):
+        raise ConfigError(f"{path}: expected a CSV file with columns 'time' (s since 1 January) and 'price' (per kWh)")
+    try:
+        time_s = np.array([float(row["time"]) for row in rows])
+        price = np.array([float(row["price"]) for row in rows])
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: a cell is not a number ({error})") from error
+    if not (np.isfinite(time_s).all() and np.isfinite(price).all()):
+        raise ConfigError(f"{path}: a time or price is not finite")
+    if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
+        raise ConfigError(f"{path}: times must rise and start at 0 s or before (first is {time_s[0]:g} s)")
+    return _held(time_s, price)
+
+
+def _held(time_s: Array, price: Array) -> Tariff:
+    """Each price holds until the next; the year repeats."""
+
+    def tariff(at_s: Array) -> Array:
+        index = np.searchsorted(time_s, np.mod(np.asarray(at_s, dtype=np.float64), 365 * DAY_S), side="right") - 1
+        return np.asarray(price[index])
+
+    return tariff
+
+
+def _autoregressive(rng: np.random.Generator, n: int, memory: float) -> Array:
+    """First-order noise of unit variance, shape (n,)."""
+    noise = rng.standard_normal(n) * np.sqrt(1 - memory**2)
+    out = np.empty(n)
+    out[0] = noise[0]
+    for i in range(1, n):
+        out[i] = memory * out[i - 1] + noise[i]
+    return out

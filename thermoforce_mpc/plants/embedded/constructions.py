@@ -1,0 +1,195 @@
+"""The house as a chain of heat-capacity nodes: what it is made of, from outside in.
+
+Facts: documentation and model of the BOPTEST test case `bestest_hydronic_heat_pump` (BESTEST case 900 scaled to
+192 m², IDEAS library). Every construction is a row of nodes, all rows together one tridiagonal system.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.types import Array
+
+AREA_M2 = 192.0
+HEIGHT_M = 2.7
+VOLUME_M3 = 518.4
+_START_K = 293.15
+_SOIL_START_K = 283.95
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A homogeneous layer: thickness m, conductivity W/(m·K), density kg/m³, heat capacity J/(kg·K), nodes."""
+
+    thickness: float
+    conductivity: float
+    density: float
+    capacity: float
+    nodes: int
+    start_K: float = _START_K
+
+
+_WOOD = Layer(0.009, 0.14, 530.0, 900.0, 2)
+_INSULATION = Layer(0.0615, 0.04, 10.0, 1400.0, 2)
+_BLOCK = Layer(0.100, 0.51, 1400.0, 1000.0, 3)
+WALL = (_WOOD, _INSULATION, _BLOCK)
+ROOF = (
+    Layer(0.019, 0.14, 530.0, 900.0, 2),
+    Layer(0.1118, 0.04, 12.0, 840.0, 2),
+    Layer(0.010, 0.16, 950.0, 840.0, 2),
+)
+# From the tile down to the soil; the pipes lie between screed and PUR.
+TILE = Layer(0.01, 1.4, 2100.0, 840.0, 2)
+SCREED = Layer(0.05, 0.6, 1100.0, 840.0, 2)
+FLOOR = (
+    TILE,
+    SCREED,
+    Layer(0.20, 0.02, 30.0, 1470.0, 4),
+    Layer(0.15, 1.4, 2100.0, 840.0, 3),
+    Layer(0.17, 2.0, 2000.0, 1000.0, 3, _SOIL_START_K),
+    Layer(0.33, 2.0, 2000.0, 1000.0, 5, _SOIL_START_K),
+    Layer(0.50, 2.0, 2000.0, 1000.0, 7, _SOIL_START_K),
+)
+# The concrete slab on which the soil's edge loss acts is where layers 3 and 4 meet.
+PARTITION = (
+    Layer(0.08, 0.75, 1400.0, 840.0, 2),
+    Layer(0.10, 0.036, 110.0, 840.0, 3),
+    Layer(0.14, 0.54, 1400.0, 840.0, 3),
+    Layer(0.015, 0.6, 975.0, 840.0, 2),
+)
+PARTITION_M2 = 183.6
+
+WINDOW_M2 = 24.0
+_PANE_J_K = 143_068.0
+# Two panes and the gap between them, m²K/W. The test case gives 0.539419 for the gap, which is the conduction of 13 mm
+# of air alone (0.0241 W/mK); the panes also radiate to each other, linearised where the model linearises all inside
+# long-wave exchange. Without that part the house loses a tenth too little heat.
+_PANE_RESISTANCE = 0.002995
+_GAP_CONDUCTION = 1.0 / 0.539419
+_GAP_RADIATION = 5.670374419e-8 * (2 * 295.15 - 2) * (295.15**2 + 293.15**2) / (1 / 0.9 + 1 / 0.9 - 1)
+_WINDOW_RESISTANCE = 2 * _PANE_RESISTANCE + 1.0 / (_GAP_CONDUCTION + _GAP_RADIATION)
+
+# Outside surfaces in the order used everywhere: south, west, north, east walls, roof.
+WALLS_M2 = (19.2, 32.4, 43.2, 32.4)
+
+# Share of each inside surface in the mean radiant temperature, area times short-wave absorptance (model constants).
+RADIANT_SHARE = {
+    "south": 0.02159,
+    "west": 0.03644,
+    "north": 0.04858,
+    "east": 0.03644,
+    "roof": 0.21592,
+    "floor": 0.19793,
+    "partition_brick": 0.22368,
+    "partition_gypsum": 0.18927,
+    "window": 0.03014,
+}
+# Long-wave emissivity inside.
+EMISSIVITY = {
+    "south": 0.9,
+    "west": 0.9,
+    "north": 0.9,
+    "east": 0.9,
+    "roof": 0.9,
+    "floor": 0.88,
+    "partition_brick": 0.88,
+    "partition_gypsum": 0.85,
+    "window": 0.9,
+}
+# Resistance of each surface to the one radiant node, K⁴/W (emissivity and Carroll's view factor).
+RADIANT_RESISTANCE = {
+    "south": 1.00445e6,
+    "west": 5.88451e5,
+    "north": 4.37077e5,
+    "east": 5.88451e5,
+    "roof": 81_703.0,
+    "floor": 84_022.5,
+    "partition_brick": 92_990.8,
+    "partition_gypsum": 89_138.3,
+    "window": 8.00259e5,
+}
+SURFACES = tuple(RADIANT_SHARE)
+SURFACE_M2 = {
+    "south": WALLS_M2[0],
+    "west": WALLS_M2[1],
+    "north": WALLS_M2[2],
+    "east": WALLS_M2[3],
+    "roof": AREA_M2,
+    "floor": AREA_M2,
+    "partition_brick": PARTITION_M2,
+    "partition_gypsum": PARTITION_M2,
+    "window": WINDOW_M2,
+}
+
+
+@dataclass(frozen=True)
+class Network:
+    """All nodes in one row.
+
+    `capacity` (n,) J/K and `start_K` (n,); `coupling` (n,) W/K between node i and i + 1, zero where a construction ends.
+    `outside` (6,) indices of the outside surfaces (south, west, north, east, roof, window), `inside` (9,) of the inside
+    surfaces in the order of `SURFACES`; `pipe` the heated node, `slab` the one the soil's edge loss is taken from.
+    """
+
+    capacity: Array
+    coupling: Array
+    start_K: Array
+    outside: np.ndarray
+    inside: np.ndarray
+    pipe: int
+    slab: int
+
+
+def build_network() -> Network:
+    """Put all constructions in a row."""
+    capacity: list[float] = []
+    coupling: list[float] = []
+    start: list[float] = []
+    ends: dict[str, tuple[int, int]] = {}
+
+    def add(name: str, layers: tuple[Layer, ...], area: float) -> list[int]:
+        """Append one construction; returns the node at the start of each layer, and the last node."""
+        first = len(capacity)
+        at = [first]
+        capacity.append(0.0)
+        start.append(layers[0].start_K)
+        for layer in layers:
+            segments = layer.nodes - 1
+            part = area * layer.thickness * layer.density * layer.capacity / segments
+            for _ in range(segments):
+                capacity[-1] += part / 2
+                coupling.append(layer.conductivity * area * segments / layer.thickness)
+                capacity.append(part / 2)
+                start.append(layer.start_K)
+            at.append(len(capacity) - 1)
+        coupling.append(0.0)
+        ends[name] = (first, len(capacity) - 1)
+        return at
+
+    for name, area in zip(("south", "west", "north", "east"), WALLS_M2, strict=True):
+        add(name, WALL, area)
+    add("roof", ROOF, AREA_M2)
+    floor = add("floor", FLOOR, AREA_M2)
+    add("partition", PARTITION, PARTITION_M2)
+    ends["window"] = (len(capacity), len(capacity) + 1)
+    capacity += [_PANE_J_K, _PANE_J_K]
+    coupling += [WINDOW_M2 / _WINDOW_RESISTANCE, 0.0]
+    start += [_START_K, _START_K]
+
+    inside = {
+        **{name: ends[name][1] for name in ("south", "west", "north", "east", "roof", "window")},
+        "floor": ends["floor"][0],
+        "partition_brick": ends["partition"][0],
+        "partition_gypsum": ends["partition"][1],
+    }
+    return Network(
+        capacity=np.array(capacity),
+        coupling=np.array(coupling),
+        start_K=np.array(start),
+        outside=np.array([ends[name][0] for name in ("south", "west", "north", "east", "roof", "window")]),
+        inside=np.array([inside[name] for name in SURFACES]),
+        pipe=floor[2],
+        slab=floor[4],
+    )

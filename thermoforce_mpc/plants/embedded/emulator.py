@@ -1,0 +1,326 @@
+"""The embedded plant: the BOPTEST test case `bestest_hydronic_heat_pump` re-written from its documented physics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+
+from thermoforce_mpc import __version__
+from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.periods import heating_windows
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.kpis import compute_kpis
+from thermoforce_mpc.plants.embedded import kernel, schedule
+from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
+from thermoforce_mpc.plants.embedded.exposure import build_exposure
+from thermoforce_mpc.types import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.weather.year import YEAR_S, Weather
+
+_KELVIN = 273.15
+_COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
+
+# Overwrite inputs of the test case in the kernel's order: (name, lowest, highest) at the wire.
+OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
+
+# Measurements of the test case: name at the wire and column of the record.
+_MEASUREMENTS = {
+    "reaTZon_y": "T_operative",
+    "reaPHeaPum_y": "P_heat_pump",
+    "reaPFan_y": "P_fan",
+    "reaPPumEmi_y": "P_pump",
+    "reaQHeaPumCon_y": "Q_condenser",
+    "reaQFloHea_y": "Q_floor",
+    "reaTSup_y": "T_supply",
+    "reaTRet_y": "T_return",
+    "reaCOP_y": "COP",
+    "reaTSetHea_y": "T_setpoint",
+    "reaCO2RooAir_y": "CO2",
+    "weaSta_reaWeaTDryBul_y": "T_out",
+    "weaSta_reaWeaHGloHor_y": "solar",
+}
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A moment of the plant: state, clock and record so far. Opaque; give it back to `EmbeddedPlant.restore`."""
+
+    nodes: Array
+    scalars: Array
+    now_s: float
+    begin_s: float
+    start_s: float
+    price: str
+    record: tuple[Array, ...]
+    first: Array
+
+
+class EmbeddedPlant:
+    """The emulator behind the `Plant` protocol. Deterministic: same inputs, same bytes.
+
+    ```python
+    with EmbeddedPlant(load_weather(Path("Brussels.mos"))) as plant:
+        plant.reset(start_s=16 * 86400, warmup_s=7 * 86400)
+        measurement = plant.advance(u=0.5, duration_s=900)
+    ```
+
+    Time may run over the end of the year: the weather year repeats.
+    """
+
+    def __init__(self, weather: Weather, *, highly_dynamic: tariffs.Tariff | None = None) -> None:
+        """Build the plant for a weather year.
+
+        Args:
+            highly_dynamic: tariff of that name; by default a synthetic one, see `boundary.tariffs`.
+        """
+        self.weather = weather
+        self._network = build_network()
+        self._grid = build_exposure(weather).grid
+        self._tariffs: dict[str, tariffs.Tariff] = {
+            "constant": tariffs.constant,
+            "dynamic": tariffs.dynamic,
+            "highly_dynamic": highly_dynamic or tariffs.synthetic_spot(),
+        }
+        self._price = "constant"
+        self._periods: dict[str, Period] | None = None
+        self.reset(0.0, 0.0)
+
+    @property
+    def info(self) -> PlantInfo:
+        """Which plant, weather and version this is."""
+        return PlantInfo(
+            kind="embedded",
+            testcase="bestest_hydronic_heat_pump",
+            description="emulator of the BOPTEST test case, written from its documented physics",
+            weather=self.weather.name,
+            version=__version__,
+        )
+
+    def period(self, name: str) -> Period:
+        """The scored window 'peak_heat_day', 'typical_heat_day' (BOPTEST's rule for this weather), or a start day.
+
+        Raises:
+            InputError: neither a known window nor a day of the year.
+        """
+        try:
+            day = float(name)
+        except ValueError:
+            if self._periods is None:
+                self._periods = heating_windows(self._native_year())
+            if name not in self._periods:
+                raise InputError(f"period '{name}': expected {', '.join(self._periods)} or a start day") from None
+            return self._periods[name]
+        if not 0.0 <= day < 365.0:
+            raise InputError(f"period '{name}': a start day lies between 0 and 365")
+        return Period(f"day {day:g}", day * DAY_S)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """Start at `start_s` after `warmup_s` of native control (cut at the beginning of the year).
+
+        Raises:
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
+        """
+        for label, value in (("start", start_s), ("warm-up", warmup_s)):
+            if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
+                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
+        if start_s >= YEAR_S:
+            raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
+        if price not in self._tariffs:
+            raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
+        self._price = price
+        self._nodes = self._network.start_K.copy()
+        self._scalars = np.zeros(kernel.N_SCALARS)
+        self._scalars[[kernel.T_AIR, kernel.T_SUPPLY, kernel.T_RETURN, kernel.T_OPERATIVE]] = 293.15
+        self._scalars[kernel.T_EVAPORATOR] = 278.15
+        self._scalars[kernel.CO2_PPM] = 400.0
+        self._start_s = float(start_s)
+        self._begin_s = self._now_s = max(self._whole_steps(start_s - warmup_s), 0.0)
+        self._record: list[Array] = []
+        self._first = self._still()
+        if self._start_s > self._now_s:
+            self._advance({}, self._start_s - self._now_s)
+        return self._measurement(np.empty((0, len(kernel.RECORD))))
+
+    def advance(self, u: float | None, duration_s: float) -> Measurement:
+        """Hold the compressor level `u` in [0, 1] (None: native control) for `duration_s`.
+
+        Raises:
+            InputError: `u` or `duration_s` is not a number the plant can take.
+        """
+        return self.advance_points({} if u is None else {"oveHeaPumY": u}, duration_s)
+
+    def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
+        """Advance with overwrite inputs by their names at the wire (kelvin); those not named stay native.
+
+        Raises:
+            InputError: an unknown input, a value that is not finite or out of its limits, or a duration that is not a
+                whole number of 30-s steps between 30 s and a year.
+        """
+        limits = {name: (low, high) for name, low, high in OVERWRITES}
+        for name, value in overrides.items():
+            if name not in limits:
+                raise InputError(f"unknown input '{name}'; known: {', '.join(limits)}")
+            low, high = limits[name]
+            number = isinstance(value, int | float | np.number) and math.isfinite(value)
+            if not number or not low <= value <= high:
+                raise InputError(f"input '{name}' is {value!r}, expected a number from {low:g} to {high:g}")
+        if not (isinstance(duration_s, int | float | np.number) and math.isfinite(duration_s)):
+            raise InputError(f"step of {duration_s!r}: expected a number of seconds")
+        if not kernel.STEP_S <= duration_s < YEAR_S or abs(duration_s % kernel.STEP_S) > 1e-6:
+            raise InputError(f"step of {duration_s:g} s: expected a multiple of {kernel.STEP_S:g} s, less than a year")
+        return self._measurement(self._advance(overrides, float(duration_s)))
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """Boundary conditions from now to `horizon_s` ahead every `interval_s`; the weather year is known exactly.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+        """
+        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
+            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
+        time_s = self._now_s + np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1) * interval_s
+        lower, upper = schedule.bounds_C(time_s)
+        return Boundary(
+            time_s=time_s,
+            T_out_C=self.weather.at("T_dry_C", time_s),
+            solar_W_m2=self.weather.at("global_W_m2", time_s),
+            occupancy=schedule.PEOPLE * schedule.occupied_sample(time_s),
+            lower_C=lower,
+            upper_C=upper,
+            price_per_kWh=self._tariffs[self._price](time_s),
+            emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
+        )
+
+    def past(self, step_s: float) -> History:
+        """Everything since the start of the warm-up at `step_s` (a multiple of 30 s); older remainders are cut.
+
+        Raises:
+            InputError: `step_s` is not a multiple of 30 s.
+        """
+        n = round(step_s / kernel.STEP_S)
+        if n < 1 or abs(n * kernel.STEP_S - step_s) > 1e-6:
+            raise InputError(f"history at {step_s!r} s: expected a multiple of {kernel.STEP_S:g} s")
+        rows = np.vstack([self._first, *self._record])
+        steps = (rows.shape[0] - 1) // n
+        rows = rows[rows.shape[0] - 1 - steps * n :]
+        means = rows[1:].reshape(steps, n, rows.shape[1]).mean(axis=1)
+        ends = rows[::n]
+        return History(
+            time_s=self._now_s - np.arange(steps, -1, -1) * step_s,
+            T_zone_C=ends[:, _COLUMN["T_operative"]] - _KELVIN,
+            T_out_C=ends[:, _COLUMN["T_out"]] - _KELVIN,
+            solar_W_m2=ends[:, _COLUMN["solar"]],
+            u=means[:, _COLUMN["level"]],
+            power_W=_total_power(means),
+            heat_W=means[:, _COLUMN["Q_condenser"]],
+        )
+
+    def kpis(self) -> dict[str, float]:
+        """BOPTEST's KPIs since the end of the warm-up (no computing time: that is the loop's to know)."""
+        rows = np.vstack([self._first, *self._record])
+        time_s = self._begin_s + np.arange(rows.shape[0]) * kernel.STEP_S
+        scored = time_s >= self._start_s - 1e-6
+        time_s, rows = time_s[scored], rows[scored]
+        lower, upper = schedule.bounds_C(time_s)
+        return compute_kpis(
+            time_s,
+            power_W=_total_power(rows),
+            T_operative_C=rows[:, _COLUMN["T_operative"]] - _KELVIN,
+            lower_C=lower,
+            upper_C=upper,
+            co2_ppm=rows[:, _COLUMN["CO2"]],
+            co2_limit_ppm=schedule.CO2_LIMIT_PPM,
+            price_per_kWh=self._tariffs[self._price](time_s),
+            emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
+            area_m2=AREA_M2,
+        )
+
+    def snapshot(self) -> Snapshot:
+        """Keep this moment, to come back to it or branch from it."""
+        return Snapshot(
+            self._nodes.copy(), self._scalars.copy(), self._now_s, self._begin_s, self._start_s, self._price,
+            tuple(self._record), self._first,
+        )  # fmt: skip
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a moment of this plant, or of another one with the same weather."""
+        s = snapshot
+        self._nodes, self._scalars = s.nodes.copy(), s.scalars.copy()
+        self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
+        self._record, self._first = list(s.record), s.first
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def __enter__(self) -> EmbeddedPlant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _advance(self, overrides: Mapping[str, float], duration_s: float) -> Array:
+        n = round(duration_s / kernel.STEP_S)
+        rows = np.empty((n, len(kernel.RECORD)))
+        forced = np.array([float(overrides.get(name, math.nan)) for name, _, _ in OVERWRITES])
+        net = self._network
+        kernel.advance(
+            self._nodes, self._scalars, self._now_s, n, forced, self._grid, net.capacity, net.coupling, net.outside,
+            net.inside, net.pipe, net.slab, rows,
+        )  # fmt: skip
+        self._now_s += n * kernel.STEP_S
+        rows.setflags(write=False)
+        self._record.append(rows)
+        return rows
+
+    def _native_year(self) -> Array:
+        """15-minute means of the compressor's power over a year of native control, shape (35040,), W."""
+        here = self.snapshot()
+        try:
+            self.reset(0.0, 0.0)
+            rows = self._advance({}, YEAR_S)
+            return np.asarray(rows[:, _COLUMN["P_heat_pump"]].reshape(-1, 30).mean(axis=1))
+        finally:
+            self.restore(here)
+
+    def _measurement(self, rows: Array) -> Measurement:
+        """Samples of the last recorded row, means over `rows` (NaN when there are none)."""
+        last = self._record[-1][-1] if self._record else self._first[0]
+        means = rows.mean(axis=0) if rows.size else np.full(len(kernel.RECORD), math.nan)
+        points = {name: float(last[_COLUMN[column]]) for name, column in _MEASUREMENTS.items()}
+        return Measurement(
+            time_s=self._now_s,
+            T_zone_C=points["reaTZon_y"] - _KELVIN,
+            T_out_C=points["weaSta_reaWeaTDryBul_y"] - _KELVIN,
+            solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
+            u=float(means[_COLUMN["level"]]),
+            power_W=float(_total_power(means)),
+            heat_W=float(means[_COLUMN["Q_condenser"]]),
+            points=points,
+        )
+
+    def _still(self) -> Array:
+        """The record's row for the very first instant: everything off."""
+        row = np.zeros((1, len(kernel.RECORD)))
+        at = np.array([self._now_s])
+        row[0, _COLUMN["T_operative"]] = self._scalars[kernel.T_OPERATIVE]
+        row[0, _COLUMN["T_supply"]] = self._scalars[kernel.T_SUPPLY]
+        row[0, _COLUMN["T_return"]] = self._scalars[kernel.T_RETURN]
+        row[0, _COLUMN["T_setpoint"]] = schedule.LOWER_OCCUPIED_C + schedule.SETPOINT_OCCUPIED_K + _KELVIN
+        row[0, _COLUMN["COP"]] = 1.0
+        row[0, _COLUMN["CO2"]] = self._scalars[kernel.CO2_PPM]
+        row[0, _COLUMN["T_out"]] = self.weather.at("T_dry_C", at)[0] + _KELVIN
+        row[0, _COLUMN["solar"]] = self.weather.at("global_W_m2", at)[0]
+        return row
+
+    @staticmethod
+    def _whole_steps(time_s: float) -> float:
+        return math.floor(time_s / kernel.STEP_S + 1e-9) * kernel.STEP_S
+
+
+def _total_power(rows: Array) -> Array:
+    return np.asarray(rows[..., _COLUMN["P_heat_pump"]] + rows[..., _COLUMN["P_fan"]] + rows[..., _COLUMN["P_pump"]])

@@ -1,0 +1,91 @@
+"""What the weather does to each surface: everything that does not depend on the house's state, on a 15-minute grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.plants.embedded.constructions import WINDOW_M2
+from thermoforce_mpc.types import Array
+from thermoforce_mpc.weather.solar import on_plane, sun_position
+from thermoforce_mpc.weather.year import YEAR_S, Weather
+
+GRID_S = 900.0
+_KELVIN = 273.15
+_SHORT_WAVE_ABSORPTANCE = 0.6
+_VERTICAL = np.pi / 2
+
+# Facing directions of the outside surfaces, rad: solar azimuth (0 south, west positive) and compass bearing.
+_AZIMUTH = {"south": 0.0, "west": np.pi / 2, "north": np.pi, "east": -np.pi / 2}
+_BEARING = {"south": np.pi, "west": 1.5 * np.pi, "north": 0.0, "east": np.pi / 2}
+# Wind from more than this off the normal leaves the surface in the lee.
+_LEE_RAD = np.deg2rad(100.0)
+
+# Double glazing against the angle of incidence, degrees: transmitted, absorbed in the outer and in the inner pane.
+_ANGLE = [0, 10, 20, 30, 40, 45, 50, 60, 70, 80, 88.9, 90]
+_TRANSMITTED = [
+    0.747454,
+    0.746824,
+    0.744654,
+    0.739491,
+    0.729832,
+    0.720922,
+    0.707331,
+    0.652331,
+    0.516754,
+    0.263009,
+    0,
+    0,
+]
+_ABSORBED_ANGLE = [0, 60, 80, 90]
+_ABSORBED_OUTER = [0.0643, 0.0796, 0.094, 0.0]
+_ABSORBED_INNER = [0.0522, 0.0585, 0.0413, 0.0]
+_DIFFUSE = (0.652331, 0.0796, 0.0585)
+
+# Columns of the grid.
+T_OUT, T_SKY, FORCED, ABSORBED = 0, 1, 2, 7
+BEAM_IN, DIFFUSE_IN, PANE_OUTER, PANE_INNER, GLOBAL = 12, 13, 14, 15, 16
+N_COLUMNS = 17
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Forcing of the house over a year, periodic.
+
+    `grid` (35041, 17): outdoor and sky temperature K; forced convection coefficient of south, west, north, east, roof
+    W/(m²·K); short-wave absorbed there W/m²; through the window as beam and as diffuse, and absorbed in its outer and
+    inner pane, W; global horizontal irradiance W/m².
+    """
+
+    grid: Array
+
+
+def build_exposure(weather: Weather) -> Exposure:
+    """Work out the exposure of a weather year; about a second."""
+    time_s = np.arange(0.0, YEAR_S + GRID_S, GRID_S)
+    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    grid = np.empty((time_s.size, N_COLUMNS))
+    grid[:, T_OUT] = weather.at("T_dry_C", time_s) + _KELVIN
+    grid[:, T_SKY] = weather.sky_temperature_C(time_s) + _KELVIN
+    wind, wind_from = weather.at("wind_m_s", time_s), weather.at("wind_from_rad", time_s)
+    for i, side in enumerate(("south", "west", "north", "east")):
+        off_normal = np.abs(np.angle(np.exp(1j * (wind_from - _BEARING[side]))))
+        grid[:, FORCED + i] = np.where(off_normal > _LEE_RAD, 3.55 * wind**0.617, 3.26 * wind**0.89)
+        light = on_plane(weather, sun, time_s, _VERTICAL, _AZIMUTH[side])
+        grid[:, ABSORBED + i] = _SHORT_WAVE_ABSORPTANCE * (light.beam + light.diffuse)
+        if side == "south":
+            angle = np.rad2deg(light.incidence)
+            beam, diffuse = WINDOW_M2 * light.beam, WINDOW_M2 * light.diffuse
+            grid[:, BEAM_IN] = beam * np.interp(angle, _ANGLE, _TRANSMITTED)
+            grid[:, DIFFUSE_IN] = diffuse * _DIFFUSE[0]
+            outer = np.interp(angle, _ABSORBED_ANGLE, _ABSORBED_OUTER)
+            inner = np.interp(angle, _ABSORBED_ANGLE, _ABSORBED_INNER)
+            grid[:, PANE_OUTER] = beam * outer + diffuse * _DIFFUSE[1]
+            grid[:, PANE_INNER] = beam * inner + diffuse * _DIFFUSE[2]
+    grid[:, FORCED + 4] = 3.26 * wind**0.89  # a roof is always windward
+    above = on_plane(weather, sun, time_s, 0.0, 0.0)
+    grid[:, ABSORBED + 4] = _SHORT_WAVE_ABSORPTANCE * (above.beam + above.diffuse)
+    grid[:, GLOBAL] = weather.at("global_W_m2", time_s)
+    grid.setflags(write=False)
+    return Exposure(grid)

@@ -1,0 +1,300 @@
+"""One step of the whole plant: native control, heat pump, water, air and walls. Compiled; no allocation per step.
+
+The envelope is stepped implicitly (first order, L-stable): film coefficients are taken from the step before, the nodes of
+all constructions form one tridiagonal system in which only the air and the radiant node are shared, so it is solved for
+three right-hand sides (own, per kelvin of air, per kelvin of the radiant node) and closed by two equations.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from thermoforce_mpc.plants.embedded import constructions as c
+from thermoforce_mpc.plants.embedded import exposure as x
+from thermoforce_mpc.plants.embedded import heat_pump as hp
+from thermoforce_mpc.plants.embedded import schedule as s
+from thermoforce_mpc.plants.embedded.heat_pump import heat_pump
+from thermoforce_mpc.plants.embedded.schedule import is_occupied
+
+STEP_S = 30.0
+
+# Scalars of the state, after the nodes.
+(T_AIR, T_SUPPLY, T_RETURN, T_EVAPORATOR, INTEGRAL, COMPRESSOR_ON, BLOCKED, CO2_PPM, Q_CONDENSER, Q_EVAPORATOR,
+ T_OPERATIVE, LEVEL) = range(12)  # fmt: skip
+N_SCALARS = 12
+
+# Columns of the record, one row a step, values at its end (kelvin, W, ppm).
+RECORD = (
+    "T_operative", "P_heat_pump", "P_fan", "P_pump", "Q_condenser", "Q_floor", "T_supply", "T_return", "COP", "level",
+    "T_setpoint", "CO2", "T_out", "solar", "fan", "pump",
+)  # fmt: skip
+
+_KELVIN = 273.15
+_SIGMA = 5.670374419e-8
+_CP_AIR = 1006.0 + 1860.0 * 0.006  # dry air and its usual vapour
+_AIR_J_K = 1.2 * c.VOLUME_M3 * _CP_AIR
+_INFILTRATION_KG_S = 1.2 * c.VOLUME_M3 * 0.5 / 3600.0
+_INFILTRATION_W_K = _INFILTRATION_KG_S * _CP_AIR
+_OUTDOOR_PPM = 400.0
+_PPM_PER_KG_KG = 1e6 * 28.97 / 44.01
+_CO2_KG_S_PERSON = 1.0817e-5
+_GAIN_RADIANT_W, _GAIN_CONVECTIVE_W = 219.0, 146.0  # five people
+
+# Floor heating: one circuit, 168.9 kg of water, resistance water to pipe plane after Koschenz and Lehmann (2000).
+_CONDENSER_J_K = 30.0 * hp.WATER_J_KG_K
+_FLOOR_J_K = 168.9 * hp.WATER_J_KG_K
+_FLOOR_W_K = c.AREA_M2 / 0.10207009
+_EVAPORATOR_J_K = 180.0 * hp.AIR_J_KG_K
+
+# Native PI: gain 1/K, integral time s, anti-windup.
+_GAIN, _INTEGRAL_S, _ANTI_WINDUP = 0.6, 8000.0, 0.9
+_SWITCH_ON, _SWITCH_OFF = 0.01, 0.005
+
+_WALL_EMISSIVITY = 0.9
+_SKY_VIEW = np.array([0.5 * math.cos(math.pi / 4)] * 4 + [1.0, 0.5 * math.cos(math.pi / 4)])
+_OUTSIDE_M2 = np.array([*c.WALLS_M2, c.AREA_M2, c.WINDOW_M2])
+# Window panes radiate linearly about 280 K.
+_WINDOW_RADIATION = 0.9 * _SIGMA * (280.0 + 285.0) * (280.0**2 + 285.0**2)
+
+_N_INSIDE = len(c.SURFACES)
+_INSIDE_M2 = np.array([c.SURFACE_M2[name] for name in c.SURFACES])
+_RADIANT_W_K = (2 * 295.15 - 2) * (295.15**2 + 293.15**2) / np.array([c.RADIANT_RESISTANCE[n] for n in c.SURFACES])
+_SHARE = np.array([c.RADIANT_SHARE[name] for name in c.SURFACES]) / sum(c.RADIANT_SHARE.values())
+_EMITTED = np.array([c.SURFACE_M2[n] * c.EMISSIVITY[n] for n in c.SURFACES])
+_EMITTED = _EMITTED / _EMITTED.sum()
+# Beam light falls on the floor, which absorbs 55 % and reflects the rest to all others.
+_FLOOR = c.SURFACES.index("floor")
+_CEILING = c.SURFACES.index("roof")
+_BEAM = np.where(np.arange(_N_INSIDE) == _FLOOR, 0.0, _SHARE)
+_BEAM = 0.45 * _BEAM / _BEAM.sum()
+_BEAM[_FLOOR] = 0.55
+# Khalifa-type films: A·1.823/Dh^0.121·|dT|^1.293 on walls, with Dh of the wall's own outline.
+_DH = 4.0 * _INSIDE_M2 / (2.0 * _INSIDE_M2 / c.HEIGHT_M + 2.0 * c.HEIGHT_M)
+_WALL_FILM = _INSIDE_M2 * 1.823 / _DH**0.121
+_SIDE = math.sqrt(c.AREA_M2)
+_BUOYANT_FILM, _STABLE_FILM = c.AREA_M2 * 2.175 / _SIDE**0.076, c.AREA_M2 * 0.704 / _SIDE**0.601
+_BLEND_K = 0.1
+_ZERO_ROUNDING_K = 1e-4
+
+
+@njit(cache=True)
+def _horizontal_film(buoyant_K: float) -> float:
+    """W/K of floor or ceiling; positive `buoyant_K` drives air through the room. Blended over ±0.1 K."""
+    d = abs(buoyant_K) + _ZERO_ROUNDING_K
+    share = min(max(0.5 + 0.5 * buoyant_K / _BLEND_K, 0.0), 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    return share * _BUOYANT_FILM * d**0.308 + (1.0 - share) * _STABLE_FILM * d**0.133
+
+
+@njit(cache=True)
+def soil_heat_W(time_s: float) -> float:
+    """Heat taken out at the underside of the slab: ISO 13370 edge loss, mean and two periodic parts, W."""
+    month = time_s / 3.1536e7 * 12.0
+    mean = 0.0823985 * c.AREA_M2 * (295.15 - 283.95)
+    outside = 11.921 * 2.0 * math.cos(2.0 * math.pi / 12.0 * (month - 1.0 + 0.1322))
+    inside = 5.7858 * 4.0 * math.cos(2.0 * math.pi / 12.0 * (month - 1.0 - 2.3167))
+    return mean - outside + inside
+
+
+@njit(cache=True)
+def advance(
+    nodes: np.ndarray,
+    scalars: np.ndarray,
+    time_s: float,
+    n_steps: int,
+    overrides: np.ndarray,
+    grid: np.ndarray,
+    capacity: np.ndarray,
+    coupling: np.ndarray,
+    outside: np.ndarray,
+    inside: np.ndarray,
+    pipe: int,
+    slab: int,
+    record: np.ndarray,
+) -> None:
+    """Advance `nodes` (n,) K and `scalars` (12,) in place by `n_steps` of 30 s; fill `record` (n_steps, 16).
+
+    `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
+    """
+    n = nodes.size
+    n_inside = inside.size
+    dt = STEP_S
+    w = np.empty(x.N_COLUMNS)
+    diagonal, right = np.empty(n), np.empty((n, 3))
+    factor = np.empty(n)
+    film, absorbed = np.empty(n_inside), np.empty(n_inside)
+    period = (grid.shape[0] - 1) * x.GRID_S
+    for step in range(n_steps):
+        t = time_s + (step + 1) * dt
+        # Weather at the end of the step.
+        at = (t % period) / x.GRID_S
+        row = int(at)
+        share = at - row
+        for j in range(x.N_COLUMNS):
+            w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
+        occupied = is_occupied(t - 0.5 * dt)
+
+        # Native control on the state before the step.
+        if math.isnan(overrides[1]):
+            setpoint = _KELVIN + (
+                s.LOWER_OCCUPIED_C + s.SETPOINT_OCCUPIED_K if occupied else s.LOWER_EMPTY_C + s.SETPOINT_EMPTY_K
+            )
+        else:
+            setpoint = overrides[1]
+        error = setpoint - scalars[T_OPERATIVE]
+        wanted = _GAIN * (error + scalars[INTEGRAL])
+        level = min(max(wanted, 0.0), 1.0)
+        scalars[INTEGRAL] += dt * (error + (level - wanted) / (_GAIN * _ANTI_WINDUP)) / _INTEGRAL_S
+        if not math.isnan(overrides[0]):
+            level = overrides[0]
+
+        # Heat pump: protection, hysteresis, then quasi-static refrigerant with the heat flows of the step before.
+        T_condensing = scalars[T_SUPPLY] + scalars[Q_CONDENSER] / hp.CONDENSER_W_K
+        T_evaporating = scalars[T_EVAPORATOR] - scalars[Q_EVAPORATOR] / hp.EVAPORATOR_W_K
+        margin = hp.PROTECTION_HYSTERESIS_K if scalars[BLOCKED] > 0.5 else 0.0
+        scalars[BLOCKED] = (
+            1.0
+            if (
+                T_evaporating < hp.LEAST_EVAPORATING_K + margin
+                or T_condensing > hp.MOST_CONDENSING_K - margin
+                or T_condensing < T_evaporating + margin
+            )
+            else 0.0
+        )
+        speed = 0.0 if scalars[BLOCKED] > 0.5 else level
+        threshold = _SWITCH_OFF if scalars[COMPRESSOR_ON] > 0.5 else _SWITCH_ON
+        on = speed >= threshold if scalars[COMPRESSOR_ON] > 0.5 else speed > threshold
+        scalars[COMPRESSOR_ON] = 1.0 if on else 0.0
+        power, to_water, from_air = 0.0, 0.0, 0.0
+        if on:
+            power, to_water, from_air = heat_pump(T_evaporating, T_condensing, speed)
+        scalars[Q_CONDENSER], scalars[Q_EVAPORATOR] = to_water, from_air
+        pump = (1.0 if on else 0.0) if math.isnan(overrides[2]) else math.floor(overrides[2] + 0.5)
+        fan = (1.0 if on else 0.0) if math.isnan(overrides[3]) else math.floor(overrides[3] + 0.5)
+
+        # Air through the evaporator: warmed by the fan, cooled by the refrigerant.
+        air_flow = fan * hp.FAN_KG_S * hp.AIR_J_KG_K
+        inlet_W = air_flow * w[x.T_OUT] + fan * hp.FAN_W
+        scalars[T_EVAPORATOR] = (_EVAPORATOR_J_K / dt * scalars[T_EVAPORATOR] + inlet_W - from_air) / (
+            _EVAPORATOR_J_K / dt + air_flow
+        )
+        # Water round the circuit: condenser volume, then the floor's.
+        flow = pump * hp.PUMP_KG_S * hp.WATER_J_KG_K
+        to_floor = _FLOOR_W_K if pump > 0.5 else 0.0
+        a11, a12 = _CONDENSER_J_K / dt + flow, -flow
+        a21, a22 = to_floor - flow, _FLOOR_J_K / dt + flow
+        b1 = _CONDENSER_J_K / dt * scalars[T_SUPPLY] + to_water + pump * hp.PUMP_W
+        b2 = _FLOOR_J_K / dt * scalars[T_RETURN] + to_floor * nodes[pipe]
+        determinant = a11 * a22 - a12 * a21
+        scalars[T_SUPPLY] = (b1 * a22 - a12 * b2) / determinant
+        scalars[T_RETURN] = (a11 * b2 - a21 * b1) / determinant
+        floor_W = to_floor * (scalars[T_SUPPLY] - nodes[pipe])
+
+        # Envelope: own heat of every node, then what crosses its surfaces.
+        for i in range(n):
+            diagonal[i] = capacity[i] / dt + coupling[i] + (coupling[i - 1] if i > 0 else 0.0)
+            right[i, 0] = capacity[i] / dt * nodes[i]
+            right[i, 1] = 0.0
+            right[i, 2] = 0.0
+        right[pipe, 0] += floor_W
+        right[slab, 0] -= soil_heat_W(t)
+        for k in range(6):
+            i = outside[k]
+            window = k == 5
+            view = _SKY_VIEW[k]
+            environment = (view * w[x.T_SKY] ** 4 + (1.0 - view) * w[x.T_OUT] ** 4) ** 0.25
+            difference = nodes[i] - w[x.T_OUT]
+            if k == 4:
+                natural = (1.509 if difference > 0.0 else 0.76) * abs(difference) ** (1.0 / 3.0)
+            else:
+                natural = 1.31 * abs(difference) ** (1.0 / 3.0)
+            forced = w[x.FORCED] if window else w[x.FORCED + k]
+            convective = _OUTSIDE_M2[k] * math.sqrt(natural**2 + forced**2)
+            if window:
+                radiative = _OUTSIDE_M2[k] * _WINDOW_RADIATION
+                sun = w[x.PANE_OUTER]
+            else:
+                T = nodes[i]
+                radiative = (
+                    _OUTSIDE_M2[k] * _WALL_EMISSIVITY * _SIGMA * (T + environment) * (T * T + environment * environment)
+                )
+                sun = _OUTSIDE_M2[k] * w[x.ABSORBED + k]
+            diagonal[i] += convective + radiative
+            right[i, 0] += convective * w[x.T_OUT] + radiative * environment + sun
+        radiant_gain = _GAIN_RADIANT_W if occupied else 0.0
+        for k in range(n_inside):
+            i = inside[k]
+            difference = nodes[i] - scalars[T_AIR]
+            if k == _FLOOR:
+                film[k] = _horizontal_film(difference)
+            elif k == _CEILING:
+                film[k] = _horizontal_film(-difference)
+            else:
+                film[k] = _WALL_FILM[k] * (abs(difference) + _ZERO_ROUNDING_K) ** 0.293
+            absorbed[k] = _BEAM[k] * w[x.BEAM_IN] + _SHARE[k] * w[x.DIFFUSE_IN] + _EMITTED[k] * radiant_gain
+            diagonal[i] += film[k] + _RADIANT_W_K[k]
+            right[i, 0] += absorbed[k]
+            right[i, 1] += film[k]
+            right[i, 2] += _RADIANT_W_K[k]
+        right[inside[n_inside - 1], 0] += w[x.PANE_INNER]
+
+        # Thomas algorithm on all constructions at once: couplings between them are zero.
+        factor[0] = diagonal[0]
+        for i in range(1, n):
+            ratio = coupling[i - 1] / factor[i - 1]
+            factor[i] = diagonal[i] - ratio * coupling[i - 1]
+            for j in range(3):
+                right[i, j] += ratio * right[i - 1, j]
+        for j in range(3):
+            right[n - 1, j] /= factor[n - 1]
+        for i in range(n - 2, -1, -1):
+            for j in range(3):
+                right[i, j] = (right[i, j] + coupling[i] * right[i + 1, j]) / factor[i]
+
+        # Heat balance of air and of the massless radiant node, in terms of the two alone.
+        m11, m12, r1 = _AIR_J_K / dt + _INFILTRATION_W_K, 0.0, _AIR_J_K / dt * scalars[T_AIR]
+        r1 += _INFILTRATION_W_K * w[x.T_OUT] + (_GAIN_CONVECTIVE_W if occupied else 0.0)
+        m21, m22, r2 = 0.0, 0.0, 0.0
+        for k in range(n_inside):
+            i = inside[k]
+            m11 += film[k] * (1.0 - right[i, 1])
+            m12 -= film[k] * right[i, 2]
+            r1 += film[k] * right[i, 0]
+            m21 -= _RADIANT_W_K[k] * right[i, 1]
+            m22 += _RADIANT_W_K[k] * (1.0 - right[i, 2])
+            r2 += _RADIANT_W_K[k] * right[i, 0]
+        determinant = m11 * m22 - m12 * m21
+        air = (r1 * m22 - m12 * r2) / determinant
+        star = (m11 * r2 - m21 * r1) / determinant
+        for i in range(n):
+            nodes[i] = right[i, 0] + right[i, 1] * air + right[i, 2] * star
+        scalars[T_AIR] = air
+        radiant = 0.0
+        for k in range(n_inside):
+            radiant += _SHARE[k] * nodes[inside[k]]
+        scalars[T_OPERATIVE] = 0.5 * (air + radiant)
+        scalars[LEVEL] = level
+        people = float(s.PEOPLE) if occupied else 0.0
+        exchange = dt * _INFILTRATION_KG_S / (1.2 * c.VOLUME_M3)
+        source = dt * people * _CO2_KG_S_PERSON / (1.2 * c.VOLUME_M3) * _PPM_PER_KG_KG
+        scalars[CO2_PPM] = (scalars[CO2_PPM] + exchange * _OUTDOOR_PPM + source) / (1.0 + exchange)
+
+        record[step, 0] = scalars[T_OPERATIVE]
+        record[step, 1] = power
+        record[step, 2] = fan * hp.FAN_W
+        record[step, 3] = pump * hp.PUMP_W
+        record[step, 4] = to_water
+        record[step, 5] = floor_W
+        record[step, 6] = scalars[T_SUPPLY]
+        record[step, 7] = scalars[T_RETURN]
+        record[step, 8] = to_water / power if power > 0.0 else 1.0
+        record[step, 9] = level if on else 0.0
+        record[step, 10] = setpoint
+        record[step, 11] = scalars[CO2_PPM]
+        record[step, 12] = w[x.T_OUT]
+        record[step, 13] = w[x.GLOBAL]
+        record[step, 14] = fan
+        record[step, 15] = pump
