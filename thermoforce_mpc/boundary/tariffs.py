@@ -33,8 +33,8 @@ def dynamic(time_s: Array) -> Array:
 def synthetic_spot(seed: int = 0) -> Tariff:
     """A synthetic highly dynamic tariff: hourly, spot-like, mean near 0.24 EUR/kWh, with rare negative hours.
 
-    Stands in for the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which are not ours to ship. Morning
-    and evening peaks, cheap nights and weekends, slow weather-driven swings.
+    Stands in for the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which are not ours to ship.
+    Morning and evening peaks, cheap nights and weekends, slow weather-driven swings.
     """
     rng = np.random.default_rng(seed)
     hour = np.arange(8760)

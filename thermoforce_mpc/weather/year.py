@@ -36,8 +36,8 @@ _LIMITS = {
 class Weather:
     """Hourly rows of a year, all arrays of shape (8760,), the first row at 1 January 00:00 local standard time.
 
-    `T_dry_C`, `T_dew_C` °C; global horizontal, direct normal and diffuse horizontal irradiance W/m² (means over the hour
-    that ends at the row); `wind_m_s`; `wind_from_rad` clockwise from north; `opaque_cover` 0 to 1; `pressure_Pa`.
+    `T_dry_C`, `T_dew_C` °C; global horizontal, direct normal and diffuse horizontal irradiance W/m² (means over the
+    hour that ends at the row); `wind_m_s`; `wind_from_rad` clockwise from north; `opaque_cover` 0 to 1; `pressure_Pa`.
 
     Raises:
         WeatherError: a column has the wrong length, a value that is not finite, or one out of its physical range.

@@ -128,7 +128,7 @@ SURFACE_M2 = {
 class Network:
     """All nodes in one row.
 
-    `capacity` (n,) J/K and `start_K` (n,); `coupling` (n,) W/K between node i and i + 1, zero where a construction ends.
+    `capacity` (n,) J/K, `start_K` (n,); `coupling` (n,) W/K between node i and i + 1, zero where a construction ends.
     `outside` (6,) indices of the outside surfaces (south, west, north, east, roof, window), `inside` (9,) of the inside
     surfaces in the order of `SURFACES`; `pipe` the heated node, `slab` the one the soil's edge loss is taken from.
     """

@@ -11,7 +11,7 @@ import numpy as np
 
 from thermoforce_mpc import __version__
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.periods import heating_windows
+from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.kpis import compute_kpis
 from thermoforce_mpc.plants.embedded import kernel, schedule
@@ -109,7 +109,7 @@ class EmbeddedPlant:
             day = float(name)
         except ValueError:
             if self._periods is None:
-                self._periods = heating_windows(self._native_year())
+                self._periods = published_windows(self.weather.name) or heating_windows(self._native_year())
             if name not in self._periods:
                 raise InputError(f"period '{name}': expected {', '.join(self._periods)} or a start day") from None
             return self._periods[name]
@@ -181,7 +181,8 @@ class EmbeddedPlant:
         """
         if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
             raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
-        time_s = self._now_s + np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1) * interval_s
+        steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
+        time_s: Array = self._now_s + steps * interval_s
         lower, upper = schedule.bounds_C(time_s)
         return Boundary(
             time_s=time_s,

@@ -1,8 +1,8 @@
 """One step of the whole plant: native control, heat pump, water, air and walls. Compiled; no allocation per step.
 
-The envelope is stepped implicitly (first order, L-stable): film coefficients are taken from the step before, the nodes of
-all constructions form one tridiagonal system in which only the air and the radiant node are shared, so it is solved for
-three right-hand sides (own, per kelvin of air, per kelvin of the radiant node) and closed by two equations.
+The envelope is stepped implicitly (first order, L-stable): film coefficients are taken from the step before, and the
+nodes of all constructions form one tridiagonal system in which only the air and the radiant node are shared. It is
+solved for three right-hand sides (own, per kelvin of air, per kelvin of the radiant node) and closed by two equations.
 """
 
 from __future__ import annotations
