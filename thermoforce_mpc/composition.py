@@ -78,7 +78,7 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     return testcase
 
 
-def build_plant(spec: PlantSpec, testcase: TestCase) -> Plant:
+def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     """Build the plant of a scenario.
 
     Raises:
@@ -89,13 +89,16 @@ def build_plant(spec: PlantSpec, testcase: TestCase) -> Plant:
         from thermoforce_mpc.plants.boptest import BoptestPlant
 
         return BoptestPlant(spec.url, testcase)
+    from thermoforce_mpc.boundary.forecast_error import ForecastError
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
     from thermoforce_mpc.weather import load_weather, synthetic_weather
 
     weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
     tariff = tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
-    return EmbeddedPlant(weather, highly_dynamic=tariff)
+    level = spec.forecast_uncertainty
+    error = None if level == "none" else ForecastError(level, seed)
+    return EmbeddedPlant(weather, highly_dynamic=tariff, forecast_error=error)
 
 
 def scored_period(plant: Plant, name: str, days: float) -> Period:
@@ -127,7 +130,7 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
     folder = create_run_folder(out, stem)
     records: dict[str, list[StepRecord]] = {}
     try:
-        with closing(build_plant(scenario.plant, testcase)) as plant:
+        with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
             period = scored_period(plant, scenario.period, scenario.days)
             display.say(_headline(plant, period, scenario))
             learned = _learn(scenario, testcase, plant, period, display) if find_entry(name).needs_model else None

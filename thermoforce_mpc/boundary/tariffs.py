@@ -37,7 +37,7 @@ def synthetic_spot(seed: int = 0) -> Tariff:
     Morning and evening peaks, cheap nights and weekends, slow weather-driven swings.
     """
     rng = np.random.default_rng(seed)
-    hour = np.arange(8760)
+    hour = np.arange(8760.0)
     of_day = hour % 24
     day = hour // 24
     shape = 0.010 * np.exp(-(((of_day - 8.5) / 2.0) ** 2)) + 0.014 * np.exp(-(((of_day - 19.0) / 2.2) ** 2))
@@ -50,7 +50,7 @@ def synthetic_spot(seed: int = 0) -> Tariff:
     # A few windy holiday nights, as every real year has.
     for start in rng.choice(8752, size=3, replace=False):
         prices[start : start + 5] -= rng.uniform(0.1, 0.3)
-    return _held(np.arange(8760) * HOUR_S, np.round(prices, 5))
+    return _held(hour * HOUR_S, np.asarray(np.round(prices, 5), dtype=np.float64))
 
 
 def tariff_from_file(path: Path) -> Tariff:

@@ -21,7 +21,7 @@ _LATITUDE, _LONGITUDE, _ZONE = 51.0, 4.5, 1.0
 def synthetic_weather(seed: int = 0) -> Weather:
     """The synthetic year of `seed`: same seed, same bytes."""
     rng = np.random.default_rng(seed)
-    hour = np.arange(_HOURS)
+    hour = np.arange(float(_HOURS))
     day = hour / 24.0
     # Slow systems of some days, and fronts of half a day.
     systems = 3.1 * _periodic_noise(rng, 90.0) + 1.2 * _periodic_noise(rng, 14.0)

@@ -11,13 +11,14 @@ import numpy as np
 
 from thermoforce_mpc import __version__
 from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.kpis import compute_kpis
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.types import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 from thermoforce_mpc.weather.year import YEAR_S, Weather
 
 _KELVIN = 273.15
@@ -70,13 +71,21 @@ class EmbeddedPlant:
     Time may run over the end of the year: the weather year repeats.
     """
 
-    def __init__(self, weather: Weather, *, highly_dynamic: tariffs.Tariff | None = None) -> None:
+    def __init__(
+        self,
+        weather: Weather,
+        *,
+        highly_dynamic: tariffs.Tariff | None = None,
+        forecast_error: ForecastError | None = None,
+    ) -> None:
         """Build the plant for a weather year.
 
         Args:
             highly_dynamic: tariff of that name; by default a synthetic one, see `boundary.tariffs`.
+            forecast_error: errors of the weather forecast; by default the forecast is perfect.
         """
         self.weather = weather
+        self._forecast_error = forecast_error
         self._network = build_network()
         self._grid = build_exposure(weather).grid
         self._tariffs: dict[str, tariffs.Tariff] = {
@@ -174,7 +183,7 @@ class EmbeddedPlant:
         return self._measurement(self._advance(overrides, float(duration_s)))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead every `interval_s`; the weather year is known exactly.
+        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
@@ -184,10 +193,15 @@ class EmbeddedPlant:
         steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
         time_s: Array = self._now_s + steps * interval_s
         lower, upper = schedule.bounds_C(time_s)
+        T_out, solar = self.weather.at("T_dry_C", time_s), self.weather.at("global_W_m2", time_s)
+        if self._forecast_error:
+            hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
+            hourly = self.weather.at("global_W_m2", hours)
+            T_out, solar = self._forecast_error.apply(time_s, T_out, hourly, solar)
         return Boundary(
             time_s=time_s,
-            T_out_C=self.weather.at("T_dry_C", time_s),
-            solar_W_m2=self.weather.at("global_W_m2", time_s),
+            T_out_C=T_out,
+            solar_W_m2=solar,
             occupancy=schedule.PEOPLE * schedule.occupied_sample(time_s),
             lower_C=lower,
             upper_C=upper,

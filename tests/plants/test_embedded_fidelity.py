@@ -1,0 +1,60 @@
+"""The emulator against trajectories of the real test case (needs the reference data)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.types import DAY_S
+from thermoforce_mpc.weather import load_weather
+
+
+@pytest.fixture(scope="module")
+def plant(shared):
+    return EmbeddedPlant(load_weather(shared / "boptest_hp" / "Brussels.mos"))
+
+
+def replay(plant, trajectory: pd.DataFrame, warmup_days: float) -> tuple[np.ndarray, np.ndarray]:
+    start = float(trajectory.time.iloc[0]) - 900
+    plant.reset(start, min(warmup_days * DAY_S, start))
+    out = [plant.advance(float(u), 900) for u in trajectory.oveHeaPumY_u]
+    return np.array([m.T_zone_C for m in out]), np.array([m.power_W for m in out])
+
+
+@pytest.mark.parametrize(
+    ("name", "warmup_days", "rmse_K"),
+    [("excite_jan", 5, 0.12), ("excite_mar", 5, 0.13), ("excite_apr", 5, 0.12), ("off_d20_6d", 7, 0.15)],
+)
+def test_open_loop_replay(plant, shared, name, warmup_days, rmse_K):
+    real = pd.read_csv(shared / "boptest_hp" / f"{name}.csv.gz")
+    T, power = replay(plant, real, warmup_days)
+    assert np.sqrt(np.mean((T - real.reaTZon_y) ** 2)) < rmse_K
+    electric = real.reaPHeaPum_y + real.reaPFan_y + real.reaPPumEmi_y
+    if electric.sum():
+        assert power.sum() == pytest.approx(electric.sum(), rel=0.01)
+
+
+def test_native_control_on_the_peak_window(plant):
+    period = plant.period("peak_heat_day")
+    assert period.start_s == 16 * DAY_S
+    plant.reset(period.start_s, period.warmup_s)
+    plant.advance(None, period.scored_s)
+    kpis = plant.kpis()
+    assert kpis["ener_tot"] == pytest.approx(3.478, rel=0.02)
+    assert kpis["tdis_tot"] == pytest.approx(8.381, rel=0.10)
+    assert kpis["pele_tot"] == pytest.approx(0.018913, rel=0.01)
+
+
+def test_the_boundary_is_the_test_cases_own(plant, shared):
+    real = pd.read_csv(shared / "boptest_hp" / "boundary_hourly.csv.gz").iloc[: 24 * 30]
+    plant.reset(0, 0, "dynamic")
+    ours = plant.forecast(float(real.time.iloc[-1]), 3600)
+    pairs = {
+        "TDryBul": ours.T_out_C, "HGloHor": ours.solar_W_m2, "Occupancy[1]": ours.occupancy,
+        "LowerSetp[1]": ours.lower_C, "UpperSetp[1]": ours.upper_C, "PriceElectricPowerDynamic": ours.price_per_kWh,
+        "EmissionsElectricPower": ours.emission_kg_per_kWh,
+    }  # fmt: skip
+    for column, values in pairs.items():
+        np.testing.assert_allclose(values, real[column], atol=2e-5, err_msg=column)

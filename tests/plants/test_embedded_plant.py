@@ -1,0 +1,201 @@
+"""The emulator: protocol, books (energy, KPIs), refusals. Against the real plant: test_embedded_fidelity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.boundary.forecast_error import ForecastError
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, heat_pump, refrigerant
+from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.types import DAY_S
+from thermoforce_mpc.weather import synthetic_weather
+
+
+@pytest.fixture(scope="module")
+def weather():
+    return synthetic_weather()
+
+
+@pytest.fixture
+def plant(weather):
+    return EmbeddedPlant(weather)
+
+
+def test_it_is_a_plant_that_says_what_it_is(plant):
+    assert isinstance(plant, Plant)
+    assert plant.info.kind == "embedded"
+    assert "synthetic" in plant.info.weather
+
+
+def test_the_heat_pump_meets_the_published_operating_point():
+    # Operating point of the test case's own model: P 2504.02 W, Q 7196.24 W.
+    power, to_water, from_air = heat_pump.heat_pump(269.065, 305.560, 0.73375)
+    assert power == pytest.approx(2504.02, rel=1e-4)
+    assert to_water == pytest.approx(7196.24, rel=1e-4)
+    assert to_water == pytest.approx(from_air + power)
+
+
+@pytest.mark.parametrize(("T", "pressure"), [(233.15, 1.75e5), (273.15, 7.98e5), (313.15, 2.42e6)])
+def test_saturation_pressure_of_r410a(T, pressure):
+    assert refrigerant.saturation_pressure(T) == pytest.approx(pressure, rel=0.02)
+
+
+def test_the_network_holds_the_published_node_capacities():
+    net = build_network()
+    top = net.capacity[net.pipe - 2 : net.pipe + 1] / 1e6
+    np.testing.assert_allclose(top, [1.693, 6.129, 4.717], atol=1e-3)
+    np.testing.assert_allclose(net.coupling[net.pipe - 2 : net.pipe + 1], [26880.0, 2304.0, 57.6])
+    assert net.capacity[net.slab] / 1e6 == pytest.approx(12.70 + 16.32, abs=0.01)
+
+
+def test_any_control_step_gives_the_same_bytes(weather):
+    finals = []
+    for step_s in (30.0, 60.0, 900.0, 3600.0):
+        plant = EmbeddedPlant(weather)
+        plant.reset(3 * DAY_S, DAY_S)
+        for _ in range(int(6 * 3600 / step_s)):
+            last = plant.advance(0.4, step_s)
+        finals.append((last.T_zone_C, plant.kpis()))
+    assert all(final == finals[0] for final in finals)
+
+
+def test_branches_of_a_snapshot_share_the_past_to_the_bit(plant):
+    plant.reset(3 * DAY_S, DAY_S)
+    plant.advance(0.5, 3600)
+    here = plant.snapshot()
+    a = [plant.advance(0.0, 900).T_zone_C for _ in range(8)]
+    plant.restore(here)
+    b = [plant.advance(1.0, 900).T_zone_C for _ in range(8)]
+    plant.restore(here)
+    again = [plant.advance(0.0, 900).T_zone_C for _ in range(8)]
+    assert a == again
+    assert b[-1] > a[-1]
+
+
+def test_more_heat_is_never_colder(plant):
+    plant.reset(10 * DAY_S, DAY_S)
+    here = plant.snapshot()
+    ends = []
+    for u in (0.0, 0.25, 0.5, 0.75, 1.0):
+        plant.restore(here)
+        ends.append(plant.advance(u, 6 * 3600).T_zone_C)
+    assert ends == sorted(ends)
+    assert ends[-1] - ends[0] > 0.5
+
+
+def test_the_fixed_part_of_the_power_does_not_scale(plant):
+    plant.reset(10 * DAY_S, DAY_S)
+    here = plant.snapshot()
+    power = []
+    for u in (0.1, 1.0):
+        plant.restore(here)
+        power.append(plant.advance(u, 3600).power_W)
+    assert power[0] > 0.4 * power[1]
+
+
+def test_kpis_count_from_the_end_of_the_warm_up_and_add_up(plant):
+    plant.reset(10 * DAY_S, 2 * DAY_S, "dynamic")
+    parts = [plant.advance(None, 900) for _ in range(96)]
+    kpis = plant.kpis()
+    energy = sum(part.power_W * 900 / 3.6e6 for part in parts) / AREA_M2
+    assert kpis["ener_tot"] == pytest.approx(energy, rel=2e-3)
+    assert kpis["emis_tot"] == pytest.approx(0.167 * kpis["ener_tot"])
+    assert 0.2383 < kpis["cost_tot"] / kpis["ener_tot"] < 0.2666
+    assert kpis["pele_tot"] >= max(part.power_W for part in parts) / 1e3 / AREA_M2 * 0.99
+
+
+def test_the_past_holds_the_warm_up_and_continues(plant):
+    plant.reset(10 * DAY_S, 2 * DAY_S)
+    past = plant.past(3600)
+    assert past.n_steps == 48
+    assert past.time_s[-1] == 10 * DAY_S
+    last = plant.advance(1.0, 3600)
+    now = plant.past(3600)
+    assert now.n_steps == 49
+    assert (now.u[-1], now.T_zone_C[-1], now.power_W[-1]) == (last.u, last.T_zone_C, last.power_W)
+
+
+def test_the_forecast_carries_bounds_as_the_test_case_samples_them(plant):
+    plant.reset(7 * DAY_S, 0)  # day 7 of the year is a Tuesday
+    boundary = plant.forecast(DAY_S, 3600)
+    np.testing.assert_array_equal(boundary.lower_C, [21] * 8 + [15] * 12 + [21] * 5)
+    np.testing.assert_array_equal(boundary.upper_C, [24] * 8 + [30] * 12 + [24] * 5)
+    assert boundary.T_out_C[0] == pytest.approx(plant.advance(0.0, 30).T_out_C, abs=0.1)
+
+
+@pytest.mark.parametrize("level", ["low", "medium", "high"])
+def test_forecast_errors_are_seeded_and_leave_the_plant_alone(weather, level):
+    def forecast(seed):
+        plant = EmbeddedPlant(weather, forecast_error=ForecastError(level, seed))
+        plant.reset(100 * DAY_S, 0)
+        return plant.forecast(DAY_S, 3600), plant.advance(0.0, 3600)
+
+    truth = EmbeddedPlant(weather)
+    truth.reset(100 * DAY_S, 0)
+    exact = truth.forecast(DAY_S, 3600)
+    (a, after), (again, _), (other, _) = forecast(1), forecast(1), forecast(2)
+    np.testing.assert_array_equal(a.T_out_C, again.T_out_C)
+    assert not np.array_equal(a.T_out_C, other.T_out_C)
+    assert 0.1 < np.abs(a.T_out_C - exact.T_out_C).mean() < 6.0
+    day = exact.solar_W_m2 > 60
+    share = a.solar_W_m2[day] / exact.solar_W_m2[day]
+    assert (share > 0.19).all()
+    assert (share < 2.01).all()
+    assert after == truth.advance(0.0, 3600)
+
+
+def test_a_long_horizon_is_refused_under_uncertainty(weather):
+    plant = EmbeddedPlant(weather, forecast_error=ForecastError("low", 1))
+    with pytest.raises(InputError, match="beyond 48 h"):
+        plant.forecast(72 * 3600, 3600)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"oveHeaPumY": float("nan")}, "oveHeaPumY"),
+        ({"oveHeaPumY": 1.2}, "expected a number from 0 to 1"),
+        ({"oveHeaPumY": "on"}, "expected a number"),
+        ({"oveHeatPump": 1.0}, "known: oveHeaPumY"),
+        ({"oveTSet": 21.0}, "from 278.15 to 308.15"),
+    ],
+)
+def test_a_bad_input_is_refused_and_nothing_moves(plant, overrides, message):
+    before = plant.past(900).time_s[-1]
+    with pytest.raises(InputError, match=message):
+        plant.advance_points(overrides, 900)
+    assert plant.past(900).time_s[-1] == before
+
+
+@pytest.mark.parametrize("duration", [0, -900, 45, float("nan"), 366 * DAY_S, "900"])
+def test_a_bad_step_is_refused(plant, duration):
+    with pytest.raises(InputError, match="step of"):
+        plant.advance(0.0, duration)
+
+
+@pytest.mark.parametrize(("start", "warmup"), [(-1.0, 0), (float("nan"), 0), (366 * DAY_S, 0), (0, -5.0), ("0", 0)])
+def test_a_bad_start_is_refused(plant, start, warmup):
+    with pytest.raises(InputError):
+        plant.reset(start, warmup)
+
+
+@pytest.mark.parametrize("name", ["peak", "-1", "365", "nan"])
+def test_a_bad_period_is_refused(plant, name):
+    with pytest.raises(InputError, match="period"):
+        plant.period(name)
+
+
+def test_the_other_overwrites_act(plant):
+    plant.reset(10 * DAY_S, DAY_S)
+    here = plant.snapshot()
+    warm = plant.advance_points({"oveTSet": 297.15}, 6 * 3600).T_zone_C
+    plant.restore(here)
+    cool = plant.advance_points({"oveTSet": 288.15}, 6 * 3600)
+    assert warm > cool.T_zone_C
+    assert cool.points["reaPHeaPum_y"] == 0.0
+    pumped = plant.advance_points({"oveHeaPumY": 0.0, "ovePum": 1.0, "oveFan": 1.0}, 900)
+    assert pumped.points["reaPPumEmi_y"] == pytest.approx(20.4986)
+    assert pumped.points["reaPFan_y"] == pytest.approx(510.204)

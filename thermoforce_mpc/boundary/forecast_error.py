@@ -1,0 +1,108 @@
+"""Errors of the weather forecast, as BOPTEST adds them at levels low, medium and high.
+
+Outdoor temperature: a Gaussian first-order process along the horizon; global irradiance: a Laplace one, redrawn until
+daylight values stay within a fifth and twice the truth. Hourly, refreshed every hour, up to 48 h ahead, subtracted
+from the truth. Parameters: BOPTEST documentation, forecast uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.types import HOUR_S, Array
+
+Level = Literal["low", "medium", "high"]
+MAX_HORIZON_H = 48
+
+
+class _Temperature(NamedTuple):
+    """e0 ~ N(start_mean, start_sd), then e ~ N(memory·e + drift, sd); K."""
+
+    start_mean: float
+    start_sd: float
+    memory: float
+    sd: float
+    drift: float
+
+
+class _Solar(NamedTuple):
+    """e0 ~ Laplace(start_mean, start_scale), then e ~ Laplace(memory·e + drift, scale); W/m²."""
+
+    start_mean: float
+    start_scale: float
+    memory: float
+    drift: float
+    scale: float
+
+
+_TEMPERATURE = {
+    "low": _Temperature(0.0, 0.6, 0.92, 0.4, 0.0),
+    "medium": _Temperature(0.15, 1.2, 0.93, 0.6, 0.0),
+    "high": _Temperature(-0.58, 1.5, 0.95, 0.7, -0.015),
+}
+_SOLAR = {
+    "low": _Solar(4.44, 57.42, 0.62, 1.86, 45.64),
+    "medium": _Solar(15.02, 122.6, 0.63, 4.44, 91.97),
+    "high": _Solar(32.09, 119.94, 0.67, 10.63, 87.44),
+}
+_DAYLIGHT_W_M2 = 50.0
+_LEAST_SHARE, _MOST_SHARE = 0.2, 2.0
+_DRAWS = 200
+
+
+class ForecastError:
+    """Forecast errors of one level and seed; the same hour gives the same errors, whatever was asked before."""
+
+    def __init__(self, level: Level, seed: int) -> None:
+        self.level, self._seed = level, seed
+
+    def apply(self, time_s: Array, T_out_C: Array, hourly_solar_W_m2: Array, solar_W_m2: Array) -> tuple[Array, Array]:
+        """Outdoor temperature °C and irradiance W/m² as a forecaster with these errors would give them.
+
+        Args:
+            time_s: instants asked for, shape (n,), the first being now.
+            T_out_C, solar_W_m2: the truth there.
+            hourly_solar_W_m2: true irradiance at the 49 full hours from the hour that holds now.
+
+        Raises:
+            InputError: the horizon is longer than 48 h.
+        """
+        hour = math.floor(time_s[0] / HOUR_S)
+        ahead_h = time_s / HOUR_S - hour
+        if ahead_h[-1] > MAX_HORIZON_H + 1e-9:
+            raise InputError(f"forecast horizon beyond {MAX_HORIZON_H} h: not available with forecast uncertainty")
+        rng = np.random.default_rng([self._seed, hour])
+        at_hours = np.arange(MAX_HORIZON_H + 1)
+        temperature = np.interp(ahead_h, at_hours, self._temperature_errors(rng))
+        solar = np.interp(ahead_h, at_hours, self._solar_errors(rng, hourly_solar_W_m2))
+        return T_out_C - temperature, np.maximum(solar_W_m2 - solar, 0.0)
+
+    def _temperature_errors(self, rng: np.random.Generator) -> Array:
+        p = _TEMPERATURE[self.level]
+        errors = np.empty(MAX_HORIZON_H + 1)
+        errors[0] = rng.normal(p.start_mean, p.start_sd)
+        for k in range(MAX_HORIZON_H):
+            errors[k + 1] = rng.normal(p.memory * errors[k] + p.drift, p.sd)
+        return errors
+
+    def _solar_errors(self, rng: np.random.Generator, truth: Array) -> Array:
+        """Redrawn while a daylight value leaves its range, then smoothed over three hours and clipped to the range."""
+        p = _SOLAR[self.level]
+        daylight = truth > _DAYLIGHT_W_M2
+        errors = np.empty(MAX_HORIZON_H + 1)
+        for _ in range(_DRAWS):
+            errors[0] = rng.laplace(p.start_mean, p.start_scale)
+            for k in range(MAX_HORIZON_H):
+                errors[k + 1] = rng.laplace(p.memory * errors[k] + p.drift, p.scale)
+            forecast = (truth - errors)[daylight]
+            low, high = _LEAST_SHARE * truth[daylight], _MOST_SHARE * truth[daylight]
+            if ((forecast >= low) & (forecast <= high)).all():
+                break
+        forecast = np.where(daylight, truth - errors, truth)
+        padded = np.pad(forecast, 1, mode="edge")
+        smooth = np.convolve(padded, np.ones(3) / 3, mode="valid")
+        return np.asarray(truth - np.where(daylight, np.clip(smooth, _LEAST_SHARE * truth, _MOST_SHARE * truth), truth))
