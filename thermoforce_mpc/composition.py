@@ -5,15 +5,17 @@ The only module that knows both sides, `thermoforce_mpc` and `controllers`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from controllers.registry import build_controller, controller_config, find_entry
 from thermoforce_mpc.closed_loop import RunResult, StepRecord, run_closed_loop
-from thermoforce_mpc.configuration import suggestion
+from thermoforce_mpc.configuration import merge, suggestion, validate
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.run_folder import create_run_folder, write_partial, write_results
@@ -22,6 +24,8 @@ from thermoforce_mpc.testcase import TestCase
 from thermoforce_mpc.types import DAY_S, Period
 
 if TYPE_CHECKING:  # the world model is loaded only when a controller needs it
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.probing import ProbingConfig
     from thermoforce_mpc.world_model import ThermalModel
 
 _NAMED_PERIODS = ("peak_heat_day", "typical_heat_day")
@@ -67,6 +71,8 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     """Check everything that can be checked before work starts; returns the test case. Raises `ConfigError`."""
     testcase = load_testcase(scenario.testcase)
     controller_config(scenario.controller.name, scenario.controller.options, testcase)
+    if find_entry(scenario.controller.name).needs_model:
+        identification_settings(scenario, testcase)
     for name in scenario.baselines:
         if find_entry(name).needs_model and not find_entry(scenario.controller.name).needs_model:
             raise ConfigError(f"baselines: '{name}' needs a model, but the controller of this scenario identifies none")
@@ -112,6 +118,118 @@ def scored_period(plant: Plant, name: str, days: float) -> Period:
                 f"use {', '.join(_NAMED_PERIODS)}, or the day of the year it starts, such as 44"
             ) from None
     return replace(plant.period(name), scored_s=days * DAY_S)
+
+
+def identify_on(
+    plant: Plant,
+    *,
+    before: Period,
+    days: float,
+    testcase: TestCase | None = None,
+    step_s: float | None = None,
+    seed: int = 1,
+    probing: ProbingConfig | None = None,
+    config: IdentificationConfig | None = None,
+    on_step: Callable[[float], None] | None = None,
+) -> ThermalModel:
+    """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
+
+    Early in the year the probing days are taken from the end of the year: a scored window is never probed.
+
+    Args:
+        testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
+        step_s: step of the model; by default the test case's.
+
+    Raises:
+        DataError: the record cannot identify; the message has numbers and advice.
+        PlantError: the plant failed.
+    """
+    from thermoforce_mpc.identification.pipeline import identify
+    from thermoforce_mpc.identification.probing import probe
+
+    testcase = testcase or load_testcase("bestest_hydronic_heat_pump")
+    start_s = before.start_s - before.warmup_s - days * DAY_S
+    if start_s < 0:
+        start_s = 365 * DAY_S - days * DAY_S
+    record = probe(plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, on_step=on_step)
+    info = plant.info
+    first = start_s / DAY_S
+    return identify(
+        [record],
+        config=config,
+        mode=testcase.mode,
+        floor_area_m2=testcase.floor_area_m2,
+        step_s=step_s or testcase.step_s,
+        source=f"{days:g} days of probing (days {first:g} to {first + days:g}) on {info.kind} {info.testcase}, "
+        f"{info.weather}",
+    )
+
+
+def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[ProbingConfig, IdentificationConfig]:
+    """How a scenario probes and identifies; raises `ConfigError` naming each wrong key.
+
+    Unless told otherwise the machine is probed the way its controller will run it.
+    """
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.probing import ProbingConfig
+
+    spec = scenario.identification
+    actuation = getattr(
+        controller_config(scenario.controller.name, scenario.controller.options, testcase), "actuation", None
+    )
+    defaults: dict[str, Any] = {}
+    if actuation is not None:
+        lowest = actuation.lowest_level
+        defaults["levels"] = (
+            (0.0, actuation.level)
+            if actuation.mode == "duty"
+            else (0.0, *np.linspace(lowest, 1.0, 5).round(3).tolist())
+        )
+    probing = validate(ProbingConfig, merge(defaults, spec.probing), "identification.probing")
+    config = validate(IdentificationConfig, merge({"seed": scenario.seed}, spec.options), "identification.options")
+    return probing, config
+
+
+def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period, display: Display) -> Learned:
+    """Load the model of the scenario, or probe and identify one."""
+    from thermoforce_mpc.artifact import load_model
+
+    spec = scenario.identification
+    step_s = scenario.step_s or testcase.step_s
+    if spec.model is not None:
+        model = load_model(Path(spec.model))
+        if model.operator.step_s != step_s:
+            model = replace(model, operator=model.operator.resampled(step_s))
+        display.say(f"Model: {spec.model} ({model.card.source})")
+    else:
+        probing, config = identification_settings(scenario, testcase)
+        with display.working(f"Probing for {spec.days:g} days and identifying"):
+            model = identify_on(
+                plant, before=period, days=spec.days, testcase=testcase, step_s=step_s, seed=scenario.seed,
+                probing=probing, config=config,
+            )  # fmt: skip
+        display.say(f"Identified from {model.card.source}")
+    operator = model.operator
+    hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
+    display.say(
+        f"Operator: order {operator.order} ({hours}), {operator.n_trained} trained parameters, "
+        f"steady gain {operator.steady_gains_K.sum():.1f} K"
+    )
+    card = model.card
+    return Learned(
+        model,
+        {
+            "model": spec.model,
+            "source": card.source,
+            "order": operator.order,
+            "time_constants_h": operator.time_constants_h.tolist(),
+            "steady_gains_K": operator.steady_gains_K.tolist(),
+            "scores": dict(card.scores),
+            "data_sha256": dict(card.data),
+            "config": dict(card.config),
+            "notes": list(card.notes),
+        },
+    )
 
 
 def run_scenario(scenario: Scenario, display: Display, out: Path | None, command: Sequence[str]) -> Path:

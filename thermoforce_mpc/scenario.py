@@ -29,7 +29,8 @@ class ProbingSpec(StrictModel):
 
     model: str | None = Field(None, description="folder of a saved model; probing is skipped")
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
-    options: dict[str, Any] = Field(default_factory=dict, description="options of the identification, see `identify`")
+    probing: dict[str, Any] = Field(default_factory=dict, description="how to probe: levels, hold_steps, ...")
+    options: dict[str, Any] = Field(default_factory=dict, description="how to identify: order, actuator, gamma, ...")
 
 
 class ControllerSpec(StrictModel):

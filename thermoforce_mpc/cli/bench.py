@@ -15,7 +15,7 @@ from thermoforce_mpc.run_folder import write_json
 
 @click.group(short_help="Measure parts of the package against their targets.")
 def command() -> None:
-    """Measure parts of the package against their targets; tables, plots and JSON. Targets that fail are shown as such."""
+    """Measure parts of the package against their targets: tables, plots and JSON, failed targets shown as such."""
 
 
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from thermoforce_mpc.artifact import load_model
 from thermoforce_mpc.operator.certificate import certificate
+from thermoforce_mpc.world_model import ThermalModel
 
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
 
@@ -21,11 +22,15 @@ def command(model: Path) -> None:
 
     The certificate is proven again from the weights; a model that fails is refused with exit code 2.
     """
-    thermal = load_model(model)
-    operator, card, console = thermal.operator, thermal.card, Console(highlight=False)
+    show_model(str(model), load_model(model), Console(highlight=False))
+
+
+def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
+    """Print a model in physical terms, with its certificate and what it has seen."""
+    operator, card = thermal.operator, thermal.card
     proof = certificate(operator, n_steps=round(48 * 3600 / operator.step_s))
     say = console.print
-    say(f"{model}: order {operator.order}, {operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h")
+    say(f"{name}: order {operator.order}, {operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h")
     say(f"made from: {card.source}")
     modes = Table(title="Modes of the forced response", title_justify="left")
     for heading in ("mode", "time constant, h", "steady gain, K"):

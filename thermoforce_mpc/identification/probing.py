@@ -1,0 +1,108 @@
+"""Probing: days of random but comfortable actuation from which an operator can be identified.
+
+Levels are drawn at random and held for random times, from a quarter of an hour to four hours, so that fast and slow
+parts of the response are both excited; what is drawn leans against the temperature, so that the zone stays near its
+comfort band whatever the weather (paper sec:identification: one to three probe days).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Measurement
+
+# How far ahead the band is looked at: the zone must be able to meet the occupied bounds again.
+_BAND_AHEAD_S = DAY_S
+
+
+class ProbingConfig(StrictModel):
+    """How a building is probed."""
+
+    step_s: float = Field(900.0, ge=60, le=3600, description="step of the record, s")
+    levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels drawn from, in [0, 1], off first")
+    hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="steps a level is held, drawn from")
+    lean_per_K: float = Field(0.35, gt=0, description="how strongly the draw leans against the temperature, 1/K")
+    above_lower_K: float = Field(0.5, description="centre of the excursions above the tightest lower bound ahead, K")
+    below_K: float = Field(1.5, gt=0, description="how far below that centre the machine is switched on, K")
+    above_K: float = Field(1.5, gt=0, description="how far above it the machine is switched off, K")
+    warmup_days: float = Field(5.0, ge=0, le=14, description="native control before the first probing day, days")
+
+    @model_validator(mode="after")
+    def _sensible(self) -> ProbingConfig:
+        if not all(0.0 <= level <= 1.0 for level in self.levels):
+            raise ValueError(f"levels must lie in [0, 1], got {self.levels}")
+        if self.levels[0] != 0.0 or len(set(self.levels)) < 2:
+            raise ValueError(f"levels must start with 0 and hold another level, got {self.levels}")
+        if min(self.hold_steps) < 1:
+            raise ValueError(f"hold_steps must be positive, got {self.hold_steps}")
+        return self
+
+
+def probe(
+    plant: Plant,
+    start_s: float,
+    days: float,
+    *,
+    seed: int,
+    mode: str = "heating",
+    config: ProbingConfig | None = None,
+    on_step: Callable[[float], None] | None = None,
+) -> History:
+    """Probe `plant` for `days` from `start_s`, after native warm-up; the plant is reset for it.
+
+    Args:
+        seed: of the draws; the same seed on the same plant gives the same record.
+        mode: 'heating' or 'cooling': which way the machine moves the zone.
+        on_step: called with the share done after every step.
+
+    Returns:
+        The record at `config.step_s`, without the warm-up.
+
+    Raises:
+        PlantError: the plant or service failed.
+    """
+    c = config or ProbingConfig()
+    rng = np.random.default_rng(seed)
+    measurement = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
+    history = _beginning(measurement)
+    n = round(days * DAY_S / c.step_s)
+    sign = 1.0 if mode == "heating" else -1.0
+    level, left = 0.0, 0
+    for done in range(n):
+        centre = _centre_C(plant.forecast(_BAND_AHEAD_S, HOUR_S), mode, c.above_lower_K)
+        # Positive when the zone is on the side that needs the machine.
+        need_K = sign * (centre - measurement.T_zone_C)
+        if need_K > c.below_K:
+            level, left = max(c.levels), 1
+        elif need_K < -c.above_K:
+            level, left = 0.0, 1
+        elif left == 0:
+            on = rng.random() < np.clip(0.5 + c.lean_per_K * need_K, 0.05, 0.95)
+            level = float(rng.choice(c.levels[1:])) if on else 0.0
+            left = int(rng.choice(c.hold_steps))
+        measurement = plant.advance(level, c.step_s)
+        history = history.extended(measurement)
+        left -= 1
+        if on_step:
+            on_step((done + 1) / n)
+    return history
+
+
+def _beginning(m: Measurement) -> History:
+    """A history of one instant."""
+    none = np.empty(0)
+    return History(
+        np.array([m.time_s]), np.array([m.T_zone_C]), np.array([m.T_out_C]), np.array([m.solar_W_m2]), none, none, none
+    )
+
+
+def _centre_C(ahead: Boundary, mode: str, offset_K: float) -> float:
+    """Where excursions are centred: inside the tightest bound of the next day, on the side the machine works on."""
+    if mode == "heating":
+        return float(ahead.lower_C.max()) + offset_K
+    return float(ahead.upper_C.min()) - offset_K
