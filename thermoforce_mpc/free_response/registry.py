@@ -1,0 +1,88 @@
+"""All free responses by name. A new one is one new file and one entry here."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from thermoforce_mpc.configuration import suggestion
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.protocols import FreeResponse
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.world_model import ThermalModel
+
+
+def _persistence() -> FreeResponse:
+    from thermoforce_mpc.free_response.persistence import Persistence
+
+    return Persistence()
+
+
+def _seasonal_naive() -> FreeResponse:
+    from thermoforce_mpc.free_response.seasonal_naive import SeasonalNaive
+
+    return SeasonalNaive()
+
+
+def _ar(lags: int = 26, ridge: float = 1e-2) -> FreeResponse:
+    from thermoforce_mpc.free_response.autoregressive import Autoregressive
+
+    return Autoregressive(lags, ridge)
+
+
+def _arx(lags: int = 26, ridge: float = 1e-2) -> FreeResponse:
+    from thermoforce_mpc.free_response.autoregressive import Autoregressive
+
+    return Autoregressive(lags, ridge, weather=True)
+
+
+def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+    from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
+
+    return ChronosFreeResponse(backbone, context_steps)
+
+
+def _rc(*, model: ThermalModel | None) -> FreeResponse:
+    from thermoforce_mpc.free_response.rc import RcFreeResponse
+
+    if model is None or model.free is None:
+        raise ConfigError("free response 'rc': the model has no linear free part (it was identified from pairs alone)")
+    return RcFreeResponse(model.free)
+
+
+_BUILDERS: dict[str, Callable[..., FreeResponse]] = {
+    "chronos": _chronos,
+    "rc": _rc,
+    "arx": _arx,
+    "ar": _ar,
+    "seasonal_naive": _seasonal_naive,
+    "persistence": _persistence,
+}
+
+
+def build_free_response(name: str, *, model: ThermalModel | None = None, **options: Any) -> FreeResponse:
+    """Build a free response by name; `model` is what an identified one ('rc') is built from.
+
+    Raises:
+        ConfigError: unknown name or option, or 'rc' without a linear free part.
+        BackboneError: the forecaster's weights cannot be loaded.
+    """
+    check_free_response(name, options)
+    if name == "rc":
+        return _rc(model=model)
+    return _BUILDERS[name](**options)
+
+
+def check_free_response(name: str, options: dict[str, Any]) -> None:
+    """Check a name and its options without loading anything; raises `ConfigError` naming what is allowed."""
+    if name not in _BUILDERS:
+        raise ConfigError(f"unknown free response '{name}'{suggestion(name, _BUILDERS)}; known: {', '.join(_BUILDERS)}")
+    allowed = [key for key in inspect.signature(_BUILDERS[name]).parameters if key != "model"]
+    for key in options:
+        if key not in allowed:
+            raise ConfigError(
+                f"free response '{name}': unknown option '{key}'{suggestion(key, allowed)}; "
+                f"known: {', '.join(allowed) or 'none'}"
+            )

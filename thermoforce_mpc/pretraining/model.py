@@ -1,0 +1,46 @@
+"""The shipped forecaster's architecture: Chronos-Bolt's, small, through chronos-forecasting's own classes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+CONTEXT = 512
+HORIZON = 64
+QUANTILES = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
+
+
+def build_model(d_model: int = 64, d_ff: int = 256, encoder_layers: int = 2, decoder_layers: int = 1) -> Any:
+    """A randomly initialised `ChronosBoltModelForForecasting` (torch's global seed decides)."""
+    from chronos.chronos_bolt import ChronosBoltModelForForecasting
+    from transformers import T5Config
+
+    config = T5Config(
+        d_model=d_model,
+        d_ff=d_ff,
+        d_kv=d_model // 4,
+        num_heads=4,
+        num_layers=encoder_layers,
+        num_decoder_layers=decoder_layers,
+        # 1.0 explodes and 0.05 starts slowly in this architecture.
+        initializer_factor=0.2,
+        dropout_rate=0.0,
+        feed_forward_proj="relu",
+        is_gated_act=False,
+        dense_act_fn="relu",
+        vocab_size=2,
+        pad_token_id=0,
+        eos_token_id=1,
+        decoder_start_token_id=0,
+        tie_word_embeddings=False,
+    )
+    config.architectures = ["ChronosBoltModelForForecasting"]
+    config.chronos_pipeline_class = "ChronosBoltPipeline"
+    config.chronos_config = {
+        "context_length": CONTEXT,
+        "prediction_length": HORIZON,
+        "input_patch_size": 16,
+        "input_patch_stride": 16,
+        "quantiles": QUANTILES,
+        "use_reg_token": True,
+    }
+    return ChronosBoltModelForForecasting(config)

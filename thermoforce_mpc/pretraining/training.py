@@ -1,0 +1,144 @@
+"""Training of the shipped forecaster: seeded, resumable, on a CPU or on a GPU when there is one."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from thermoforce_mpc.pretraining.model import CONTEXT, HORIZON, build_model
+from thermoforce_mpc.pretraining.series import draw_batch
+
+# Targets that leave the context's range by more than this many standard deviations teach nothing but blow up the loss.
+_LARGEST_Z = 8.0
+_WARM_UP = 200
+_CLIP = 1.0
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Options; `steps` decides the shape of the learning-rate schedule."""
+
+    steps: int = 12_000
+    batch: int = 128
+    seed: int = 0
+    muon_lr: float = 0.02
+    adamw_lr: float = 3e-3
+    weight_decay: float = 0.01
+    save_every: int = 500
+    validation_batches: int = 4
+
+
+def pretrain(folder: Path, config: TrainingConfig, report: Callable[[str], None] = print) -> Path:
+    """Train, or go on where `folder/state.pt` left off; writes the checkpoint and `training.json` into `folder`.
+
+    The batch of step k depends on the seed and k alone, so an interrupted run ends with the same weights as one that
+    was not (on the same machine and number of threads).
+    """
+    torch.manual_seed(config.seed)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    model = build_model().to(device)
+    matrices, rest = _split_parameters(model)
+    optimisers = [
+        torch.optim.Muon(matrices, lr=config.muon_lr, weight_decay=config.weight_decay),
+        torch.optim.AdamW(rest, lr=config.adamw_lr, weight_decay=config.weight_decay),
+    ]
+    state_path = folder / "state.pt"
+    curve: list[dict[str, float]] = []
+    first = 0
+    folder.mkdir(parents=True, exist_ok=True)
+    if state_path.exists():
+        state = torch.load(state_path, map_location=device, weights_only=True)
+        model.load_state_dict(state["model"])
+        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
+        first, curve = int(state["step"]), list(state["curve"])
+        report(f"going on at step {first}")
+    rates = [config.muon_lr, config.adamw_lr]
+    began, running = time.perf_counter(), 0.0
+    model.train()
+    for step in range(first, config.steps):
+        for optimiser, rate in zip(optimisers, rates, strict=True):
+            for group in optimiser.param_groups:
+                group["lr"] = rate * _schedule(step, config.steps)
+        loss = batch_loss(model, np.random.default_rng([config.seed, 1, step]), config.batch)
+        for optimiser in optimisers:
+            optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), _CLIP)
+        for optimiser in optimisers:
+            optimiser.step()
+        running = 0.98 * running + 0.02 * loss.item() if step > first else loss.item()
+        done = step + 1
+        if done % config.save_every == 0 or done == config.steps:
+            validation = _validation_loss(model, config)
+            curve.append({"step": done, "training": running, "validation": validation})
+            speed = (done - first) / (time.perf_counter() - began)
+            report(
+                f"step {done}/{config.steps}  training {running:.3f}  validation {validation:.3f}  {speed:.1f} steps/s"
+            )
+            state = {
+                "model": model.state_dict(),
+                "optimisers": [optimiser.state_dict() for optimiser in optimisers],
+                "step": done,
+                "curve": curve,
+            }
+            torch.save(state, state_path.with_suffix(".new"))
+            state_path.with_suffix(".new").replace(state_path)
+            save_checkpoint(model, folder / "checkpoint", {"config": asdict(config), "curve": curve})
+    return folder / "checkpoint"
+
+
+def batch_loss(model: Any, rng: np.random.Generator, size: int) -> Tensor:
+    """Quantile loss on one drawn batch."""
+    batch = draw_batch(rng, size, CONTEXT, HORIZON)
+    context = torch.from_numpy(batch.context).to(model.device)
+    future = torch.from_numpy(batch.future).to(model.device)
+    _, (loc, scale) = model.instance_norm(context)
+    future = torch.where(((future - loc) / scale).abs() > _LARGEST_Z, torch.nan, future)
+    loss: Tensor = model(context=context, target=future).loss
+    return loss
+
+
+def save_checkpoint(model: Any, folder: Path, record: dict[str, Any]) -> None:
+    """Write config.json, half-precision model.safetensors and training.json."""
+    from copy import deepcopy
+
+    deepcopy(model).half().save_pretrained(folder, safe_serialization=True)
+    (folder / "training.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def _validation_loss(model: Any, config: TrainingConfig) -> float:
+    model.eval()
+    with torch.no_grad():
+        losses = [
+            batch_loss(model, np.random.default_rng([config.seed, 2, i]), 128).item()
+            for i in range(config.validation_batches)
+        ]
+    model.train()
+    return float(np.mean(losses))
+
+
+def _split_parameters(model: Any) -> tuple[list[Tensor], list[Tensor]]:
+    """Hidden matrices for Muon; embeddings, the patch layers' inputs, norms and biases for AdamW."""
+    matrices: list[Tensor] = []
+    rest: list[Tensor] = []
+    for name, parameter in model.named_parameters():
+        inner = parameter.ndim == 2 and name.startswith(("encoder.block", "decoder.block"))
+        (matrices if inner and "relative_attention_bias" not in name else rest).append(parameter)
+    return matrices, rest
+
+
+def _schedule(step: int, steps: int) -> float:
+    """Linear warm-up, then a cosine down to nothing."""
+    if step < _WARM_UP:
+        return (step + 1) / _WARM_UP
+    return 0.5 * (1.0 + math.cos(math.pi * (step - _WARM_UP) / max(steps - _WARM_UP, 1)))
