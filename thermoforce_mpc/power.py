@@ -19,7 +19,7 @@ from thermoforce_mpc.types import Array, History
 # A level between these shares of full is an intermediate level; outside, off or full.
 _LEVEL_EDGE = 0.02
 # Intermediate samples needed before the fixed and the proportional part can be told apart.
-_MIN_LEVELS = 8
+_MIN_LEVELS = 3
 # Bound below, a hair above zero so that rounding in the affine law cannot make a load negative.
 _LEAST_W = 1e-3
 # How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.

@@ -1,0 +1,90 @@
+"""How well a forced response explains an episode, with its free part and disturbances integrated out.
+
+Given the time constants, what is not forced is Gaussian: prior of the free gains and starting state, plus
+disturbances. So the residual r = target − F has a known mean and covariance C. The whitened residual L⁻¹(r − mean) is
+what training minimises, and its later rows, each given all before it, are what choices are judged by: they weigh what
+an action does within hours, which a plain error over a day drowns in the weather's surprises. That plain error, the
+part of r that the past does not predict, is the error of a rollout over the horizon; it is scored for people to read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+from thermoforce_mpc.identification.joint import Episode, free_columns, free_prior, free_time_constants, start_sd
+from thermoforce_mpc.types import HOUR_S, Array
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Linear maps on the residual target − F of one episode.
+
+    `mean` (rows,) K is what the free part contributes before any data; `covariance` (rows, rows) K².
+    """
+
+    mean: Array
+    covariance: Array
+
+    def whitener(self) -> Array:
+        """L⁻¹, shape (rows, rows): row i gives what is new in it after all rows before, in standard deviations."""
+        factor = cholesky(self.covariance, lower=True)
+        return np.asarray(solve_triangular(factor, np.eye(factor.shape[0]), lower=True))
+
+    def innovation(self, past: NDArray[np.intp], ahead: NDArray[np.intp]) -> Array:
+        """Map from the residual over `past` and `ahead` to what the past does not predict of `ahead`."""
+        if past.size == 0:
+            return np.eye(ahead.size)
+        factor = cholesky(self.covariance[np.ix_(past, past)], lower=True)
+        weights = cho_solve((factor, True), self.covariance[np.ix_(past, ahead)]).T
+        return np.concatenate([-weights, np.eye(ahead.size)], axis=1)
+
+
+def residuals(episode: Episode, log_tau: Array) -> Residuals:
+    """Mean and covariance of what is not forced in `episode`, for these time constants."""
+    noise = episode.factor @ episode.factor.T
+    if episode.is_pair:
+        return Residuals(mean=np.zeros(episode.rows.size), covariance=noise)
+    shared, start = free_columns(episode, log_tau, free_time_constants(log_tau))
+    mean, sd, _ = free_prior((shared.shape[1] - 1) // 6)
+    columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)
+    return Residuals(mean=shared @ mean, covariance=noise + columns @ columns.T)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rows of one episode to train on and to be judged by, and the rollouts (past rows, rows ahead) that are scored."""
+
+    train: NDArray[np.intp]
+    judged: NDArray[np.intp]
+    rollouts: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...] = ()
+
+
+def split_run(episode: Episode, share: float, horizon_h: float) -> Split:
+    """Train on the first part of a run, judge by the rest; rollouts of up to `horizon_h` start where the last ended."""
+    n = episode.rows.size
+    first = max(1, min(n - 1, round(n * (1.0 - share))))
+    hours = episode.rows * episode.step_s / HOUR_S
+    rollouts = []
+    start = first
+    while start < n:
+        stop = start + int(np.searchsorted(hours[start:] - hours[start - 1], horizon_h + 1e-9, side="right"))
+        stop = max(stop, start + 1)
+        rollouts.append((np.arange(start), np.arange(start, stop)))
+        start = stop
+    return Split(train=np.arange(first), judged=np.arange(first, n), rollouts=tuple(rollouts))
+
+
+def hold_out_pair(episode: Episode) -> Split:
+    """Judge a whole pair, train on nothing of it."""
+    rows = np.arange(episode.rows.size)
+    return Split(train=rows[:0], judged=rows, rollouts=((rows[:0], rows),))
+
+
+def whole(episode: Episode) -> Split:
+    """Train on everything."""
+    rows = np.arange(episode.rows.size)
+    return Split(train=rows, judged=rows[:0])

@@ -1,0 +1,132 @@
+"""Modes in the terms a person can judge: time constants in hours, starting slope in K/h, steady gains in K.
+
+The forced response of order r has one free number per mode: the slope of the step response at its start, and the steady
+gain of every mode but the fastest. All are nonnegative (times the sign), which is all the operator asks of its gains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.operator.actuator import ActuatorMap
+from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.types import HOUR_S, Array
+
+# How far the outermost time constants may leave the centre of their prior, as a factor.
+_REACH = 10.0
+# Priors for a heater of unknown heat: one sized for its house warms the structure by some half kelvin per hour.
+_WEAK_RATE_K_PER_H = (0.5, 0.5)
+_WEAK_GAIN_K = (2.0, 2.0)
+# A slab lets next to nothing through at once; without a delay mode in front, the first mode acts at once.
+_DELAYED_SLOPE_K_PER_H = (0.0, 0.1)
+_DIRECT_SLOPE_K_PER_H = (0.5, 0.7)
+
+
+@dataclass(frozen=True)
+class ModePriors:
+    """Gaussian priors of one order, all positive in the direction of the actuator's sign.
+
+    `log_tau` and `log_tau_sd` (r,) are of ln(τ/h); `gain_mean` and `gain_sd` (r,) of [slope K/h, G_2 … G_r K]; for the
+    slowest of several modes the rate G_r/τ_r is what the prior knows, so `slowest_rate` K/h replaces its mean and sd.
+    """
+
+    log_tau: Array
+    log_tau_sd: float
+    gain_mean: Array
+    gain_sd: Array
+    slowest_rate: tuple[float, float]
+
+    @property
+    def order(self) -> int:
+        """Number of modes."""
+        return int(self.log_tau.size)
+
+    def bounds_h(self) -> Array:
+        """Range of each time constant, shape (r, 2), h: neighbours part at their geometric mean."""
+        tau = np.exp(self.log_tau)
+        inner = np.sqrt(tau[:-1] * tau[1:])
+        edges = np.concatenate([[tau[0] / _REACH], inner, [tau[-1] * _REACH]])
+        return np.stack([edges[:-1], edges[1:]], axis=1)
+
+    def gains_at(self, log_tau: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation of [slope, G_2 … G_r] for these time constants."""
+        mean, sd = self.gain_mean.copy(), self.gain_sd.copy()
+        if self.order > 1:
+            tau = float(np.exp(log_tau[-1]))
+            mean[-1], sd[-1] = self.slowest_rate[0] * tau, self.slowest_rate[1] * tau
+        return mean, sd
+
+
+def mode_priors(
+    order: int, config: IdentificationConfig, actuator: ActuatorMap, floor_area_m2: float | None
+) -> ModePriors:
+    """Priors from the physics of a building of known floor area and heater, or weak ones where either is unknown."""
+    rate, gain = _WEAK_RATE_K_PER_H, _WEAK_GAIN_K
+    if actuator.heat is not None and floor_area_m2 is not None:
+        watts = actuator.reference_W / floor_area_m2
+        per_hour = watts / config.heat_capacity_Wh_m2K
+        above_structure = watts / config.room_coupling_W_m2K
+        rate = (per_hour, per_hour * config.heat_capacity_sd)
+        gain = (above_structure, above_structure * config.room_coupling_sd)
+    slope = _DELAYED_SLOPE_K_PER_H if order == 3 else _DIRECT_SLOPE_K_PER_H
+    middle = [gain] * (order - 2)
+    known = [slope, *middle, (0.0, 0.0)][:order] if order > 1 else [slope]
+    return ModePriors(
+        log_tau=np.log(config.time_constants(order)),
+        log_tau_sd=config.time_constant_log_sd,
+        gain_mean=np.array([mean for mean, _ in known]),
+        gain_sd=np.array([sd for _, sd in known]),
+        slowest_rate=rate,
+    )
+
+
+def poles(log_tau: Array, step_s: float) -> Array:
+    """exp(−step/τ), shape (r,)."""
+    return np.asarray(np.exp(-step_s / HOUR_S / np.exp(log_tau)))
+
+
+def unit_responses(log_tau: Array, step_s: float, drive: Array) -> Array:
+    """Forced response to `drive` (n,) per unit of [slope, G_2 … G_r] at the n + 1 boundaries, shape (n + 1, r), K.
+
+    Row t is the state before step t, starting from zero.
+    """
+    tau, a = np.exp(log_tau), poles(log_tau, step_s)
+    filtered = np.stack([lfilter([1.0 - p], [1.0, -p], drive) for p in a], axis=1)
+    columns = [tau[0] * filtered[:, 0]]
+    columns += [filtered[:, i] - tau[0] / tau[i] * filtered[:, 0] for i in range(1, a.size)]
+    return np.concatenate([np.zeros((1, a.size)), np.stack(columns, axis=1)])
+
+
+def to_operator(
+    log_tau: Array,
+    gains: Array,
+    *,
+    step_s: float,
+    bounds_h: Array,
+    sign: int,
+    gamma: float,
+    hidden: int,
+    actuator: ActuatorMap,
+    feature_mean: Array,
+    feature_scale: Array,
+) -> OperatorParameters:
+    """The linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
+    tau, a = np.exp(log_tau), poles(log_tau, step_s)
+    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
+    bounds = np.exp(-step_s / HOUR_S / bounds_h)
+    return linear_operator(
+        a,
+        sign * steady * (1.0 - a),
+        step_s=step_s,
+        pole_bounds=np.stack([np.minimum(bounds[:, 0], a), np.maximum(bounds[:, 1], a)], axis=1),
+        sign=sign,
+        gamma=gamma,
+        hidden=hidden,
+        actuator=actuator,
+        feature_mean=feature_mean,
+        feature_scale=feature_scale,
+    )

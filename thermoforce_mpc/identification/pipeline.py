@@ -1,0 +1,339 @@
+"""From recorded runs to a thermal model: actuator map, order, linear fit, monotone-neural gain, power.
+
+Order: refuse what cannot identify; fit the heat map and the electric power to what was measured; fit every order to the
+first part of the data and keep the one whose rollouts are best on the rest; fit it to everything; train the modulation
+the same way. All steps are deterministic for a given seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import (
+    Episode,
+    JointFit,
+    fit_joint,
+    forced_columns,
+    pair_episode,
+    run_episode,
+)
+from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, residuals, split_run, whole
+from thermoforce_mpc.identification.modes import ModePriors, mode_priors, to_operator
+from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, data_hash
+from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
+from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
+from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.power import HEAT_SLOPE, POWER_SLOPE, PowerModel, fit_load
+from thermoforce_mpc.types import HOUR_S, Array, History
+from thermoforce_mpc.world_model import ModelCard, ThermalModel, forced_history
+
+# A higher order must predict this much better than a lower one to be worth its parameters.
+_PARSIMONY = 0.97
+# Narrowest spread that features are normalised by: °C, °C, W/m², 1.
+_LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
+# Share of the steps in which heat or power must have been measured to be used.
+_MEASURED = 0.5
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One run or pair with its histories, in the order of the episode's drives."""
+
+    episode: Episode
+    histories: tuple[History, ...]
+    start_s: float
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit to the training rows: RMS whitened residual of the rows judged by, and RMSE of the held-out rollouts, K."""
+
+    fit: JointFit
+    priors: ModePriors
+    score: float
+    rollout_rmse_K: float
+
+
+def identify(
+    runs: Sequence[History] = (),
+    pairs: Sequence[Pair] = (),
+    *,
+    config: IdentificationConfig | None = None,
+    mode: Literal["heating", "cooling"] = "heating",
+    floor_area_m2: float | None = None,
+    step_s: float | None = None,
+    source: str = "identified",
+) -> ThermalModel:
+    """Identify a thermal model.
+
+    Args:
+        runs: recorded runs, each with its own excitation; any number, any length from about a day.
+        pairs: runs that share start and weather (paper eq:paired); all with one step.
+        config: options.
+        mode: sign of what the actuator does to the zone.
+        floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on.
+        step_s: step of the returned operator, s; by default the step of the data.
+        source: what the model card says the data are.
+
+    Returns:
+        Operator, electric power (where measured), linear free model (where there are runs) and model card.
+
+    Raises:
+        DataError: there are no data, or they cannot identify; the message has the numbers and what to do.
+    """
+    config = config or IdentificationConfig()
+    if not runs and not pairs:
+        raise DataError("nothing to identify from: give at least one run or pair")
+    names = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
+    for run, name in zip(runs, names, strict=True):
+        check_run(run, name)
+    if pairs:
+        check_pairs(pairs)
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
+    sign = 1 if mode == "heating" else -1
+    actuator, notes = _actuator(histories, config, sign)
+    cases = [_Case(run_episode(h, actuator, config), (h,), float(h.time_s[0])) for h in runs]
+    cases += [_Case(pair_episode(p, actuator), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
+    splits = _splits(cases, config)
+
+    candidates = {
+        order: _fit(cases, splits, mode_priors(order, config, actuator, floor_area_m2), config, sign)
+        for order in config.orders()
+    }
+    order = _choose(candidates)
+    priors = candidates[order].priors
+    final = fit_joint([c.episode for c in cases], priors, config, sign)
+    if not (final.gains > 0).any():
+        raise DataError(
+            f"no effect of the actuator with the sign of {mode} was found in the data: "
+            "check the sign of u, or whether the actuator reached the zone at all"
+        )
+    base_step = histories[0].step_s
+    mean, scale = _normalisation(histories)
+
+    def linear(fit: JointFit) -> OperatorParameters:
+        return to_operator(
+            fit.log_tau,
+            fit.gains,
+            step_s=base_step,
+            bounds_h=priors.bounds_h(),
+            sign=sign,
+            gamma=config.gamma,
+            hidden=config.hidden,
+            actuator=actuator,
+            feature_mean=mean,
+            feature_scale=scale,
+        )
+
+    operator = linear(final)
+    scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
+    scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
+    scores["misfit"] = final.misfit
+    if config.modulation == "neural":
+        operator, neural = _modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
+        scores |= neural
+    return ThermalModel(
+        operator=operator.resampled(step_s or base_step),
+        power=_power(histories, config),
+        free=final.free_model(step_s or base_step, config) if runs else None,
+        card=ModelCard(
+            source=source,
+            data={name: data_hash(h) for name, h in _named(names, runs, pairs)},
+            ranges=_ranges(histories),
+            scores=scores,
+            uncertainty=_uncertainty(final),
+            config=config.model_dump(mode="json"),
+            notes=tuple(notes),
+        ),
+    )
+
+
+def _actuator(histories: Sequence[History], config: IdentificationConfig, sign: int) -> tuple[ActuatorMap, list[str]]:
+    """The map in front of the modes: heat where it was measured and wanted, else u itself."""
+    if config.actuator == "identity":
+        return IDENTITY, ["actuator map: identity, as configured"]
+    heat = np.concatenate([h.heat_W for h in histories]) * sign
+    measured = float(np.isfinite(heat).mean())
+    if measured < _MEASURED:
+        if config.actuator == "heat":
+            raise DataError(
+                f"actuator: heat was asked for, but heat was measured in only {100 * measured:.0f} % of the steps; "
+                "name the heat points in the test case, or use actuator: identity"
+            )
+        return IDENTITY, [f"actuator map: identity, heat was measured in {100 * measured:.0f} % of the steps"]
+    fit = fit_load(
+        np.concatenate([h.u for h in histories]),
+        np.concatenate([h.T_out_C[:-1] for h in histories]),
+        heat,
+        what="delivered heat",
+        lowest_level=config.lowest_level,
+        slope=HEAT_SLOPE,
+    )
+    return ActuatorMap(heat=fit.load), [f"actuator map: heat, RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"]
+
+
+def _power(histories: Sequence[History], config: IdentificationConfig) -> PowerModel | None:
+    power = np.concatenate([h.power_W for h in histories])
+    if np.isfinite(power).mean() < _MEASURED:
+        return None
+    fit = fit_load(
+        np.concatenate([h.u for h in histories]),
+        np.concatenate([h.T_out_C[:-1] for h in histories]),
+        power,
+        what="electric power",
+        lowest_level=config.lowest_level,
+        slope=POWER_SLOPE,
+    )
+    return PowerModel(load=fit.load, rmse_W=fit.rmse_W, r2=fit.r2, source=f"fitted to {fit.n_samples} steps")
+
+
+def _splits(cases: Sequence[_Case], config: IdentificationConfig) -> list[Split]:
+    """Last part of every run; all pairs of some start times (pairs of one start share their weather)."""
+    starts = sorted({c.start_s for c in cases if c.episode.is_pair})
+    held: set[float] = set()
+    if len(starts) > 1:
+        rng = np.random.default_rng(config.seed)
+        count = max(1, min(len(starts) - 1, round(config.validation_share * len(starts))))
+        held = {starts[i] for i in rng.permutation(len(starts))[:count]}
+    splits = []
+    for case in cases:
+        if not case.episode.is_pair or len(starts) == 1:
+            splits.append(split_run(case.episode, config.validation_share, config.horizon_h))
+        else:
+            splits.append(hold_out_pair(case.episode) if case.start_s in held else whole(case.episode))
+    return splits
+
+
+def _part(episode: Episode, rows: NDArray[np.intp]) -> Episode:
+    """The first rows of an episode (rows are always a leading block, whose Cholesky factor is the leading block)."""
+    n = rows.size
+    return replace(episode, target=episode.target[:n], rows=episode.rows[:n], factor=episode.factor[:n, :n])
+
+
+def _fit(
+    cases: Sequence[_Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> _Fitted:
+    """Fit to the training rows, judge by the held-out rollouts."""
+    training = [_part(c.episode, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
+    fit = fit_joint(training, priors, config, sign)
+    judged, errors = [], []
+    for case, split in zip(cases, splits, strict=True):
+        if not split.judged.size:
+            continue
+        explained = residuals(case.episode, fit.log_tau)
+        residual = case.episode.target - explained.mean - forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
+        judged.append((explained.whitener() @ residual)[split.judged])
+        for past, ahead in split.rollouts:
+            errors.append(explained.innovation(past, ahead) @ residual[np.concatenate([past, ahead])])
+    return _Fitted(fit, priors, _rms(judged), _rms(errors))
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def _choose(candidates: dict[int, _Fitted]) -> int:
+    """Lowest order that no higher one beats by more than the parsimony factor."""
+    chosen = min(candidates)
+    for order in sorted(candidates):
+        if candidates[order].score < _PARSIMONY * candidates[chosen].score:
+            chosen = order
+    return chosen
+
+
+def _normalisation(histories: Sequence[History]) -> tuple[Array, Array]:
+    """Mean and scale of the features over all steps with a measured temperature; the free one is set by `_features`."""
+    stacked = np.concatenate(
+        [
+            feature_matrix(np.zeros(h.n_steps), h.T_out_C[:-1], h.solar_W_m2[:-1], h.time_s[:-1]).reshape(
+                -1, N_FEATURES
+            )
+            for h in histories
+        ]
+    )
+    return stacked.mean(axis=0), np.maximum(stacked.std(axis=0), _LEAST_SCALE)
+
+
+def _features(operator: OperatorParameters, history: History) -> Array:
+    """x_t of each step of a run, with T − F by the linear operator (F feeds no gradient: features exclude it)."""
+    forced = forced_history(operator, history).sum(axis=1)
+    free = history.T_zone_C - forced
+    steps = np.arange(free.size)
+    known = np.isfinite(free)
+    free = np.interp(steps, steps[known], free[known])
+    return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
+
+
+def _modulate(
+    cases: Sequence[_Case],
+    splits: Sequence[Split],
+    linear: Callable[[JointFit], OperatorParameters],
+    part_fit: JointFit,
+    final: JointFit,
+    priors: ModePriors,
+    config: IdentificationConfig,
+) -> tuple[OperatorParameters, dict[str, float]]:
+    """Train m(x) on part of the data to see whether it is worth it, then on all of it."""
+    from thermoforce_mpc.identification.train import TrainingEpisode, train
+
+    base = linear(final)
+    features = [tuple(_features(base, h) for h in c.histories) for c in cases]
+    free = np.concatenate([x[:, 0] for xs in features for x in xs])
+    mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
+    mean[0], scale[0] = free.mean(), max(float(free.std()), float(_LEAST_SCALE[0]))
+
+    def started(fit: JointFit) -> OperatorParameters:
+        return replace(linear(fit), feature_mean=mean, feature_scale=scale)
+
+    def episodes(fit: JointFit, chosen: Sequence[Split]) -> list[TrainingEpisode]:
+        return [
+            TrainingEpisode(c.episode, x, residuals(c.episode, fit.log_tau), s)
+            for c, x, s in zip(cases, features, chosen, strict=True)
+        ]
+
+    search = train(started(part_fit), episodes(part_fit, splits), priors, config)
+    scores = {
+        "held_out_linear": search.linear_score,
+        "held_out_neural": search.score,
+        "modulation_kept": float(search.worth_it),
+    }
+    if not search.worth_it:
+        return started(final), scores
+    everything = [whole(c.episode) for c in cases]
+    return train(started(final), episodes(final, everything), priors, config).operator, scores
+
+
+def _uncertainty(fit: JointFit) -> dict[str, float]:
+    """Posterior standard deviations in physical terms, scaled by how large the disturbances really were."""
+    out = {}
+    for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), fit.log_tau_sd, strict=True), start=1):
+        out[f"time_constant_{i}_h"] = float(tau)
+        out[f"time_constant_{i}_sd_h"] = float(tau * sd)
+    names = ["starting_slope_K_per_h", *(f"steady_gain_{i}_K" for i in range(2, fit.gains.size + 1))]
+    for name, value, sd in zip(names, fit.gains, fit.gains_sd, strict=True):
+        out[name], out[name.replace("_K", "_sd_K", 1)] = float(value), float(sd)
+    return out
+
+
+def _ranges(histories: Sequence[History]) -> dict[str, tuple[float, float]]:
+    out = {}
+    for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
+        values = np.concatenate([getattr(h, name) for h in histories])
+        out[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
+    out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / (24 * HOUR_S))
+    return out
+
+
+def _named(names: Sequence[str], runs: Sequence[History], pairs: Sequence[Pair]) -> list[tuple[str, History]]:
+    named = list(zip(names, runs, strict=True))
+    for i, pair in enumerate(pairs):
+        label = pair.label or str(i)
+        named += [(f"pair {label} a", pair.a), (f"pair {label} b", pair.b)]
+    return named

@@ -1,0 +1,170 @@
+"""Training the monotone-neural operator by Adam on multi-step rollouts (paper eq:operator, eq:paired).
+
+The forced response is linear in the drive m(x_t) v_t, so a whole run or pair is one causal convolution (by FFT) with
+the operator's impulse response; no step is taken in Python. Training starts from the linear fit with m = 1 exactly,
+under priors on modes and weights; held-out data decide afterwards whether the network is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import Episode
+from thermoforce_mpc.identification.likelihood import Residuals, Split
+from thermoforce_mpc.identification.modes import ModePriors
+from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.operator.torch_module import ForcedResponseOperator
+from thermoforce_mpc.types import HOUR_S, Array
+
+# First weights of the hidden layer: features are normalised, so unit slopes spread tanh over its range.
+_HIDDEN_SD = 0.5
+# How far m(x) is expected to leave 1: a heat map has already taken the dependence on T_out.
+_MODULATION_SD = {"identity": 0.15, "heat": 0.05}
+# The network is kept where it predicts the held-out rows at least as well as m = 1; its prior keeps it modest.
+_WORTH_IT = 1.0
+
+
+@dataclass(frozen=True)
+class TrainingEpisode:
+    """An episode ready for training: `features` are x_t (n, 4) of each of its runs, in the order of its drives."""
+
+    episode: Episode
+    features: tuple[Array, ...]
+    residuals: Residuals
+    split: Split
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """The operator, the RMS whitened held-out residual before (m = 1) and after training (NaN where nothing was held
+    out), and the loss of each epoch."""
+
+    operator: OperatorParameters
+    linear_score: float
+    score: float
+    losses: Array
+
+    @property
+    def worth_it(self) -> bool:
+        """Whether the network predicts the held-out rows no worse than m = 1."""
+        return self.score <= _WORTH_IT * self.linear_score
+
+
+class _Batch:
+    """All runs of all episodes as tensors, padded at the end with nothing happening."""
+
+    def __init__(self, episodes: Sequence[TrainingEpisode]) -> None:
+        runs = [(s, v, x) for e in episodes for (s, v), x in zip(e.episode.drives, e.features, strict=True)]
+        self.n = max(v.size for _, v, _ in runs)
+        self.n_fft = 1 << (2 * self.n).bit_length()
+        self.heat = torch.zeros(len(runs), self.n, dtype=torch.float64)
+        self.features = torch.zeros(len(runs), self.n, 4, dtype=torch.float64)
+        for i, (s, v, x) in enumerate(runs):
+            self.heat[i, : v.size] = torch.tensor(s * v)
+            self.features[i, : v.size] = torch.tensor(np.array(x))
+        self.items = []
+        first = 0
+        for e in episodes:
+            last = first + len(e.episode.drives)
+            target = torch.tensor(e.episode.target - e.residuals.mean)
+            whitener = torch.tensor(e.residuals.whitener())
+            rows, train, judged = (torch.tensor(r) for r in (e.episode.rows, e.split.train, e.split.judged))
+            self.items.append((first, last, rows, target, whitener, train, judged))
+            first = last
+        self.n_train = sum(int(item[5].numel()) for item in self.items)
+
+    def whitened(self, operator: ForcedResponseOperator) -> tuple[Tensor, Tensor]:
+        """Whitened residuals of the rows trained on and of the rows judged by."""
+        drive = operator.modulation(self.features) * self.heat
+        response = causal_convolution(impulse_response(operator, self.n), drive, self.n_fft)
+        response = torch.nn.functional.pad(response, (1, 0))
+        trained, judged = [], []
+        for first, last, rows, target, whitener, train_rows, judged_rows in self.items:
+            residual = whitener @ (target - response[first:last].sum(0)[rows])
+            trained.append(residual[train_rows])
+            judged.append(residual[judged_rows])
+        return torch.cat(trained), torch.cat(judged)
+
+
+def impulse_response(operator: ForcedResponseOperator, n_steps: int) -> Tensor:
+    """Σ g_i a_i^k for k = 0 … n − 1, shape (n,), K."""
+    steps = torch.arange(n_steps, dtype=torch.float64)
+    return (operator.gains[:, None] * operator.poles[:, None] ** steps).sum(0)
+
+
+def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
+    """Convolution of `drive` (..., n) with `kernel` (n,), first n values; `n_fft` at least 2n."""
+    n = drive.shape[-1]
+    product = torch.fft.rfft(drive, n_fft) * torch.fft.rfft(kernel, n_fft)
+    return torch.fft.irfft(product, n_fft)[..., :n]
+
+
+def train(
+    start: OperatorParameters, episodes: Sequence[TrainingEpisode], priors: ModePriors, config: IdentificationConfig
+) -> TrainingResult:
+    """Train for the configured number of epochs from the linear operator `start`."""
+    modulation_sd = config.modulation_sd or _MODULATION_SD[start.actuator.kind]
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        operator = ForcedResponseOperator(start)
+        with torch.no_grad():
+            operator.hidden.weight.normal_(0.0, _HIDDEN_SD)
+            operator.hidden.bias.normal_(0.0, _HIDDEN_SD)
+            operator.output.weight.zero_()
+            operator.output.bias.zero_()
+    batch = _Batch(episodes)
+    optimiser = torch.optim.Adam(operator.parameters(), lr=config.learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.epochs)
+    with torch.no_grad():
+        linear = _rms(batch.whitened(operator)[1])
+    losses = []
+    for _ in range(config.epochs):
+        optimiser.zero_grad()
+        trained, _judged = batch.whitened(operator)
+        known = 2.0 * (prior_penalty(operator, priors) + network_penalty(operator, modulation_sd))
+        loss = ((trained**2).sum() + known) / batch.n_train
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+        losses.append(float(loss.detach()))
+    with torch.no_grad():
+        score = _rms(batch.whitened(operator)[1])
+    return TrainingResult(operator.numpy(), linear, score, np.array(losses))
+
+
+def _rms(residual: Tensor) -> float:
+    return float((residual.detach() ** 2).mean().sqrt()) if residual.numel() else float("nan")
+
+
+def network_penalty(operator: ForcedResponseOperator, modulation_sd: float) -> Tensor:
+    """Negative log prior of the weights: hidden ones of order one, the output so that m leaves 1 by `modulation_sd`."""
+    hidden = sum((p**2).sum() for p in operator.hidden.parameters())
+    if operator.gamma == 0.0:
+        return torch.as_tensor(0.5 * hidden)
+    output_sd = modulation_sd / operator.gamma
+    weights = (operator.output.weight**2).sum() * operator.output.in_features + (operator.output.bias**2).sum()
+    return 0.5 * hidden + 0.5 * weights / output_sd**2
+
+
+def prior_penalty(operator: ForcedResponseOperator, priors: ModePriors) -> Tensor:
+    """Negative log prior of time constants and gains (up to a constant)."""
+    poles, gains = operator.poles, operator.gains * operator.sign
+    tau = -(operator.step_s / HOUR_S) / torch.log(poles)
+    steady = gains / (1.0 - poles)
+    slope = (steady / tau).sum()
+    mean, sd = (torch.tensor(value) for value in priors.gains_at(priors.log_tau))
+    known = torch.cat([slope[None], steady[1:]])
+    if priors.order > 1:
+        # What is known of the slowest mode is its rate G/τ, whatever its time constant.
+        rate_mean, rate_sd = priors.slowest_rate
+        known = torch.cat([known[:-1], (steady[-1] / tau[-1])[None]])
+        mean = torch.cat([mean[:-1], torch.tensor([rate_mean], dtype=torch.float64)])
+        sd = torch.cat([sd[:-1], torch.tensor([rate_sd], dtype=torch.float64)])
+    away = (torch.log(tau) - torch.tensor(priors.log_tau)) / priors.log_tau_sd
+    return 0.5 * (((known - mean) / sd) ** 2).sum() + 0.5 * (away**2).sum()
