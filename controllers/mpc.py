@@ -35,6 +35,10 @@ class MPCConfig(StrictModel):
     horizon_h: float = Field(24.0, gt=0, le=168, description="prediction horizon, h")
     comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
     comfort_margin_K: float = Field(0.05, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
+    backoff_level: float = Field(
+        0.5, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
+    )
+    backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
     curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
     solver: Literal["ipopt", "search"] = Field("ipopt", description="Ipopt over the exported operator, or candidates")
     free_response: FreeResponseConfig = FreeResponseConfig()
@@ -163,14 +167,16 @@ class ThermoForceMPC:
         if T_free.shape != (self._n_steps,) or not np.isfinite(T_free).all():
             raise DataError(f"free response '{self.world.free_response.name}' is not {self._n_steps} finite values")
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1])
-        # A margin wider than half the band would turn the bounds around.
-        margin = np.minimum(c.comfort_margin_K, 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:]))
+        below = np.clip(T_free - outlook.free.quantile_C(c.backoff_level), 0.0, c.backoff_most_K)
+        above = np.clip(outlook.free.quantile_C(1.0 - c.backoff_level) - T_free, 0.0, c.backoff_most_K)
+        # Margins wider than half the band would turn the bounds around.
+        half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
         problem = MPCProblem(
             forced_state_K=outlook.forced_K,
             features=outlook.features,
             T_free_C=T_free,
-            lower_C=boundary.lower_C[1:] + margin,
-            upper_C=boundary.upper_C[1:] - margin,
+            lower_C=boundary.lower_C[1:] + np.minimum(c.comfort_margin_K + below, half),
+            upper_C=boundary.upper_C[1:] - np.minimum(c.comfort_margin_K + above, half),
             price_per_kWh=boundary.price_per_kWh[:-1],
             power_fixed_W=fixed_W,
             power_per_u_W=per_u_W,

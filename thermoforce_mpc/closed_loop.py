@@ -126,7 +126,9 @@ def run_closed_loop(
         history = history.extended(parts[-1][1].averaged_with(parts))
         if on_step:
             on_step(record)
-    kpis = plant.kpis()
+    # BOPTEST's time_rat: computing time per control step over the step. Ours alone, whatever the plant reports.
+    time_rat = math.fsum(step.plan_seconds for step in steps) / len(steps) / controller.step_s if steps else math.nan
+    kpis = plant.kpis() | {"time_rat": time_rat}
     return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began)
 
 

@@ -334,7 +334,8 @@ def _follow(
 def _weight_hash(controller: Controller) -> str | None:
     """Hash of the forecaster's weights, where the controller has a forecaster with weights."""
     free = getattr(getattr(controller, "world", None), "free_response", None)
-    return free.weight_hash() if hasattr(free, "weight_hash") else None
+    weight_hash = getattr(free, "weight_hash", None)
+    return weight_hash() if weight_hash else None
 
 
 def _frozen(controller: Controller, before: str | None) -> dict[str, Any]:

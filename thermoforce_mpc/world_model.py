@@ -185,24 +185,29 @@ class WorldModel:
 def forced_history(operator: OperatorParameters, history: History, *, initial_force: InitialForce = "steady") -> Array:
     """Forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
 
-    The free temperature that the modulation sees is T − F as it unfolds; a silent sensor's last value holds.
+    The free temperature that the modulation sees is T − F as it unfolds; a silent sensor's last value holds. Where the
+    operator is driven by heat and the heat was measured, the measured heat drives it: it is what entered the building,
+    whoever was in control.
 
     Raises:
-        DataError: u or the weather has gaps, or u leaves [0, 1]; the message says where.
+        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
     """
     n = history.n_steps
     if n == 0:
         return np.zeros((1, operator.order))
-    for name in ("u", "T_out_C", "solar_W_m2"):
-        gaps = np.flatnonzero(~np.isfinite(getattr(history, name)))
+    operator = operator.resampled(history.step_s)
+    measured = np.isfinite(history.heat_W) & (operator.actuator.heat is not None)
+    u = np.where(measured & ~np.isfinite(history.u), 0.0, history.u)  # not needed there
+    for name, values in (("u", u), ("T_out_C", history.T_out_C), ("solar_W_m2", history.solar_W_m2)):
+        gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
             raise DataError(f"history: {name} is not finite at step {gaps[0]} of {n} ({gaps.size} such): fill it first")
-    outside = np.flatnonzero((history.u < 0) | (history.u > 1))
+    outside = np.flatnonzero((u < 0) | (u > 1))
     if outside.size:
-        raise DataError(f"history: u is {history.u[outside[0]]:g} at step {outside[0]}, expected values in [0, 1]")
-    operator = operator.resampled(history.step_s)
+        raise DataError(f"history: u is {u[outside[0]]:g} at step {outside[0]}, expected values in [0, 1]")
     T_zone = _held(history.T_zone_C)
-    heat = operator.actuator(history.u, history.T_out_C[:-1])
+    heat = operator.actuator(u, history.T_out_C[:-1])
+    heat = np.where(measured, history.heat_W / operator.actuator.reference_W, heat)
     features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
     forced = np.empty((n + 1, operator.order))
     forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0

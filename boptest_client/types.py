@@ -1,0 +1,61 @@
+"""What the client returns and takes: frozen, typed, in the units of the wire (kelvin, W, s)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Point:
+    """An input, measurement or forecast point; unit and limits are None where the service gives none."""
+
+    name: str
+    unit: str | None
+    description: str
+    minimum: float | None
+    maximum: float | None
+
+    @classmethod
+    def from_json(cls, name: str, data: Mapping[str, Any]) -> Point:
+        """Read one entry of `inputs`, `measurements` or `forecast_points`."""
+        return cls(
+            name=name,
+            unit=None if data.get("Unit") is None else str(data["Unit"]),
+            description=str(data.get("Description") or ""),
+            minimum=_limit(data.get("Minimum")),
+            maximum=_limit(data.get("Maximum")),
+        )
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A test scenario.
+
+    `electricity_price` is 'constant', 'dynamic' or 'highly_dynamic'; `time_period` a scored window of the test case such
+    as 'peak_heat_day'; the uncertainties 'low', 'medium' or 'high'. None leaves price and time period as they are, and
+    means no uncertainty: the service forgets uncertainties and seed that are not named again.
+    """
+
+    electricity_price: str | None = None
+    time_period: str | None = None
+    temperature_uncertainty: str | None = None
+    solar_uncertainty: str | None = None
+    seed: int | None = None
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Scenario:
+        """Read the payload of GET scenario; keys this client does not know are left out."""
+        return cls(**{name: data.get(name) for name in cls.__dataclass_fields__})
+
+    def as_json(self) -> dict[str, Any]:
+        """All five keys, as the service wants them."""
+        return asdict(self)
+
+
+def _limit(value: Any) -> float | None:
+    try:
+        return None if value is None else float(value)
+    except (TypeError, ValueError):
+        return None

@@ -1,0 +1,164 @@
+"""The command line as a user meets it, run in a process of its own where the exit code or the imports matter."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from simple_house import SimpleHouse
+
+from thermoforce_mpc import composition
+from thermoforce_mpc.cli import cli
+
+TESTCASE = "bestest_hydronic_heat_pump"
+
+
+def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    call = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()", *words]
+    return subprocess.run(call, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+
+
+@pytest.fixture
+def simple(monkeypatch, tmp_path):
+    """`tf-mpc run` on the simple house, in an empty folder; gives a function that runs it in this process."""
+    house = SimpleHouse()
+    monkeypatch.setattr(composition, "build_plant", lambda spec, testcase, seed: house)
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str):
+        return CliRunner().invoke(cli, ["run", "--testcase", TESTCASE, *words], catch_exceptions=True)
+
+    call.house = house
+    return call
+
+
+def test_help_lists_every_command_without_loading_the_heavy_ones():
+    code = (
+        "import sys; sys.argv=['tf-mpc','--help']\n"
+        "from thermoforce_mpc.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy={'torch','casadi','chronos','numba','matplotlib','pandas'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    for name in ("run", "identify", "inspect", "validate", "controllers", "testcases", "bench"):
+        assert name in done.stdout
+
+
+@pytest.mark.parametrize("name", ["run", "identify", "inspect", "validate", "controllers", "testcases", "bench"])
+def test_every_command_has_help(name):
+    done = CliRunner().invoke(cli, [name, "--help"])
+    assert done.exit_code == 0
+    assert len(done.output.splitlines()) > 5
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run"], "say which building"),
+        (["run", "--testcase", "bestest_hydronic_heatpump"], f"did you mean '{TESTCASE}'"),
+        (["run", "--testcase", TESTCASE, "--controller", "termostat"], "did you mean 'thermostat'"),
+        (["run", "--testcase", TESTCASE, "--price", "cheap"], "'constant', 'dynamic' or 'highly_dynamic'"),
+        (["run", "--testcase", TESTCASE, "--days", "-1"], "greater than 0"),
+        (["run", "--testcase", TESTCASE, "--set", "controller.options.horizn_h=3"], "did you mean 'horizon_h'"),
+        (["run", "--testcase", TESTCASE, "--weather", "nowhere.mos"], "nowhere.mos"),
+        (["run", "--testcase", TESTCASE, "--period", "peak_day"], "peak_heat_day"),
+        (["run", "--config", "absent.yaml"], "absent.yaml: no such file"),
+        (["nonsense"], "No such command 'nonsense'"),
+        (["inspect", "absent"], "absent"),
+    ],
+)
+def test_bad_input_is_one_message_and_exit_code_2(words, message, tmp_path):
+    done = tf_mpc(*words, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("runs/*")), "nothing half-written"
+
+
+def test_an_unreachable_service_is_exit_code_3(tmp_path):
+    done = tf_mpc("run", "--testcase", TESTCASE, "--url", "http://127.0.0.1:9", "--quiet", cwd=tmp_path)
+    assert done.returncode == 3, done.stderr
+    assert "127.0.0.1:9" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_path):
+    done = simple("--controller", "thermostat", "--baselines", "native", "--days", "2")
+    assert done.exit_code == 0, done.output
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name == f"{TESTCASE}-peak_heat_day-constant-thermostat-001"
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "scenario.yaml", "trajectory.csv", "trajectory_native.csv", "steps.csv", "kpis.json", "manifest.json",
+        "report.html",
+    }  # fmt: skip
+    kpis = json.loads((folder / "kpis.json").read_text())
+    assert set(kpis) == {
+        "testcase", "plant", "weather", "period", "price", "controller", "kpis", "baselines"
+    }  # fmt: skip
+    assert kpis["kpis"]["ener_tot"] > 0
+    assert kpis["baselines"]["native"]["ener_tot"] > 0
+    assert f"{kpis['kpis']['ener_tot']:.4g}" in done.output
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["environment"]["numpy"]
+    assert set(manifest["sha256"]) == names - {"manifest.json", "report.html"}
+    resolved = yaml.safe_load((folder / "scenario.yaml").read_text())
+    assert resolved["controller"]["name"] == "thermostat"
+
+
+def test_a_second_run_never_overwrites(simple, tmp_path):
+    for _ in range(2):
+        assert simple("--controller", "native", "--baselines", "", "--days", "0.5").exit_code == 0
+    assert len(list((tmp_path / "runs").iterdir())) == 2
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "precious").write_text("x")
+    done = simple("--controller", "native", "--out", str(out))
+    assert "never overwrites" in str(done.exception)
+    assert [path.name for path in out.iterdir()] == ["precious"]
+
+
+def test_a_plant_that_fails_half_way_loses_nothing(simple, tmp_path):
+    simple.house.fail_at_s = 10.5 * 86400
+    done = simple("--controller", "thermostat")
+    assert "What was recorded until then is in" in str(done.exception)
+    (folder,) = (tmp_path / "runs").iterdir()
+    rows = (folder / "incomplete_trajectory_thermostat.csv").read_text().splitlines()
+    assert len(rows) == 1 + 48
+    assert "lost its connection" in (folder / "INCOMPLETE.txt").read_text()
+
+
+def test_the_report_stands_alone(simple, tmp_path):
+    simple("--controller", "thermostat", "--baselines", "native", "--days", "1")
+    (page,) = tmp_path.glob("runs/*/report.html")
+    text = page.read_text()
+    assert text.count("<svg") == 3
+    for outside in ('src="http', 'href="http', "<script", "@import"):
+        assert outside not in text.replace("http://www.w3.org", "")
+    assert "thermostat on simple_house" in text
+
+
+def test_validate_names_what_is_wrong(tmp_path):
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text(f"testcase: {TESTCASE}\n")
+    bad.write_text(f"testcase: {TESTCASE}\ncontroller: {{name: thermostat, options: {{setpoint: 21}}}}\n")
+    assert CliRunner().invoke(cli, ["validate", str(good)]).exit_code == 0
+    done = tf_mpc("validate", str(bad))
+    assert done.returncode == 2
+    assert "setpoint: unknown key, did you mean 'setpoint_C'?" in done.stderr
+
+
+def test_controllers_lists_options_with_defaults():
+    done = CliRunner().invoke(cli, ["controllers", "thermoforce_mpc"])
+    assert "controller.options.actuation.block_s  (default 300.0)" in done.output
+    overview = CliRunner().invoke(cli, ["controllers"]).output
+    for name in ("thermoforce_mpc", "rc_mpc", "candidate_search", "thermostat", "native"):
+        assert name in overview
