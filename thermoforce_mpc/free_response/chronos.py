@@ -82,7 +82,7 @@ class ChronosFreeResponse:
             return FreeForecast(short.levels, short.quantiles_C, f"persistence: only {hours:g} h of history")
         if abs(history.step_s - boundary.step_s) > 1e-6:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
-        context = torch.as_tensor(free[-self._context_steps :], dtype=torch.float32)[None]
+        context = torch.tensor(free[-self._context_steps :], dtype=torch.float32)[None]
         with torch.no_grad(), warnings.catch_warnings():
             # Longer horizons than the model was trained for are unrolled; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")

@@ -38,6 +38,24 @@ def _arx(lags: int = 26, ridge: float = 1e-2) -> FreeResponse:
     return Autoregressive(lags, ridge, weather=True)
 
 
+def _ets() -> FreeResponse:
+    from thermoforce_mpc.free_response.exponential_smoothing import ExponentialSmoothing
+
+    return ExponentialSmoothing()
+
+
+def _linear_weather() -> FreeResponse:
+    from thermoforce_mpc.free_response.linear_weather import LinearWeather
+
+    return LinearWeather()
+
+
+def _residual(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+    from thermoforce_mpc.free_response.residual import ResidualFreeResponse
+
+    return ResidualFreeResponse(_chronos(backbone, context_steps))
+
+
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 
@@ -54,9 +72,12 @@ def _rc(*, model: ThermalModel | None) -> FreeResponse:
 
 _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
     "chronos": _chronos,
+    "residual": _residual,
+    "linear_weather": _linear_weather,
     "rc": _rc,
     "arx": _arx,
     "ar": _ar,
+    "ets": _ets,
     "seasonal_naive": _seasonal_naive,
     "persistence": _persistence,
 }

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.types import Array
 
@@ -75,16 +76,35 @@ def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
     weights[:, 1:] *= (tau_h[:, None, :] / 24.0) ** 0.3
     keep = np.exp(-step_h[:, None] / tau_h)
     state = np.repeat(outdoor.mean(axis=1)[:, None], 4, axis=1) * weights[:, 0]
-    # A record often starts in the middle of something: a transient that fades with the modes.
-    state += rng.normal(0, 1.5, (n, 4)) * (rng.random(n) < 0.5)[:, None] * kept
     T = np.empty((n, total))
     gain = 1.0 - keep
     pushed = np.einsum("ntd,ndm->ntm", drive, weights)
     for t in range(total):
         state = keep * state + gain * pushed[:, t]
         T[:, t] = state.sum(axis=1)
+    T += _fading_transient(rng, tau_h, kept, step_h, total)
     drift = rng.normal(0, 0.02, n)[:, None] * (rng.random(n) < 0.2)[:, None] * hour / 24
     return np.asarray((T + drift + rng.uniform(0, 18, n)[:, None])[:, _BURN_IN:])
+
+
+def _fading_transient(
+    rng: np.random.Generator, tau_h: Array, kept: NDArray[np.bool_], step_h: Array, total: int
+) -> Array:
+    """Heating that stopped, a window that was shut: a level held up to some moment, then fading with the room's modes.
+
+    Shape (n, total), zero for most rooms; the moment lies in the first 85 % of the series, so that the part to be
+    forecast seldom starts with the surprise itself.
+    """
+    n = int(step_h.size)
+    size = np.exp(rng.normal(1.0, 0.9, n)) * rng.choice([1.0, -1.0], n, p=[0.7, 0.3]) * (rng.random(n) < 0.3)
+    share = rng.gamma(1.0, 1.0, kept.shape) * kept
+    share /= share.sum(axis=1, keepdims=True)
+    moment = rng.uniform(_BURN_IN - 100, 0.85 * total, n)
+    since_h = np.maximum(np.arange(total) - moment[:, None], 0.0) * step_h[:, None]
+    out = np.zeros((n, total))
+    for mode in range(kept.shape[1]):
+        out += share[:, mode, None] * np.exp(-since_h / tau_h[:, mode, None])
+    return size[:, None] * out
 
 
 def _weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tuple[Array, Array]:

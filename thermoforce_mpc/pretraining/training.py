@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -14,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.pretraining.model import CONTEXT, HORIZON, build_model
 from thermoforce_mpc.pretraining.series import draw_batch
 
@@ -37,12 +39,23 @@ class TrainingConfig:
     validation_batches: int = 4
 
 
-def pretrain(folder: Path, config: TrainingConfig, report: Callable[[str], None] = print) -> Path:
+def pretrain(
+    folder: Path, config: TrainingConfig, report: Callable[[str], None] = print, *, force: bool = False
+) -> Path:
     """Train, or go on where `folder/state.pt` left off; writes the checkpoint and `training.json` into `folder`.
 
     The batch of step k depends on the seed and k alone, so an interrupted run ends with the same weights as one that
     was not (on the same machine and number of threads).
+
+    Args:
+        force: train anew over what `folder` holds.
+
+    Raises:
+        ConfigError: `folder` holds a finished run, or one of another configuration or code, and `force` is not set.
     """
+    state_path = folder / "state.pt"
+    if force:
+        state_path.unlink(missing_ok=True)
     torch.manual_seed(config.seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model = build_model().to(device)
@@ -51,12 +64,12 @@ def pretrain(folder: Path, config: TrainingConfig, report: Callable[[str], None]
         torch.optim.Muon(matrices, lr=config.muon_lr, weight_decay=config.weight_decay),
         torch.optim.AdamW(rest, lr=config.adamw_lr, weight_decay=config.weight_decay),
     ]
-    state_path = folder / "state.pt"
     curve: list[dict[str, float]] = []
     first = 0
     folder.mkdir(parents=True, exist_ok=True)
     if state_path.exists():
         state = torch.load(state_path, map_location=device, weights_only=True)
+        _check_resumable(state, config, folder)
         model.load_state_dict(state["model"])
         for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
@@ -90,11 +103,40 @@ def pretrain(folder: Path, config: TrainingConfig, report: Callable[[str], None]
                 "optimisers": [optimiser.state_dict() for optimiser in optimisers],
                 "step": done,
                 "curve": curve,
+                "config": asdict(config),
+                "code": code_hash(),
             }
             torch.save(state, state_path.with_suffix(".new"))
             state_path.with_suffix(".new").replace(state_path)
-            save_checkpoint(model, folder / "checkpoint", {"config": asdict(config), "curve": curve})
+            record = {
+                "config": asdict(config),
+                "code_sha256": code_hash(),
+                "parameters": sum(p.numel() for p in model.parameters()),
+                "device": device,
+                "torch": torch.__version__,
+                "curve": curve,
+            }
+            save_checkpoint(model, folder / "checkpoint", record)
     return folder / "checkpoint"
+
+
+def code_hash() -> str:
+    """SHA-256 of the sources that decide the weights: series, architecture and training."""
+    here = Path(__file__).parent
+    return hashlib.sha256(
+        b"".join((here / f"{n}.py").read_bytes() for n in ("series", "model", "training"))
+    ).hexdigest()
+
+
+def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path) -> None:
+    advice = "give another folder, or --force to train anew"
+    if state["config"] != asdict(config):
+        changed = [key for key, value in asdict(config).items() if state["config"].get(key) != value]
+        raise ConfigError(f"{folder} holds a run with other {', '.join(changed) or 'options'}: {advice}")
+    if state["code"] != code_hash():
+        raise ConfigError(f"{folder} holds a run made by another version of the training code: {advice}")
+    if int(state["step"]) >= config.steps:
+        raise ConfigError(f"{folder} holds a finished run of {config.steps} steps: {advice}")
 
 
 def batch_loss(model: Any, rng: np.random.Generator, size: int) -> Tensor:
@@ -112,6 +154,9 @@ def save_checkpoint(model: Any, folder: Path, record: dict[str, Any]) -> None:
     """Write config.json, half-precision model.safetensors and training.json."""
     from copy import deepcopy
 
+    from transformers.utils import logging
+
+    logging.disable_progress_bar()
     deepcopy(model).half().save_pretrained(folder, safe_serialization=True)
     (folder / "training.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 

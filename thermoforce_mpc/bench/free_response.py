@@ -1,0 +1,229 @@
+"""`tf-mpc bench free-response`: forecasters of the control-free temperature on series that none was made from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
+from thermoforce_mpc.bench.result import Target, bench_result
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.free_response.registry import build_free_response
+from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History
+
+# What the shipped forecaster is measured against: given the same context, without weather.
+NAIVE = ("persistence", "seasonal_naive", "ar26", "ar49", "ets")
+_LEAST_KNOWN_SHARE = 0.9
+_ORIGINS_PER_SOURCE = 60
+_ORIGINS_QUICK = 8
+_LOW, _HIGH = 0, -1  # rows of the 0.1 and 0.9 quantiles
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method on one source: absolute errors (origins, N) K, share inside the 80 % interval, ms per forecast."""
+
+    errors_K: Array
+    inside: Array
+    pinball_K: float
+    milliseconds: float
+
+
+def run_free_response_bench(
+    reference: Path | None = None,
+    houses: Path | None = None,
+    *,
+    backbone: str = "shipped",
+    quick: bool = False,
+    out: Path | None = None,
+    progress: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Forecast 24 h from many origins on every source with every method; the weather "forecast" is what came.
+
+    Args:
+        reference: records of the real test case in the layout of docs/plant.md; left out without it.
+        houses: folder with `mons_house_30min.csv.gz`; left out without it.
+        backbone: forecaster's weights, as in `build_free_response`.
+        quick: fewer origins.
+        out: folder for the plot `free_response.png`; none without it.
+        progress: told each finished source.
+
+    Raises:
+        DataError: a folder was given but a file in it is missing.
+        BackboneError: the weights cannot be loaded.
+    """
+    sources = embedded_sources()
+    sources += boptest_sources(reference) if reference else []
+    sources += mons_sources(houses) if houses else []
+    methods = _methods(backbone)
+    scores: dict[str, dict[str, Score]] = {}
+    for source in sources:
+        origins = forecast_origins(source, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
+        scores[source.name] = {}
+        for name, method in methods.items():
+            try:
+                scores[source.name][name] = score(method, source, origins)
+            except DataError as error:  # a method that needs more history than a source has is not scored on it
+                progress(f"{source.name}: {name} left out: {error}")
+        progress(f"{source.name}: {len(origins)} origins")
+    groups = {source.name: source.group for source in sources}
+    rows = [
+        _row(source, groups[source], method, found)
+        for source, by_method in scores.items()
+        for method, found in by_method.items()
+    ]
+    if out is not None:
+        _plot(scores, groups, out)
+    return bench_result("free-response", rows, _targets(scores, groups))
+
+
+def forecast_origins(source: Source, at_most: int) -> list[int]:
+    """Indices to forecast from: enough and almost gapless context, a gapless day after; spread over the record."""
+    free, n = source.free_C, source.horizon
+    known = np.isfinite(free)
+    weather = np.isfinite(source.history.T_out_C) & np.isfinite(source.history.solar_W_m2)
+    possible = [
+        t
+        for t in range(source.least_context_steps, free.size - n)
+        if known[t - 2 * n - 1 : t + n + 1].all()
+        and known[max(0, t - source.context_steps) : t].mean() >= _LEAST_KNOWN_SHARE
+        and weather[max(0, t - source.context_steps) : t + n + 1].all()
+    ]
+    if len(possible) <= at_most:
+        return possible
+    return [possible[i] for i in np.linspace(0, len(possible) - 1, at_most).round().astype(int)]
+
+
+def window(source: Source, origin: int) -> tuple[Array, History, Boundary, Array]:
+    """Control-free history up to `origin`, its weather, the 24 h ahead, and what came, shape (N,)."""
+    n, first = source.horizon, max(0, origin - source.context_steps)
+    whole = source.history
+    past, ahead = slice(first, origin + 1), slice(origin, origin + n + 1)
+    acting = np.full(origin - first, np.nan)
+    history = History(
+        whole.time_s[past], source.free_C[past], whole.T_out_C[past], whole.solar_W_m2[past], acting, acting, acting
+    )
+    unknown = np.zeros(n + 1)
+    boundary = Boundary(
+        whole.time_s[ahead], whole.T_out_C[ahead], whole.solar_W_m2[ahead], unknown, unknown, unknown, unknown, unknown
+    )
+    return source.free_C[past], history, boundary, source.free_C[origin + 1 : origin + n + 1]
+
+
+def score(method: FreeResponse, source: Source, origins: Sequence[int]) -> Score:
+    """Forecast from every origin and compare with what came."""
+    errors, inside, pinball, seconds = [], [], [], []
+    for origin in origins:
+        free, history, boundary, truth = window(source, origin)
+        began = time.perf_counter()
+        forecast = method.forecast(free, history, boundary)
+        seconds.append(time.perf_counter() - began)
+        errors.append(np.abs(truth - forecast.median_C))
+        inside.append((truth >= forecast.quantiles_C[_LOW]) & (truth <= forecast.quantiles_C[_HIGH]))
+        gap = truth - forecast.quantiles_C
+        level = np.asarray(forecast.levels)[:, None]
+        pinball.append(np.maximum(level * gap, (level - 1.0) * gap).mean())
+    return Score(np.array(errors), np.array(inside), float(np.mean(pinball)), float(np.median(seconds)) * 1e3)
+
+
+def _methods(backbone: str) -> dict[str, FreeResponse]:
+    chronos = build_free_response("chronos", backbone=backbone)
+    return {
+        "persistence": build_free_response("persistence"),
+        "seasonal_naive": build_free_response("seasonal_naive"),
+        "ar26": build_free_response("ar", lags=26),
+        "ar49": build_free_response("ar", lags=49),
+        "ets": build_free_response("ets"),
+        "chronos": chronos,
+        "arx26": build_free_response("arx", lags=26),
+        "linear_weather": build_free_response("linear_weather"),
+        "residual": build_free_response("residual", backbone=backbone),
+    }
+
+
+def _mae(found: Score, hours: float) -> float:
+    steps = round(found.errors_K.shape[1] * hours / 24)
+    return float(found.errors_K[:, :steps].mean())
+
+
+def _row(source: str, group: str, method: str, found: Score) -> dict[str, Any]:
+    return {
+        "source": source,
+        "group": group,
+        "method": method,
+        "origins": len(found.errors_K),
+        "mae_6h_K": _mae(found, 6),
+        "mae_24h_K": _mae(found, 24),
+        "pinball_K": found.pinball_K,
+        "coverage_80": float(found.inside.mean()),
+        "ms": found.milliseconds,
+    }
+
+
+def _pooled(scores: dict[str, dict[str, Score]], groups: dict[str, str]) -> dict[str, dict[str, Score]]:
+    """Scores of all sources of a group together."""
+    pooled: dict[str, dict[str, Score]] = {}
+    for group in dict.fromkeys(groups.values()):
+        members = [scores[source] for source in scores if groups[source] == group]
+        pooled[group] = {
+            method: Score(
+                np.concatenate([m[method].errors_K for m in members]),
+                np.concatenate([m[method].inside for m in members]),
+                float(np.mean([m[method].pinball_K for m in members])),
+                float(np.median([m[method].milliseconds for m in members])),
+            )
+            for method in members[0]
+            if all(method in m for m in members)
+        }
+    return pooled
+
+
+def _targets(scores: dict[str, dict[str, Score]], groups: dict[str, str]) -> list[Target]:
+    targets = []
+    pooled = _pooled(scores, groups)
+    for group, by_method in pooled.items():
+        best = min(_mae(by_method[name], 24) for name in NAIVE if name in by_method)
+        coverage = float(by_method["chronos"].inside.mean())
+        targets += [
+            Target(
+                f"{group}: chronos 24-h MAE over the best naive method's", _mae(by_method["chronos"], 24) / best, 0.9
+            ),
+            Target(f"{group}: coverage of chronos' 80 % interval, low side", coverage, 0.75, "at least"),
+            Target(f"{group}: coverage of chronos' 80 % interval, high side", coverage, 0.85),
+        ]
+        for hours in (6, 24):
+            part = min(_mae(by_method[name], hours) for name in ("chronos", "linear_weather"))
+            goal = 0.9 if group in ("BOPTEST", "Mons") else 1.02
+            ratio = _mae(by_method["residual"], hours) / part
+            targets.append(Target(f"{group}: residual {hours}-h MAE over the better of its parts", ratio, goal))
+    worst = max(found["chronos"].milliseconds for found in scores.values())
+    targets.append(Target("chronos: median ms per 24-h forecast, slowest source", worst, 5.0))
+    return targets
+
+
+def _plot(scores: dict[str, dict[str, Score]], groups: dict[str, str], out: Path) -> None:
+    """Mean absolute error over the lead time, one panel per group."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    pooled = _pooled(scores, groups)
+    figure, axes = plt.subplots(1, len(pooled), figsize=(4.2 * len(pooled), 3.6), squeeze=False, layout="constrained")
+    for axis, (group, by_method) in zip(axes[0], pooled.items(), strict=True):
+        for method, found in by_method.items():
+            n = found.errors_K.shape[1]
+            hours = np.arange(1, n + 1) * DAY_S / HOUR_S / n
+            bold = method in ("chronos", "residual")
+            axis.plot(hours, found.errors_K.mean(axis=0), label=method, lw=2.2 if bold else 1.0)
+        axis.set(title=group, xlabel="lead time, h", ylabel="mean absolute error, K", ylim=(0, None))
+    axes[0][-1].legend(fontsize=7)
+    out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(out / "free_response.png", dpi=130)
+    plt.close(figure)

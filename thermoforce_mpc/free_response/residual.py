@@ -1,0 +1,31 @@
+"""Weather-aware and still with a frozen backbone: a linear weather model, and a forecaster of what it leaves over."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.free_response.checks import checked_free
+from thermoforce_mpc.free_response.linear_weather import fit_linear_weather
+from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.types import Array, Boundary, FreeForecast, History
+
+
+class ResidualFreeResponse:
+    """Linear weather model plus `backbone`'s forecast of its residual series (history less simulated course)."""
+
+    name = "residual"
+
+    def __init__(self, backbone: FreeResponse) -> None:
+        """`backbone` forecasts the residual; usually a frozen `ChronosFreeResponse`."""
+        self.backbone = backbone
+
+    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`; raises `DataError` where the linear model or the backbone does."""
+        free = checked_free(free_C, history)
+        fit = fit_linear_weather(free, history, boundary)
+        rest = self.backbone.forecast(free - fit.past_C, history, boundary)
+        return FreeForecast(
+            rest.levels,
+            np.asarray(fit.ahead_C + rest.quantiles_C),
+            f"linear weather model plus residual by {rest.note}",
+        )
