@@ -36,6 +36,8 @@ from thermoforce_mpc.world_model import ModelCard, ThermalModel, forced_history
 
 # A higher order must predict this much better than a lower one to be worth its parameters.
 _PARSIMONY = 0.97
+# Least share of the whitened variance that the forced response must explain to be believed.
+_LEAST_EXPLAINED = 0.1
 # Narrowest spread that features are normalised by: °C, °C, W/m², 1.
 _LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
 # Share of the steps in which heat or power must have been measured to be used.
@@ -110,10 +112,12 @@ def identify(
     order = _choose(candidates)
     priors = candidates[order].priors
     final = fit_joint([c.episode for c in cases], priors, config, sign)
-    if not (final.gains > 0).any():
+    explained = _explained(cases, final, sign)
+    if explained < _LEAST_EXPLAINED:
         raise DataError(
-            f"no effect of the actuator with the sign of {mode} was found in the data: "
-            "check the sign of u, or whether the actuator reached the zone at all"
+            f"no effect of the actuator with the sign of {mode} was found in the data: it explains "
+            f"{100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; check "
+            "the sign of u, whether the actuator reached the zone, or probe harder"
         )
     base_step = histories[0].step_s
     mean, scale = _normalisation(histories)
@@ -135,6 +139,7 @@ def identify(
     operator = linear(final)
     scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
+    scores["explained_by_actuation"] = explained
     scores["misfit"] = final.misfit
     if config.modulation == "neural":
         operator, neural = _modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
@@ -237,6 +242,19 @@ def _fit(
 
 def _rms(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def _explained(cases: Sequence[_Case], fit: JointFit, sign: int) -> float:
+    """Share of the whitened variance (of what neither weather nor drift explains) that the forced response removes."""
+    before, after = 0.0, 0.0
+    for case in cases:
+        explained = residuals(case.episode, fit.log_tau)
+        whitener = explained.whitener()
+        residual = case.episode.target - explained.mean
+        before += float(np.sum((whitener @ residual) ** 2))
+        forced = forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
+        after += float(np.sum((whitener @ (residual - forced)) ** 2))
+    return 1.0 - after / before
 
 
 def _choose(candidates: dict[int, _Fitted]) -> int:

@@ -1,0 +1,225 @@
+"""Identification finds what is known, refuses what cannot be known, and does so twice alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, effect_rmse, random_levels, record
+
+from thermoforce_mpc.artifact import save_model
+from thermoforce_mpc.configuration import validate
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
+from thermoforce_mpc.operator import certificate
+from thermoforce_mpc.types import History
+
+HOUSE = House()
+LINEAR = IdentificationConfig(order=3, modulation="linear")
+QUICK = IdentificationConfig(epochs=40)
+
+
+def make_pair(house: House, seed: int, days: float = 1.6) -> Pair:
+    n = round(days * 24)
+    runs = [record(house, days, 3600.0, seed, u=random_levels(n, 10 * seed + k, hold=4)) for k in (1, 2)]
+    return Pair(*runs, label=str(seed))
+
+
+def test_three_days_of_one_run_tell_what_an_action_does():
+    model = identify([record(HOUSE, 3.0, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.08 * effect
+    assert model.card.scores["held_out_rollout_rmse_K"] < 0.5
+    assert model.free is not None
+    assert model.power is not None
+    np.testing.assert_allclose(model.power(np.array([0.0, 1.0]), 5.0), [0, 3600], rtol=0.02)
+
+
+def test_without_priors_of_the_building_thirty_days_are_enough():
+    record_ = record(HOUSE, 20.0, 1800.0, noise_K=0.01)
+    model = identify([record_], config=LINEAR)  # no floor area: weak priors
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.05 * effect
+
+
+def test_pairs_find_time_constants_and_gains():
+    pairs = [make_pair(HOUSE, seed) for seed in range(6)]
+    model = identify(pairs=pairs, config=LINEAR, floor_area_m2=190.0)
+    np.testing.assert_allclose(model.operator.time_constants_h, HOUSE.tau_h, rtol=0.15)  # the prior is centred at 50 h
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.01 * effect
+    assert model.free is None
+
+
+def test_order_is_chosen_on_held_out_data():
+    pairs = [make_pair(HOUSE, seed) for seed in range(6)]
+    model = identify(pairs=pairs, config=IdentificationConfig(modulation="linear"), floor_area_m2=190.0)
+    scores = model.card.scores
+    assert model.operator.order == 3
+    assert scores["held_out_order_3"] < 0.5 * scores["held_out_order_1"]
+    simple = House(tau_h=(0.001, 3.0, 25.0), gain_K=(0.0, 15.0))
+    pairs = [make_pair(simple, seed) for seed in range(6)]
+    model = identify(pairs=pairs, config=IdentificationConfig(modulation="linear"))
+    assert model.operator.order == 1, model.card.scores
+    np.testing.assert_allclose(model.operator.time_constants_h, [25.0], rtol=0.05)
+
+
+def test_feedback_does_not_turn_the_effect_around():
+    """A thermostat heats when it is cold: the naive regression of eq:arx on all data sees little or nothing."""
+    step_s, days = 900.0, 4.0
+    n = round(days * 96)
+    u = np.zeros(n)
+    for _ in range(30):  # fixed point of the loop thermostat -> temperature -> thermostat, hour by hour
+        T = record(HOUSE, days, step_s, seed=3, u=u).T_zone_C
+        wanted = np.repeat((T[:-1:4] < 19.0) * 1.0, 4)
+        wrong = np.flatnonzero(wanted != u)
+        if wrong.size == 0:
+            break
+        u = np.concatenate([wanted[: wrong[0] + 4], u[wrong[0] + 4 :]])
+    loop = record(HOUSE, days, step_s, seed=3, u=u, noise_K=0.01)
+    model = identify([loop], config=LINEAR, floor_area_m2=190.0)
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.15 * effect
+
+
+def test_cooling_has_a_negative_effect():
+    house = replace(HOUSE, sign=-1)
+    model = identify([record(house, 3.0)], config=LINEAR, mode="cooling", floor_area_m2=190.0)
+    assert model.operator.sign == -1
+    assert certificate(model.operator).effect_high_K[3] < 0
+    rmse, effect = effect_rmse(model, house)
+    assert rmse < 0.05 * effect
+
+
+def test_the_wrong_sign_is_noticed():
+    with pytest.raises(DataError, match="no effect of the actuator with the sign of cooling"):
+        identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR, mode="cooling")
+
+
+def test_u_itself_drives_where_heat_is_not_measured():
+    model = identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR)
+    assert model.operator.actuator.kind == "identity"
+    assert any("heat was measured in 0 %" in note for note in model.card.notes)
+    with pytest.raises(DataError, match="heat was asked for"):
+        identify([record(HOUSE, 3.0, heat_measured=False)], config=IdentificationConfig(actuator="heat"))
+
+
+def test_the_network_learns_what_the_linear_gain_cannot():
+    """Without a heat map the gain depends on T_out; m(x) must find that, held out days must gain from it."""
+    house = replace(HOUSE, slope_per_K=0.06, machine_W=(0.0, 10000.0))
+    pairs = [make_pair(house, seed) for seed in range(8)]
+    results = {
+        kind: identify(pairs=pairs, config=IdentificationConfig(order=3, modulation=kind, actuator="identity"))
+        for kind in ("linear", "neural")
+    }
+    assert results["neural"].card.scores["modulation_kept"] == 1.0
+    rmse = {kind: effect_rmse(model, house)[0] for kind, model in results.items()}
+    assert rmse["neural"] < 0.6 * rmse["linear"], rmse
+    assert certificate(results["neural"].operator).certified
+
+
+def test_order_one_on_u_is_the_papers_operator():
+    model = identify([record(HOUSE, 3.0)], config=IdentificationConfig(order=1, actuator="identity", epochs=20))
+    assert model.operator.n_trained == 195
+    assert model.operator.actuator.kind == "identity"
+    assert model.operator.gamma == 0.75
+
+
+def test_step_of_the_model_is_the_one_asked_for():
+    model = identify([record(HOUSE, 2.0)], config=LINEAR, step_s=3600.0)
+    assert model.operator.step_s == 3600.0
+    assert model.free is not None
+    assert model.free.step_s == 3600.0
+
+
+def test_silent_sensor_in_between_is_left_out():
+    history = record(HOUSE, 3.0, noise_K=0.01)
+    T = np.array(history.T_zone_C)
+    T[60:90] = np.nan
+    T[0] = np.nan
+    model = identify([replace(history, T_zone_C=T)], config=QUICK, floor_area_m2=190.0)
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.08 * effect
+
+
+def test_same_data_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        save_model(tmp_path / name, identify([record(HOUSE, 2.0)], config=QUICK, floor_area_m2=190.0))
+    for file in sorted(path.name for path in (tmp_path / "a").iterdir()):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_runs_and_pairs_go_together():
+    model = identify([record(HOUSE, 2.0, 3600.0)], [make_pair(HOUSE, 4)], config=LINEAR, floor_area_m2=190.0)
+    assert len(model.card.data) == 3
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.05 * effect
+
+
+def _changed(**arrays) -> History:
+    history = record(HOUSE, 2.0)
+    return replace(history, **{k: v(np.array(getattr(history, k))) for k, v in arrays.items()})
+
+
+def _at(index, value):
+    def put(array):
+        array[index] = value
+        return array
+
+    return put
+
+
+@pytest.mark.parametrize(
+    ("history", "words"),
+    [
+        (lambda: record(HOUSE, 0.5), r"0\.50 days.*need at least 0\.9"),
+        (lambda: record(HOUSE, 2.0, u=np.full(192, 0.4)), r"u is constant at 0\.4.*probe"),
+        (lambda: record(HOUSE, 2.0, u=np.repeat([0.0, 1.0], 96)), r"too little excitation.*1 changes of u"),
+        (lambda: _changed(T_zone_C=lambda T: np.full_like(T, np.nan)), "every zone temperature is NaN"),
+        (lambda: _changed(T_zone_C=_at(slice(0, 120), np.nan)), "only .* of the zone temperatures"),
+        (lambda: _changed(T_out_C=_at(7, np.nan)), "T_out_C is not finite at 1 of 193 places, first at 7"),
+        (lambda: _changed(u=_at(5, np.nan)), "u is not finite"),
+        (lambda: _changed(u=_at(5, 1.4)), r"u ranges from 0 to 1\.4"),
+        (lambda: _changed(time_s=_at(5, 1728000.0)), "time steps vary"),
+    ],
+)
+def test_data_that_cannot_identify_are_refused_with_numbers(history, words):
+    with pytest.raises(DataError, match=words):
+        identify([history()], config=LINEAR)
+
+
+def test_nothing_is_refused_too():
+    with pytest.raises(DataError, match="nothing to identify from"):
+        identify()
+
+
+def test_pairs_must_be_pairs():
+    pair = make_pair(HOUSE, 1)
+    with pytest.raises(DataError, match="T_out_C differs"):
+        Pair(pair.a, replace(pair.b, T_out_C=pair.b.T_out_C + 1))
+    with pytest.raises(DataError, match=r"0\.500 K apart"):
+        Pair(pair.a, replace(pair.b, T_zone_C=pair.b.T_zone_C + 0.5))
+    with pytest.raises(DataError, match=r"differs by at most 0\.000"):
+        identify(pairs=[Pair(pair.a, pair.a)])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"time_constants_h": [3, 1]}, "increasing"),
+        ({"time_constants_h": [1, 3], "order": 3}, "has 2 values, but order is 3"),
+        ({"disturbance_sd_K": [0.1]}, "same number"),
+        ({"gama": 0.5}, "gamma"),
+    ],
+)
+def test_options_are_checked(options, words):
+    with pytest.raises(ConfigError, match=words):
+        validate(IdentificationConfig, options, "options")
+
+
+def test_time_constants_given_set_order_and_prior():
+    config = IdentificationConfig(time_constants_h=(2.0, 80.0), modulation="linear")
+    assert config.orders() == (2,)
+    model = identify([record(HOUSE, 2.0)], config=config)
+    assert model.operator.order == 2

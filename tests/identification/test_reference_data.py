@@ -1,0 +1,48 @@
+"""Identification on the real test case: the figures this project promises, on data it did not make."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.bench.operator_data import cut, read_hourly_pairs, read_run
+from thermoforce_mpc.bench.operator_score import score_pairs
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification import IdentificationConfig, identify
+
+AREA_M2 = 192.0
+
+
+@pytest.fixture(scope="module")
+def pairs(shared):
+    return read_hourly_pairs(shared / "boptest_hp")
+
+
+def test_pairs_of_other_days_are_predicted(pairs):
+    days = sorted({p.start_day for p in pairs})
+    training = [p.pair for p in pairs if days.index(p.start_day) % 2 == 0]
+    testing = [p for p in pairs if days.index(p.start_day) % 2 == 1]
+    config = IdentificationConfig(modulation="linear")
+    selected = identify(pairs=training, config=config, floor_area_m2=AREA_M2)
+    first = identify(pairs=training, config=IdentificationConfig(modulation="linear", order=1), floor_area_m2=AREA_M2)
+    scores = score_pairs(selected.operator, testing)
+    assert selected.operator.order == 3
+    assert scores.rmse_K <= 0.035
+    assert scores.sign_accuracy >= 0.995
+    assert scores.rmse_K <= 0.5 * score_pairs(first.operator, testing).rmse_K
+
+
+@pytest.mark.parametrize(("days", "limit_K"), [(1, 0.12), (3, 0.08)])
+def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
+    run = read_run(shared / "boptest_hp" / "excite_jan.csv.gz")
+    model = identify([cut(run, 0, days)], config=IdentificationConfig(epochs=150), floor_area_m2=AREA_M2)
+    scores = score_pairs(model.operator, pairs)
+    assert scores.rmse_K <= limit_K
+    assert scores.sign_accuracy >= 0.995
+
+
+def test_a_day_without_heating_is_refused(shared):
+    run = read_run(shared / "boptest_hp" / "excite_apr.csv.gz")
+    quiet = next(cut(run, d, 1) for d in range(27) if np.ptp(cut(run, d, 1).u) == 0)
+    with pytest.raises(DataError, match="u is constant at 0"):
+        identify([quiet])

@@ -1,0 +1,75 @@
+"""The paper's two-stage estimator on a building that is eq:arx."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import random_levels, weather
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.two_stage import fit_two_stage
+from thermoforce_mpc.types import History
+
+A, C, D, E, G = 0.96, 0.03, 4e-4, 0.25, 0.5
+
+
+def arx_run(u=None, *, days=4.0, seed=0, noise_K=0.0, sign=1, thermostat=False) -> History:
+    time_s, T_out, solar = weather(days, 3600.0, seed)
+    n = time_s.size - 1
+    rng = np.random.default_rng(seed)
+    u = random_levels(n, seed, hold=5) if u is None else np.array(u)
+    T = [19.0]
+    for t in range(n):
+        if thermostat:
+            u[t] = float(T[-1] < 19.5)
+        w, s = 0.5 * (T_out[t] + T_out[t + 1]), 0.5 * (solar[t] + solar[t + 1])
+        T.append(A * T[-1] + sign * G * u[t] + C * w + D * s + E + noise_K * rng.normal())
+    return History(time_s, np.array(T), T_out, solar, u, np.full(n, np.nan), np.full(n, np.nan))
+
+
+def test_exact_on_its_own_equation():
+    fit = fit_two_stage([arx_run(), arx_run(seed=5)])
+    np.testing.assert_allclose([fit.a, fit.c, fit.d, fit.e, fit.g], [A, C, D, E, G], rtol=1e-5)
+    assert fit.rmse_K < 1e-6
+
+
+def test_thermostat_feedback_does_not_hide_the_gain():
+    """The reason for two stages: u is a function of T here, yet the gain comes out."""
+    fit = fit_two_stage([arx_run(days=8.0, thermostat=True, noise_K=0.01)])
+    assert fit.g == pytest.approx(G, rel=0.1)
+    assert fit.g_sd < 0.1 * G
+    assert 0 < fit.a_sd < 0.05
+
+
+def test_gain_is_clipped_to_its_sign():
+    cooled = arx_run(sign=-1)
+    assert fit_two_stage([cooled], sign=1).g == 0.0
+    fit = fit_two_stage([cooled], sign=-1)
+    assert fit.g == pytest.approx(-G, rel=1e-4)
+    assert fit.operator().sign == -1
+
+
+def test_pole_keeps_to_its_box():
+    fit = fit_two_stage([arx_run()], time_constant_h=(1.0, 10.0))
+    assert fit.a == pytest.approx(np.exp(-1 / 10))
+
+
+def test_parts_are_the_papers():
+    fit = fit_two_stage([arx_run()])
+    operator, free = fit.operator(), fit.free_model()
+    assert (operator.order, operator.n_trained) == (1, 195)
+    assert operator.poles[0] == free.poles[0] == fit.a
+    np.testing.assert_array_equal(free.weights[0, :3], [fit.c, fit.d, fit.e])
+
+
+def test_what_it_cannot_use_is_refused():
+    with pytest.raises(DataError, match="0 steps with the actuator off"):
+        fit_two_stage([arx_run(np.full(96, 0.5))])
+    with pytest.raises(DataError, match="0 on"):
+        fit_two_stage([arx_run(np.zeros(96))])
+    other = arx_run()
+    slow = replace(other, time_s=other.time_s * 2)
+    with pytest.raises(DataError, match="resample"):
+        fit_two_stage([other, slow])

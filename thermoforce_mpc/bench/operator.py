@@ -1,0 +1,223 @@
+"""`tf-mpc bench operator`: what the operator says an action does, against interventions of a reference building.
+
+Three parts: trained on pairs and tested on pairs of other start days; identified from K days of a single run and tested
+on all pairs; speed. Nothing that is tested on is trained on, and a target that does not hold is reported as such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+
+from thermoforce_mpc.bench.operator_data import ReferencePair, cut, read_hourly_pairs, read_run
+from thermoforce_mpc.bench.operator_score import PairScores, score_pairs
+from thermoforce_mpc.bench.operator_speed import compare_module_call, compare_rollout, compare_training
+from thermoforce_mpc.bench.result import Target, bench_result
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.two_stage import fit_two_stage
+from thermoforce_mpc.types import History
+
+FLOOR_AREA_M2 = 192.0
+"""Heated floor area of the reference building, m² (BOPTEST test case documentation)."""
+
+# Goals of this bench, K unless said otherwise.
+_PAIRS_GOAL_K, _SIGN_GOAL, _AGAINST_FIRST_ORDER = 0.035, 0.995, 0.5
+_FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}
+_NEURAL_PENALTY = 1.02
+_SPEED_GOAL = 20.0
+
+_DAYS = (1, 3, 7, 27)
+
+Row = dict[str, Any]
+
+
+def run_operator_bench(
+    reference: Path, *, quick: bool = False, progress: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """Run the bench on the records in `reference` (layout in `bench.operator_data`).
+
+    Args:
+        reference: folder with hourly pairs, their weather, and excite_*.csv.gz runs.
+        quick: one split of the pairs and fewer windows.
+        progress: told what is being done.
+
+    Raises:
+        DataError: files are missing or unusable.
+    """
+    say = progress or (lambda text: None)
+    say("reading the reference records")
+    pairs = read_hourly_pairs(reference)
+    runs = {path.name.removesuffix(".csv.gz"): read_run(path) for path in sorted(reference.glob("excite_*.csv.gz"))}
+    if not runs:
+        raise DataError(f"{reference}: no excite_*.csv.gz found")
+    rows: list[Row] = []
+    targets: list[Target] = []
+    for part in (_trained_on_pairs(pairs, quick, say), _few_shot(runs, pairs, quick, say), _speed(say)):
+        part_rows, part_targets = part
+        rows += part_rows
+        targets += part_targets
+    return bench_result("operator", rows, targets)
+
+
+def _trained_on_pairs(
+    pairs: Sequence[ReferencePair], quick: bool, say: Callable[[str], None]
+) -> tuple[list[Row], list[Target]]:
+    """Every other start day trains, the others test; then the other way round."""
+    days = sorted({p.start_day for p in pairs})
+    rows: list[Row] = []
+    worst: dict[tuple[str, str, str], PairScores] = {}
+    for fold in (0,) if quick else (0, 1):
+        training = [p.pair for p in pairs if days.index(p.start_day) % 2 == fold]
+        testing = [p for p in pairs if days.index(p.start_day) % 2 != fold]
+        for actuator, order, modulation in _variants():
+            say(f"pairs, fold {fold + 1}: {actuator}, order {order}, {modulation}")
+            config = IdentificationConfig(actuator=actuator, order=order, modulation=modulation)
+            start = perf_counter()
+            model = identify(pairs=training, config=config, floor_area_m2=FLOOR_AREA_M2)
+            seconds = perf_counter() - start
+            scores = score_pairs(model.operator, testing)
+            key = (actuator, str(order), modulation)
+            if key not in worst or scores.rmse_K > worst[key].rmse_K:
+                worst[key] = scores
+            rows.append(
+                {
+                    "part": "trained on pairs",
+                    "data": f"fold {fold + 1}, {len(training)} pairs",
+                    "input": actuator,
+                    "gain": modulation,
+                    "order": model.operator.order,
+                    "rmse_K": scores.rmse_K,
+                    "sign": scores.sign_accuracy,
+                    "effect_K": scores.effect_K,
+                    "seconds": seconds,
+                }
+            )
+    chosen, first = worst["heat", "auto", "neural"], worst["heat", "1", "neural"]
+    targets = [
+        Target("pairs: effect RMSE of the selected operator, K", chosen.rmse_K, _PAIRS_GOAL_K),
+        Target("pairs: sign accuracy of the selected operator", chosen.sign_accuracy, _SIGN_GOAL, "at least"),
+        Target("pairs: RMSE against first order on the same input", chosen.rmse_K / first.rmse_K, _AGAINST_FIRST_ORDER),
+    ]
+    for actuator in ("heat", "identity"):
+        neural, linear = (worst[actuator, "auto", gain].rmse_K for gain in ("neural", "linear"))
+        targets.append(Target(f"pairs: neural against linear gain on {actuator}", neural / linear, _NEURAL_PENALTY))
+    return rows, targets
+
+
+def _variants() -> Iterator[tuple[Literal["identity", "heat"], Literal["auto", 1], Literal["neural", "linear"]]]:
+    for actuator in ("identity", "heat"):
+        for order in (1, "auto"):
+            for modulation in ("linear", "neural"):
+                yield actuator, order, modulation
+
+
+def _few_shot(
+    runs: dict[str, History], pairs: Sequence[ReferencePair], quick: bool, say: Callable[[str], None]
+) -> tuple[list[Row], list[Target]]:
+    """K days of one run, every window of it, tested on all pairs."""
+    rows: list[Row] = []
+    targets: list[Target] = []
+    for days in _DAYS:
+        found: dict[str, list[PairScores]] = {"linear": [], "neural": [], "two-stage, order 1": []}
+        refused = 0
+        for name, run in runs.items():
+            total = run.n_steps * run.step_s / 86400.0
+            for first in np.arange(0.0, total - days + 1e-9, _stride(days, quick)):
+                say(f"{days} days of {name} from day {first:g}")
+                record = cut(run, float(first), days)
+                try:
+                    models = {
+                        gain: identify(
+                            [record], config=IdentificationConfig(modulation=gain), floor_area_m2=FLOOR_AREA_M2
+                        )
+                        for gain in ("linear", "neural")
+                    }
+                except DataError:
+                    refused += 1
+                    continue
+                for gain, model in models.items():
+                    found[gain].append(score_pairs(model.operator, pairs))
+                paper = _paper_estimate(record, pairs)
+                if paper is not None:
+                    found["two-stage, order 1"].append(paper)
+        for gain, scores in found.items():
+            if scores:
+                rows.append(_summary(days, gain, scores, refused))
+        if days in _FEW_SHOT_GOALS_K:
+            errors = np.array([s.rmse_K for s in found["neural"]])
+            goal = _FEW_SHOT_GOALS_K[days]
+            targets += [
+                Target(f"{days} days of one run: median effect RMSE, K", float(np.median(errors)), goal),
+                Target(f"{days} days of one run: 90th percentile, K", float(np.percentile(errors, 90)), goal),
+            ]
+        linear, neural = (np.array([s.rmse_K for s in found[g]]) for g in ("linear", "neural"))
+        limit = 1.0 if days >= 7 else _NEURAL_PENALTY
+        ratio = float(np.mean(neural) / np.mean(linear))
+        targets.append(Target(f"{days} days of one run: neural against linear gain, mean RMSE", ratio, limit))
+    return rows, targets
+
+
+def _stride(days: int, quick: bool) -> float:
+    """Days between the starts of windows."""
+    if quick:
+        return 9.0
+    return {1: 2.0, 3: 2.0, 7: 3.0}.get(days, 1.0)
+
+
+def _paper_estimate(record: History, pairs: Sequence[ReferencePair]) -> PairScores | None:
+    """The paper's two-stage estimator on hourly means of the same days; None where it finds too few off or on steps."""
+    try:
+        fit = fit_two_stage([_hourly(record)])
+    except DataError:
+        return None
+    return score_pairs(fit.operator(), pairs) if fit.g > 0 else None
+
+
+def _hourly(record: History) -> History:
+    k = round(3600.0 / record.step_s)
+    n = record.n_steps // k
+    mean = {name: getattr(record, name)[: n * k].reshape(n, k).mean(axis=1) for name in ("u", "power_W", "heat_W")}
+    sampled = {name: getattr(record, name)[: n * k + 1 : k] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
+    return History(**sampled, **mean)
+
+
+def _summary(days: int, gain: str, scores: Sequence[PairScores], refused: int) -> Row:
+    errors = np.array([s.rmse_K for s in scores])
+    return {
+        "part": "one run",
+        "data": f"{days} days, {len(scores)} windows, {refused} refused",
+        "input": "u" if gain.startswith("two-stage") else "heat",
+        "gain": gain,
+        "rmse_K": float(np.median(errors)),
+        "p90_K": float(np.percentile(errors, 90)),
+        "worst_K": float(errors.max()),
+        "sign": float(np.mean([s.sign_accuracy for s in scores])),
+        "effect_K": scores[0].effect_K,
+    }
+
+
+def _speed(say: Callable[[str], None]) -> tuple[list[Row], list[Target]]:
+    say("speed")
+    training = compare_training()
+    comparisons = [training]
+    targets = [Target("speed: training by convolution, times faster", training.ratio, _SPEED_GOAL, "at least")]
+    for n_steps in (24, 48):
+        by_casadi, by_numpy = compare_rollout(n_steps)
+        call = compare_module_call(n_steps)
+        comparisons += [by_casadi, by_numpy, call]
+        targets.append(
+            Target(f"speed: CasADi rollout of {n_steps} steps, times faster", call.ratio, _SPEED_GOAL, "at least")
+        )
+    rows = [
+        {"part": "speed", "data": c.name, "plain_ms": 1e3 * c.plain_s, "fast_ms": 1e3 * c.fast_s, "ratio": c.ratio}
+        for c in comparisons
+    ]
+    # What the paper prints for its own machine, for orientation only.
+    paper = {"RC identification (3 days)": 24.0, "training, 300 epochs": 5600.0, "forced rollout, 24 steps": 2.1}
+    rows += [{"part": "paper's figures", "data": name, "fast_ms": value} for name, value in paper.items()]
+    return rows, targets

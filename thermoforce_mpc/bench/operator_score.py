@@ -1,0 +1,61 @@
+"""Scoring an operator on paired interventions it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.bench.operator_data import ReferencePair
+from thermoforce_mpc.operator import OperatorParameters, feature_matrix, forced_rollout
+from thermoforce_mpc.types import HOUR_S, Array
+from thermoforce_mpc.world_model import forced_history
+
+# Below this, K, the sign of an effect is not scored: nobody could feel or use it.
+SIGN_FROM_K = 0.05
+
+
+@dataclass(frozen=True)
+class PairScores:
+    """Effect error over all pairs and lags: RMSE K, sign accuracy where |effect| > 0.05 K, RMS of the effect K."""
+
+    rmse_K: float
+    sign_accuracy: float
+    effect_K: float
+    n: int
+
+
+def predicted_effect(operator: OperatorParameters, reference: ReferencePair) -> Array:
+    """Effect of the first run's actions instead of the second's, shape (n,), K (paper eq:effect).
+
+    Both are rolled out over the free state of the second run: what the first run measured is not looked at.
+    """
+    acted, baseline = reference.pair.a, reference.pair.b
+    operator = operator.resampled(baseline.step_s)
+    free = baseline.T_zone_C - forced_history(operator, baseline).sum(axis=1)
+    features = feature_matrix(free[:-1], baseline.T_out_C[:-1], baseline.solar_W_m2[:-1], baseline.time_s[:-1])
+    start = np.zeros(operator.order)
+    first, second = (forced_rollout(operator, start, run.u, features).sum(axis=-1) for run in (acted, baseline))
+    return np.asarray(first - second)
+
+
+def score_pairs(
+    operator: OperatorParameters, references: Sequence[ReferencePair], horizon_h: float = 24.0
+) -> PairScores:
+    """Score rollouts over `horizon_h` from the start of each intervention."""
+    predicted, measured = [], []
+    for reference in references:
+        run = reference.pair.a
+        steps = round(horizon_h * HOUR_S / run.step_s)
+        window = slice(reference.window_start, reference.window_start + steps)
+        predicted.append(predicted_effect(operator, reference)[window])
+        measured.append((run.T_zone_C - reference.pair.b.T_zone_C)[1:][window])
+    p, m = np.concatenate(predicted), np.concatenate(measured)
+    strong = np.abs(m) > SIGN_FROM_K
+    return PairScores(
+        rmse_K=float(np.sqrt(np.mean((p - m) ** 2))),
+        sign_accuracy=float(np.mean(np.sign(p[strong]) == np.sign(m[strong]))),
+        effect_K=float(np.sqrt(np.mean(m**2))),
+        n=int(p.size),
+    )

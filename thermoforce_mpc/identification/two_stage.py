@@ -1,0 +1,146 @@
+"""The paper's two-stage estimator (section 'Identification under feedback confounding').
+
+First stage: while the actuator is off the dynamics are purely passive, so those steps give (a, c, d, e) of paper eq:arx
+by least squares under physical box constraints. Second stage: with these fixed, the residual of the steps with the
+actuator on is regressed on the drive, and the gain clipped to its physical sign. It is order 1 by nature; the joint
+estimator (`identification.joint`) is what knows about delay and drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.free_response.rc import INPUTS, RcParameters
+from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
+from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.types import HOUR_S, Array, History
+
+# Steps needed in each stage before four and one numbers mean anything.
+MIN_OFF_STEPS = 24
+MIN_ON_STEPS = 6
+# Constant gains of a house, ground and people, K per hour (the box of e).
+_CONSTANT_K_PER_H = 3.0
+
+
+@dataclass(frozen=True)
+class TwoStageFit:
+    """Result: paper eq:arx with standard errors.
+
+    `a` 1, `c` K/K, `d` K per W/m², `e` K and `g` K per step of `step_s` s; `g_sd` of the second stage's regression,
+    `a_sd` of the first's; `n_off` and `n_on` steps used; `rmse_K` of the one-step residual over all steps.
+    """
+
+    a: float
+    c: float
+    d: float
+    e: float
+    g: float
+    a_sd: float
+    g_sd: float
+    n_off: int
+    n_on: int
+    rmse_K: float
+    step_s: float
+    sign: int
+    actuator: ActuatorMap
+
+    def operator(self) -> OperatorParameters:
+        """The forced part, order 1 with m = 1."""
+        return linear_operator(
+            np.array([self.a]),
+            np.array([self.g]),
+            step_s=self.step_s,
+            sign=self.sign,
+            actuator=self.actuator,
+        )
+
+    def free_model(self) -> RcParameters:
+        """The free part, one mode (paper eq:free-evol)."""
+        weights = np.zeros((1, len(INPUTS)))
+        weights[0, :3] = self.c, self.d, self.e
+        return RcParameters(
+            poles=np.array([self.a]),
+            weights=weights,
+            step_s=self.step_s,
+            process_sd_K=np.array([max(self.rmse_K, 1e-4)]),
+        )
+
+
+def fit_two_stage(
+    runs: Sequence[History],
+    *,
+    actuator: ActuatorMap = IDENTITY,
+    sign: int = 1,
+    u_off: float = 0.02,
+    time_constant_h: tuple[float, float] = (1.0, 240.0),
+) -> TwoStageFit:
+    """Estimate eq:arx from runs with one step.
+
+    Args:
+        runs: recorded runs; steps whose ends were not both measured are left out.
+        actuator: v(u, T_out) that drives F; the identity is the paper's.
+        sign: +1 heating, −1 cooling: the gain is clipped to it.
+        u_off: control up to which a step counts as off.
+        time_constant_h: box of the pole as time constants, h.
+
+    Raises:
+        DataError: too few off or on steps, different step lengths; with numbers and advice.
+    """
+    steps = {run.step_s for run in runs}
+    if len(steps) != 1:
+        raise DataError(f"two-stage: the runs have steps of {sorted(steps)} s; resample them to one step")
+    step_s = steps.pop()
+    T, rise, T_out, solar, u = (np.concatenate(parts) for parts in zip(*(_columns(run) for run in runs), strict=True))
+    off = u <= u_off
+    on = ~off
+    if off.sum() < MIN_OFF_STEPS or on.sum() < MIN_ON_STEPS:
+        raise DataError(
+            f"two-stage: {int(off.sum())} steps with the actuator off (u ≤ {u_off:g}; need {MIN_OFF_STEPS}) and "
+            f"{int(on.sum())} on (need {MIN_ON_STEPS}): record stretches of both, or use the joint estimator"
+        )
+
+    # Written as T(t+1) − T(t) = c (T_out − T) + d I + e − (1 − a − c) T, the box is plain: 0 ≤ c ≤ 1 − a.
+    low_loss, high_loss = (1.0 - np.exp(-step_s / HOUR_S / tau) for tau in reversed(time_constant_h))
+    design = np.stack([-T[off], T_out[off], solar[off], np.ones(int(off.sum()))], axis=1)
+    scale = np.array([1.0, 1.0, 1e-3, 1.0])
+    constant = _CONSTANT_K_PER_H * step_s / HOUR_S
+    bounds = (np.array([low_loss, 0.0, 0.0, -constant]), np.array([high_loss, high_loss, np.inf, constant]))
+    solution = lsq_linear(design * scale, rise[off], bounds=(bounds[0] / scale, bounds[1] / scale)).x * scale
+    loss, c, d, e = (float(value) for value in solution)
+    noise = float(np.sum((design @ solution - rise[off]) ** 2) / max(1, off.sum() - 4))
+    a_sd = float(np.sqrt(noise * np.linalg.pinv(design.T @ design)[0, 0]))
+
+    residual = rise - (-loss * T + c * T_out + d * solar + e)
+    drive = actuator(u, T_out)
+    power = float(drive[on] @ drive[on])
+    gain = float(drive[on] @ residual[on]) / power
+    spread = float(np.var(residual[on] - gain * drive[on]))
+    clipped = sign * max(sign * gain, 0.0)
+    return TwoStageFit(
+        a=1.0 - loss,
+        c=c,
+        d=d,
+        e=e,
+        g=clipped,
+        a_sd=a_sd,
+        g_sd=float(np.sqrt(spread / power)),
+        n_off=int(off.sum()),
+        n_on=int(on.sum()),
+        rmse_K=float(np.sqrt(np.mean((residual - clipped * drive) ** 2))),
+        step_s=step_s,
+        sign=sign,
+        actuator=actuator,
+    )
+
+
+def _columns(run: History) -> tuple[Array, Array, Array, Array, Array]:
+    """T, its rise, and the mean weather of each step with both ends measured, with u."""
+    T = run.T_zone_C
+    kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
+    T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
+    return T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[kept]
