@@ -2,8 +2,11 @@
 
 from boptest_client.client import BoptestClient
 from boptest_client.errors import (
+    AdvanceInterrupted,
+    BadAddress,
     BoptestError,
     ConnectError,
+    ConnectionLost,
     InternalError,
     ProtocolError,
     RequestRejected,
@@ -13,16 +16,20 @@ from boptest_client.errors import (
     UnknownTest,
 )
 from boptest_client.transport import TransportConfig
-from boptest_client.types import Point
+from boptest_client.types import Point, Scenario
 
 __all__ = [
+    "AdvanceInterrupted",
+    "BadAddress",
     "BoptestClient",
     "BoptestError",
     "ConnectError",
+    "ConnectionLost",
     "InternalError",
     "Point",
     "ProtocolError",
     "RequestRejected",
+    "Scenario",
     "ServiceError",
     "ServiceTimeout",
     "TransportConfig",

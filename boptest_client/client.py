@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
+import math
 import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from types import TracebackType
 from typing import Any
 
-from boptest_client.errors import BoptestError, ProtocolError, ServiceTimeout, TransportError
+from boptest_client.errors import (
+    AdvanceInterrupted,
+    BoptestError,
+    ConnectionLost,
+    ProtocolError,
+    ServiceTimeout,
+    UnknownTest,
+)
 from boptest_client.transport import Transport, TransportConfig
-from boptest_client.types import Point
+from boptest_client.types import Point, Scenario
 
-_POLL_S = 0.5
+_LOG = logging.getLogger(__name__)
+_POLL_S = 0.2
+_CLOCK_TOLERANCE_S = 1e-3
 
 
 class BoptestClient:
@@ -21,10 +31,12 @@ class BoptestClient:
 
     ```python
     with BoptestClient("http://127.0.0.1:8000", "bestest_hydronic_heat_pump") as test:
-        test.set_scenario(time_period="peak_heat_day", electricity_price="constant")
+        test.set_scenario(Scenario(time_period="peak_heat_day", electricity_price="constant"))
         test.set_step(3600)
         measured = test.advance({"oveHeaPumY_u": 0.5, "oveHeaPumY_activate": 1})
     ```
+
+    Every method raises a `BoptestError` that names the endpoint. Not for use from several threads.
     """
 
     def __init__(
@@ -33,22 +45,21 @@ class BoptestClient:
         """Select `testcase` and wait until it runs.
 
         Raises:
-            RequestRejected, UnknownTest: the service does not know the test case.
-            TransportError: the service cannot be reached.
+            BadAddress: `url` is not an http(s) address.
+            UnknownTest: the service does not offer the test case; the message lists what it offers.
             ServiceTimeout: the test was still queued after `start_timeout_s`.
+            TransportError: the service cannot be reached.
         """
         self.testcase = testcase
         self._transport = Transport(url, config or TransportConfig(), _user_agent())
         self._stopped = False
-        # Selecting twice would leave an orphan behind, so it is not repeated.
-        answer = self._transport.call("POST", f"testcases/{testcase}/select", {}, repeatable=False)
-        if not isinstance(answer, dict) or "testid" not in answer:
-            raise ProtocolError(f"POST testcases/{testcase}/select", f"no testid in {answer!r}")
-        self.testid = str(answer["testid"])
+        self._time_s = math.nan
+        self._step_s = math.nan
+        self.testid = self._select()
         try:
             self._wait(start_timeout_s)
         except BaseException:
-            self.stop()
+            self._stop_quietly()
             raise
 
     @property
@@ -58,16 +69,28 @@ class BoptestClient:
 
     def version(self) -> str:
         """Version of the service; different versions give different results for the same test case."""
-        answer = self._transport.call("GET", "version", repeatable=True)
-        return str(answer.get("version", answer)) if isinstance(answer, dict) else str(answer)
+        answer = self._mapping("version", self._transport.call("GET", "version", repeatable=True).payload)
+        if "version" not in answer:
+            raise ProtocolError(f"GET {self.url}/version", f"no version in {answer!r}")
+        return str(answer["version"])
+
+    def testcases(self) -> tuple[str, ...]:
+        """Names of the test cases the service offers."""
+        answer = self._transport.call("GET", "testcases", repeatable=True).payload
+        try:
+            return tuple(sorted(str(item["testcaseid"]) for item in answer))
+        except (TypeError, KeyError) as error:
+            raise ProtocolError(f"GET {self.url}/testcases", f"not a list of test cases: {answer!r:.120}") from error
 
     def name(self) -> str:
         """Name of the test case as the service tells it."""
-        answer = self._get("name")
-        return str(answer.get("name", answer)) if isinstance(answer, dict) else str(answer)
+        answer = self._mapping("name", self._get("name"))
+        if "name" not in answer:
+            raise ProtocolError(f"GET {self.url}/name/{self.testid}", f"no name in {answer!r}")
+        return str(answer["name"])
 
     def status(self) -> str:
-        """'Running', 'Queued', ..."""
+        """'Running' or 'Queued'."""
         return str(self._get("status"))
 
     def inputs(self) -> dict[str, Point]:
@@ -82,46 +105,68 @@ class BoptestClient:
         """Forecast points by name."""
         return self._points("forecast_points")
 
-    def scenario(self) -> dict[str, Any]:
+    def scenario(self) -> Scenario:
         """The scenario in force."""
-        return dict(self._mapping("scenario", self._get("scenario")))
+        return Scenario.from_json(self._mapping("scenario", self._get("scenario")))
 
-    def set_scenario(self, **options: Any) -> dict[str, Any]:
-        """Set `electricity_price`, `time_period`, `temperature_uncertainty`, `solar_uncertainty`, `seed`.
+    def set_scenario(self, scenario: Scenario) -> dict[str, float]:
+        """Set the scenario.
 
-        A `time_period` initialises the test (7 days of warm-up, two scored weeks); the answer then holds the first
-        measurements under 'time_period'.
+        Returns:
+            The first measurements where the scenario names a `time_period`, which initialises the test (7 days of
+            warm-up, two scored weeks); otherwise nothing.
         """
-        return dict(self._mapping("scenario", self._put("scenario", options)))
+        answer = self._mapping("scenario", self._put("scenario", scenario.as_json()))
+        if scenario.time_period is None:
+            return {}
+        return self._initialized("scenario", self._numbers("scenario", answer.get("time_period")))
 
-    def initialize(self, start_time: float, warmup_period: float) -> dict[str, float]:
-        """Start at `start_time` after `warmup_period` of the embedded control, s; returns the first measurements."""
-        body = {"start_time": start_time, "warmup_period": warmup_period}
-        return self._numbers("initialize", self._put("initialize", body))
+    def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
+        """Start at `start_time_s` after `warmup_period_s` of the embedded control; returns the first measurements."""
+        body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
+        return self._initialized("initialize", self._numbers("initialize", self._put("initialize", body)))
 
     def step(self) -> float:
         """Length of a step, s."""
-        return float(self._get("step"))
+        answer = self._get("step")
+        try:
+            return float(answer)
+        except (TypeError, ValueError) as error:
+            raise ProtocolError(f"GET {self.url}/step/{self.testid}", f"not a number: {answer!r:.120}") from error
 
     def set_step(self, step_s: float) -> None:
         """Set the length of a step, s."""
         self._put("step", {"step": step_s})
+        self._step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Simulate one step; returns the measurements at its end, empty once the scenario is over.
+        """Simulate one step; returns measurements and inputs at its end, empty once the scenario is over.
 
-        Never repeated by itself: time may have moved although no answer came.
+        When the answer is lost, the time recorded at the service tells whether the step was simulated: if so, its end
+        is read from the record; if not, it is sent again. What the service finds odd (a value out of its limits and
+        clipped, say) is logged as a warning.
 
         Raises:
-            TransportError: no answer came; whether the step was simulated is unknown.
+            AdvanceInterrupted: no answer came, and whether the step was simulated cannot be told.
         """
-        try:
-            answer = self._transport.call("POST", f"advance/{self.testid}", dict(inputs or {}), repeatable=False)
-        except TransportError as error:
-            raise type(error)(
-                error.endpoint, f"{error.message}; the step may or may not have been simulated, start the run again"
-            ) from error
-        return self._numbers("advance", answer)
+        body = dict(inputs or {})
+        for _ in range(self._transport.config.retries + 1):
+            try:
+                answer = self._transport.call("POST", f"advance/{self.testid}", body, repeatable=False)
+            except (ConnectionLost, ServiceTimeout) as lost:
+                state = self._state_after(lost)
+                if state:
+                    self._time_s = state["time"]
+                    return state
+                _LOG.warning("%s; the step was not simulated and is sent again", lost)
+                interrupted = lost
+                continue
+            if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
+                _LOG.warning("advance: %s", answer.message)
+            state = self._numbers("advance", answer.payload)
+            self._time_s = state.get("time", self._time_s)
+            return state
+        raise AdvanceInterrupted(interrupted.endpoint, f"{interrupted.message}, again and again") from interrupted
 
     def forecast(self, point_names: Sequence[str], horizon_s: float, interval_s: float) -> dict[str, list[float]]:
         """Forecast of each point and of 'time', from now to `horizon_s` every `interval_s`."""
@@ -129,22 +174,29 @@ class BoptestClient:
         return self._series("forecast", self._put("forecast", body), [*point_names, "time"])
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
-        """What was recorded of each point, and 'time', between two times; 30-s samples."""
+        """What was recorded of each point, and 'time', between two times, warm-up included; 30-s samples.
+
+        The service fails (500) where nothing is recorded between the two, as past the present.
+        """
         body = {"point_names": list(point_names), "start_time": start_s, "final_time": final_s}
         return self._series("results", self._put("results", body), [*point_names, "time"])
 
     def kpi(self) -> dict[str, float | None]:
         """Key performance indicators since the end of the warm-up; None where the test case has none."""
-        answer = self._mapping("kpi", self._get("kpi"))
-        return {key: None if value is None else float(value) for key, value in answer.items()}
+        values = self._numbers("kpi", self._get("kpi"))
+        return {key: None if math.isnan(value) else value for key, value in values.items()}
 
     def stop(self) -> None:
-        """Stop the test and free its worker; safe to call twice. A service that is gone is not an error here."""
-        if not self._stopped:
-            self._stopped = True
-            with contextlib.suppress(BoptestError):
-                self._transport.call("PUT", f"stop/{self.testid}", {}, repeatable=False)
-        self._transport.close()
+        """Stop the test and free its worker; safe to call twice, and no error when the test is gone already."""
+        if self._stopped:
+            return
+        self._stopped = True
+        try:
+            self._transport.call("PUT", f"stop/{self.testid}", {}, repeatable=False)
+        except UnknownTest:
+            pass
+        finally:
+            self._transport.close()
 
     def __enter__(self) -> BoptestClient:
         return self
@@ -152,45 +204,113 @@ class BoptestClient:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.stop()
+        if error is None:
+            self.stop()
+        else:
+            self._stop_quietly()
+
+    def _stop_quietly(self) -> None:
+        """Stop while another error is under way, which must not be hidden by this one."""
+        try:
+            self.stop()
+        except BoptestError as failed:
+            _LOG.warning("the test was not stopped, the service will drop it when idle: %s", failed)
+
+    def _select(self) -> str:
+        path = f"testcases/{self.testcase}/select"
+        try:
+            # Repeating a selection whose answer was lost would leave an orphan behind.
+            answer = self._transport.call("POST", path, {}, repeatable=False).payload
+            if not isinstance(answer, dict) or "testid" not in answer:
+                raise ProtocolError(f"POST {self.url}/{path}", f"no testid in {answer!r:.120}")
+        except UnknownTest as error:
+            offered = self._offered()
+            raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
+        except BaseException:
+            self._transport.close()
+            raise
+        return str(answer["testid"])
+
+    def _offered(self) -> str:
+        """What the service offers, for a message; some services do not tell."""
+        try:
+            return f"; the service offers {', '.join(self.testcases())}"
+        except BoptestError:
+            return ""
+        finally:
+            self._transport.close()
 
     def _wait(self, timeout_s: float) -> None:
         until = time.monotonic() + timeout_s
         while (status := self.status()) != "Running":
             if time.monotonic() > until:
-                raise ServiceTimeout(f"GET status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
-            time.sleep(_POLL_S)
+                raise ServiceTimeout(f"GET {self.url}/status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
+            time.sleep(min(_POLL_S, timeout_s))
+
+    def _initialized(self, what: str, state: dict[str, float]) -> dict[str, float]:
+        if "time" not in state:
+            raise ProtocolError(f"PUT {self.url}/{what}/{self.testid}", "the first measurements have no time")
+        self._time_s = state["time"]
+        return state
+
+    def _state_after(self, lost: ConnectionLost | ServiceTimeout) -> dict[str, float]:
+        """The state at the end of a step whose answer was lost, or nothing when the step was not simulated.
+
+        The worker answers in the order it was asked, so what it records now includes the step, if that arrived.
+        """
+        unknown = f"{lost.message}; whether the step was simulated is unknown, start the run again"
+        try:
+            step_s = self.step() if math.isnan(self._step_s) else self._step_s
+            names = [*self.measurements(), *self.inputs()]
+            record = self.results(names, self._time_s, self._time_s + step_s)
+        except BoptestError as error:
+            raise AdvanceInterrupted(lost.endpoint, f"{unknown} ({error})") from lost
+        last_s = record["time"][-1] if record["time"] else math.nan
+        if abs(last_s - self._time_s) <= _CLOCK_TOLERANCE_S:
+            return {}
+        if abs(last_s - self._time_s - step_s) <= _CLOCK_TOLERANCE_S:
+            return {name: values[-1] for name, values in record.items()}
+        raise AdvanceInterrupted(lost.endpoint, f"{unknown} (the record ends at {last_s:g} s)") from lost
 
     def _get(self, what: str) -> Any:
-        return self._transport.call("GET", f"{what}/{self.testid}", repeatable=True)
+        return self._transport.call("GET", f"{what}/{self.testid}", repeatable=True).payload
 
     def _put(self, what: str, body: dict[str, Any]) -> Any:
         # Setting the same thing twice, or asking twice, changes nothing.
-        return self._transport.call("PUT", f"{what}/{self.testid}", body, repeatable=True)
+        return self._transport.call("PUT", f"{what}/{self.testid}", body, repeatable=True).payload
 
     def _points(self, what: str) -> dict[str, Point]:
-        return {name: Point.from_json(name, data or {}) for name, data in self._mapping(what, self._get(what)).items()}
+        answer = self._mapping(what, self._get(what))
+        return {name: Point.from_json(name, data or {}) for name, data in answer.items() if name != "time"}
 
     def _mapping(self, what: str, answer: Any) -> Mapping[str, Any]:
         if not isinstance(answer, Mapping):
-            raise ProtocolError(f"{what}/{self.testid}", f"expected names and values, got {str(answer)[:120]!r}")
+            raise ProtocolError(f"{self.url}/{what}", f"expected names and values, got {answer!r:.120}")
         return answer
 
     def _numbers(self, what: str, answer: Any) -> dict[str, float]:
+        # JSON has no NaN: the service writes null.
         try:
-            return {key: float(value) for key, value in self._mapping(what, answer or {}).items()}
+            return {
+                key: math.nan if value is None else float(value)
+                for key, value in self._mapping(what, answer or {}).items()
+            }
         except (TypeError, ValueError) as error:
-            raise ProtocolError(f"{what}/{self.testid}", f"a value is not a number ({error})") from error
+            raise ProtocolError(f"{self.url}/{what}/{self.testid}", f"a value is not a number ({error})") from error
 
     def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
+        endpoint = f"PUT {self.url}/{what}/{self.testid}"
         mapping = self._mapping(what, answer)
         missing = [name for name in names if name not in mapping]
         if missing:
-            raise ProtocolError(f"{what}/{self.testid}", f"no values for {', '.join(missing)}")
+            raise ProtocolError(endpoint, f"no values for {', '.join(missing)}")
         try:
-            return {name: [float(value) for value in mapping[name]] for name in names}
+            series = {name: [math.nan if v is None else float(v) for v in mapping[name]] for name in names}
         except (TypeError, ValueError) as error:
-            raise ProtocolError(f"{what}/{self.testid}", f"a value is not a number ({error})") from error
+            raise ProtocolError(endpoint, f"a value is not a number ({error})") from error
+        if any(len(values) != len(series["time"]) for values in series.values()):
+            raise ProtocolError(endpoint, "series differ in length")
+        return series
 
 
 def _user_agent() -> str:

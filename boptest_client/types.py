@@ -33,9 +33,9 @@ class Point:
 class Scenario:
     """A test scenario.
 
-    `electricity_price` is 'constant', 'dynamic' or 'highly_dynamic'; `time_period` a scored window of the test case such
-    as 'peak_heat_day'; the uncertainties 'low', 'medium' or 'high'. None leaves price and time period as they are, and
-    means no uncertainty: the service forgets uncertainties and seed that are not named again.
+    `electricity_price` is 'constant', 'dynamic' or 'highly_dynamic'; `time_period` a scored window of the test case,
+    such as 'peak_heat_day'; the uncertainties 'low', 'medium' or 'high'. None leaves price and time period as they
+    are, and means no uncertainty: the service forgets uncertainties and seed that are not named again.
     """
 
     electricity_price: str | None = None

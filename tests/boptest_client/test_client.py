@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 
 import pytest
 from boptest_server import NAME, Fault, running_service
 
 from boptest_client import (
+    AdvanceInterrupted,
+    BadAddress,
     BoptestClient,
     BoptestError,
     ConnectError,
+    ConnectionLost,
     InternalError,
     ProtocolError,
     RequestRejected,
+    Scenario,
     ServiceTimeout,
     TransportConfig,
     UnknownTest,
@@ -40,7 +45,8 @@ def test_a_test_from_selection_to_stop(service):
         assert client.version() == "0.9.0-test"
         assert client.name() == NAME
         assert client.inputs()["oveHeaPumY_u"].maximum == 1.0
-        assert "reaTZon_y" in client.measurements()
+        assert client.testcases() == ("bestest_air", NAME)
+        assert client.measurements()["reaTZon_y"].unit == "K"
         assert "TDryBul" in client.forecast_points()
         start = client.initialize(86400, 3600)
         client.set_step(900)
@@ -69,9 +75,39 @@ def test_a_stop_that_fails_does_not_hide_the_first_error(service):
         raise RuntimeError("first")
 
 
-def test_an_unknown_test_case_is_rejected_in_the_services_words(service):
-    with pytest.raises(RequestRejected, match="Invalid testcase name: nonsense"):
+def test_a_stop_that_fails_with_nothing_else_wrong_is_told(service):
+    service.faults.append(Fault("stop/", "500"))
+    with pytest.raises(InternalError, match="stop/"), BoptestClient(service.url, NAME, config=QUICK):
+        pass
+
+
+def test_stopping_a_test_that_is_gone_is_no_error(client, service):
+    service.tests.clear()
+    client.stop()
+    client.stop()
+    assert service.count("stop/") == 1
+
+
+def test_an_unknown_test_case_is_told_with_what_there_is(service):
+    with pytest.raises(UnknownTest, match="no test case 'nonsense'; the service offers bestest_air, bestest_hydronic"):
         BoptestClient(service.url, "nonsense", config=QUICK)
+
+
+def test_scenarios_go_out_whole_and_come_back_typed(client, service):
+    wanted = Scenario("dynamic", "peak_heat_day", temperature_uncertainty="low", seed=3)
+    assert client.set_scenario(wanted)["time"] % 86400 == 0
+    assert service.bodies[-1][1]["solar_uncertainty"] is None, "the service forgets what is not named: name all"
+    assert client.scenario() == wanted
+    assert client.set_scenario(Scenario("constant")) == {}
+    with pytest.raises(RequestRejected, match="time_period is nonsense"):
+        client.set_scenario(Scenario(time_period="nonsense"))
+
+
+def test_clipping_at_the_service_is_logged(client, caplog):
+    client.set_step(900)
+    with caplog.at_level(logging.WARNING):
+        client.advance({"oveHeaPumY_u": 1.5, "oveHeaPumY_activate": 1})
+    assert "out of the limits of oveHeaPumY_u" in caplog.text
 
 
 def test_a_bad_request_carries_endpoint_and_message(client):
@@ -87,33 +123,105 @@ def test_an_internal_error_is_told_apart(client, service):
         client.kpi()
 
 
-@pytest.mark.parametrize("kind", ["drop", "slow"])
+def test_a_reading_past_the_record_is_an_internal_error_with_its_reason(client):
+    client.initialize(86400, 0)
+    with pytest.raises(InternalError, match=r"Internal BOPTEST error \(IndexError"):
+        client.results(["reaPHeaPum_y"], 90000, 99999)
+
+
+@pytest.mark.parametrize("kind", ["drop", "truncated"])
 def test_what_is_safe_to_repeat_is_repeated(client, service, kind):
-    service.faults.append(Fault("kpi/", kind, times=2))
+    service.faults.append(Fault("kpi/", kind, times=2, after_work=True))
     assert client.kpi()["ener_tot"] is not None
     assert service.count("kpi/") == 3
 
 
 def test_patience_is_bounded(client, service):
     service.faults.append(Fault("kpi/", "drop", times=99))
-    with pytest.raises(ConnectError, match="kpi"):
+    with pytest.raises(ConnectionLost, match="kpi"):
         client.kpi()
     assert service.count("kpi/") == 3
 
 
-@pytest.mark.parametrize(("kind", "error"), [("drop", ConnectError), ("slow", ServiceTimeout)])
-def test_an_advance_is_never_repeated(client, service, kind, error):
+def test_a_slow_answer_is_not_asked_for_twice(client, service):
+    service.faults.append(Fault("kpi/", "slow"))
+    with pytest.raises(ServiceTimeout, match=r"kpi/.*no answer within 0\.5 s"):
+        client.kpi()
+    assert service.count("kpi/") == 1
+
+
+@pytest.mark.parametrize("kind", ["drop", "truncated", "slow"])
+def test_a_step_whose_answer_was_lost_is_read_from_the_record_not_repeated(client, service, kind):
+    start = client.initialize(86400, 0)
     client.set_step(900)
     service.faults.append(Fault("advance/", kind, after_work=True))
-    with pytest.raises(error, match="may or may not have been simulated"):
+    lost = client.advance({"oveHeaPumY_u": 1.0, "oveHeaPumY_activate": 1})
+    assert service.count("advance/") == 1
+    assert lost["time"] == start["time"] + 900
+    assert lost["oveHeaPumY_u"] == 1.0
+    # The same step, answered: same state.
+    client.initialize(86400, 0)
+    answered = client.advance({"oveHeaPumY_u": 1.0, "oveHeaPumY_activate": 1})
+    assert {k: lost[k] for k in answered if k.startswith("rea")} == pytest.approx(
+        {k: v for k, v in answered.items() if k.startswith("rea")}, nan_ok=True
+    )
+
+
+def test_a_step_that_never_arrived_is_sent_again(client, service, caplog):
+    start = client.initialize(86400, 0)
+    client.set_step(900)
+    service.faults.append(Fault("advance/", "drop"))
+    assert client.advance({})["time"] == start["time"] + 900
+    assert service.count("advance/") == 2
+    assert "was not simulated" in caplog.text
+
+
+def test_steps_that_never_arrive_are_given_up(client, service):
+    client.initialize(86400, 0)
+    service.faults.append(Fault("advance/", "drop", times=99))
+    with pytest.raises(AdvanceInterrupted, match=r"advance/.*again and again"):
+        client.advance({})
+    assert service.count("advance/") == 3
+
+
+def test_a_step_of_unknown_fate_says_so(client, service):
+    client.initialize(86400, 0)
+    service.faults += [Fault("advance/", "drop", after_work=True), Fault("results/", "500")]
+    with pytest.raises(AdvanceInterrupted, match=r"unknown, start the run again.*Internal error in the simulation"):
+        client.advance({})
+    assert service.count("advance/") == 1
+
+
+def test_a_step_from_an_unknown_time_is_of_unknown_fate(client, service):
+    service.faults.append(Fault("advance/", "drop", after_work=True))
+    with pytest.raises(AdvanceInterrupted, match="unknown"):
         client.advance({})
     assert service.count("advance/") == 1
 
 
 def test_a_test_that_timed_out_at_the_service_is_named(client, service):
     service.faults.append(Fault("advance/", "gone"))
-    with pytest.raises(UnknownTest, match="timed out at the service"):
+    with pytest.raises(UnknownTest, match="Invalid testid") as caught:
         client.advance({})
+    assert caught.value.status == 400
+
+
+def test_a_service_that_moved_is_not_followed(client, service):
+    service.faults.append(Fault("advance/", "moved"))
+    with pytest.raises(ProtocolError, match=r"moved to https://elsewhere\.example/"):
+        client.advance({})
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:8000", "ftp://127.0.0.1", "", "http://"])
+def test_an_address_that_is_none_is_refused(url):
+    with pytest.raises(BadAddress, match=r"http://127\.0\.0\.1:8000"):
+        BoptestClient(url, NAME, config=QUICK)
+
+
+@pytest.mark.parametrize("wrong", [{"retries": -1}, {"read_timeout_s": 0.0}, {"backoff_s": float("nan")}])
+def test_patience_that_makes_no_sense_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        TransportConfig(**wrong)
 
 
 def test_an_answer_that_is_not_json_is_a_protocol_error(client, service):

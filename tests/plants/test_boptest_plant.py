@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from boptest_server import Fault, running_service
@@ -46,7 +44,7 @@ def test_it_measures_forecasts_and_scores_as_the_emulator_does(plant):
             assert getattr(a, name) == pytest.approx(getattr(b, name), abs=1e-9)
         assert a.power_W == pytest.approx(b.power_W)
         assert a.heat_W == pytest.approx(b.heat_W)
-        assert math.isnan(a.u) if u is None else a.u == u
+        assert a.u == pytest.approx(b.u)
     for name, value in inside.kpis().items():
         assert plant.kpis()[name] == pytest.approx(value)
     a, b = plant.forecast(DAY_S, HOUR_S), inside.forecast(DAY_S, HOUR_S)
@@ -54,7 +52,7 @@ def test_it_measures_forecasts_and_scores_as_the_emulator_does(plant):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-9, err_msg=name)
 
 
-def test_the_past_holds_the_warm_up_with_heat_but_no_level(plant):
+def test_the_past_holds_the_warm_up(plant):
     plant.reset(20 * DAY_S, 2 * DAY_S)
     past = plant.past(HOUR_S)
     inside = EmbeddedPlant(synthetic_weather())
@@ -62,8 +60,9 @@ def test_the_past_holds_the_warm_up_with_heat_but_no_level(plant):
     truth = inside.past(HOUR_S)
     assert past.n_steps == 48
     np.testing.assert_allclose(past.T_zone_C, truth.T_zone_C, atol=1e-6)
-    np.testing.assert_allclose(past.heat_W, truth.heat_W, rtol=1e-9, atol=1e-6)
-    assert np.isnan(past.u).all()
+    for name in ("heat_W", "power_W", "u"):
+        np.testing.assert_allclose(getattr(past, name), getattr(truth, name), rtol=1e-9, atol=1e-6, err_msg=name)
+    assert past.u.max() > 0, "native control was at work"
 
 
 def test_named_periods_are_the_services_official_scenarios(plant, service):
@@ -71,12 +70,73 @@ def test_named_periods_are_the_services_official_scenarios(plant, service):
     before = service.count("scenario/")
     assert plant.reset(period.start_s, period.warmup_s).time_s == period.start_s
     assert service.count("scenario/") == before + 1
-    service.ends = dict.fromkeys(service.ends, period.start_s + 3600)
     plant.advance(None, 3600)
-    kpis = plant.kpis()
-    with pytest.raises(PlantError, match="scenario ended"):
+    with pytest.raises(PlantError, match="runs past it"):
+        plant.advance(None, 14 * DAY_S)
+    asked = service.count("results/")
+    plant.advance(None, 14 * DAY_S - 3600)
+    service.faults.append(Fault("kpi/", "500", times=99))
+    assert plant.kpis()["ener_tot"] > 0, "read before anything else was asked at the end"
+    kpi = max(i for i, path in enumerate(service.requests) if path.startswith("kpi/"))
+    results = max(i for i, path in enumerate(service.requests) if path.startswith("results/"))
+    assert service.count("results/") == asked + 1
+    assert kpi < results
+    with pytest.raises(PlantError, match="scenario ends"):
+        plant.advance(None, 30)
+
+
+def test_a_period_the_service_does_not_know_is_bad_input(plant):
+    with pytest.raises(InputError, match=r"period 'peak_day'.*time_period is peak_day"):
+        plant.period("peak_day")
+    with pytest.raises(InputError, match="between 0 and 365"):
+        plant.period("400")
+    assert plant.period("44").start_s == 44 * DAY_S
+
+
+def test_a_scenario_that_ends_early_is_told(plant, service):
+    plant.reset(20 * DAY_S, 0)
+    service.ends = dict.fromkeys(service.ends, 20 * DAY_S)
+    with pytest.raises(PlantError, match="scenario is over at day 20"):
         plant.advance(None, 3600)
-    assert kpis["ener_tot"] >= 0
+
+
+def test_forecast_errors_are_the_services(service):
+    with BoptestPlant(service.url, TESTCASE, forecast_uncertainty="medium", seed=7, config=QUICK) as plant:
+        plant.reset(20 * DAY_S, 0, "highly_dynamic")
+        scenario = next(body for path, body in reversed(service.bodies) if path.startswith("scenario/"))
+    assert scenario == {
+        "electricity_price": "highly_dynamic",
+        "time_period": None,
+        "temperature_uncertainty": "medium",
+        "solar_uncertainty": "medium",
+        "seed": 7,
+    }
+    with pytest.raises(ConfigError, match="seed"):
+        BoptestPlant(service.url, TESTCASE, forecast_uncertainty="low", seed=0, config=QUICK)
+
+
+def test_a_test_dropped_while_idle_is_selected_again_at_reset(plant, service):
+    service.tests.clear()
+    assert plant.reset(20 * DAY_S, 0).time_s == 20 * DAY_S
+    service.tests.clear()
+    with pytest.raises(PlantError, match="Invalid testid"):
+        plant.advance(None, 900)
+
+
+def test_a_lost_answer_costs_no_run(plant, service):
+    plant.reset(20 * DAY_S, 0)
+    service.faults.append(Fault("advance/", "drop", after_work=True))
+    assert plant.advance(1.0, 900).time_s == 20 * DAY_S + 900
+    assert plant.advance(1.0, 900).time_s == 20 * DAY_S + 1800
+
+
+def test_a_failing_stop_hides_nothing(service, caplog):
+    plant = BoptestPlant(service.url, TESTCASE, config=QUICK)
+    service.faults.append(Fault("stop/", "500"))
+    plant.close()
+    plant.close()
+    assert "not stopped" in caplog.text
+    service.faults.clear()
 
 
 def test_a_test_case_file_that_does_not_fit_is_refused_by_key(service):
@@ -90,14 +150,32 @@ def test_a_test_case_file_that_does_not_fit_is_refused_by_key(service):
 
 
 def test_a_test_case_the_service_does_not_offer_is_bad_input(service):
-    with pytest.raises(ConfigError, match="not offered"):
+    with pytest.raises(ConfigError, match=r"not offered.*bestest_air"):
         BoptestPlant(service.url, TESTCASE.model_copy(update={"name": "nonsense"}), config=QUICK)
 
 
-@pytest.mark.parametrize("kind", ["500", "drop", "gone"])
+@pytest.mark.parametrize(
+    ("update", "message"),
+    [
+        ({"point": "oveTSet", "minimum": 280.0, "maximum": 300.0}, r"actuator\.point: 'oveTSet_u' is in K.*expected 1"),
+        ({"maximum": 2.0}, r"actuator\.maximum: 2 lies outside .*0 to 1"),
+    ],
+)
+def test_an_actuator_in_another_unit_or_beyond_the_limits_is_refused(service, update, message):
+    wrong = TESTCASE.model_copy(update={"actuator": TESTCASE.actuator.model_copy(update=update)})
+    with pytest.raises(ConfigError, match=message):
+        BoptestPlant(service.url, wrong, config=QUICK)
+
+
+def test_an_address_that_is_none_is_bad_input():
+    with pytest.raises(ConfigError, match=r"plant\.url"):
+        BoptestPlant("localhost", TESTCASE)
+
+
+@pytest.mark.parametrize("kind", ["500", "garbage", "gone"])
 def test_a_service_that_fails_is_a_plant_error(plant, service, kind):
     plant.reset(20 * DAY_S, 0)
-    service.faults.append(Fault("advance/", kind))
+    service.faults.append(Fault("advance/", kind, times=9))
     with pytest.raises(PlantError, match="BOPTEST service"):
         plant.advance(0.5, 900)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import json
 import re
 import threading
@@ -15,9 +17,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import OVERWRITES
+from thermoforce_mpc.plants.embedded.emulator import _MEASUREMENTS, OVERWRITES
 from thermoforce_mpc.plants.embedded.kernel import RECORD, STEP_S
-from thermoforce_mpc.types import DAY_S
+from thermoforce_mpc.types import DAY_S, Period
 from thermoforce_mpc.weather import synthetic_weather
 
 NAME = "bestest_hydronic_heat_pump"
@@ -36,8 +38,40 @@ _PRICES = {
 }
 
 
-class Rejected(Exception):
-    """Answered with 400."""
+class Bare(Exception):
+    """Answered as it is, without the envelope."""
+
+    def __init__(self, status: int, body: object) -> None:
+        super().__init__(str(body))
+        self.status, self.body = status, body
+
+
+def rejected(message: str) -> Bare:
+    return Bare(400, {"status": 400, "message": message, "payload": None})
+
+
+def unit_of(name: str) -> str | None:
+    if name.startswith(("reaT", "weaSta_reaWeaTDryBul")):
+        return "K"
+    if name.startswith(("reaP", "reaQ")):
+        return "W"
+    return {"weaSta_reaWeaHGloHor_y": "W/m2", "reaCO2RooAir_y": "ppm", "reaCOP_y": "1"}.get(name)
+
+
+@functools.cache
+def template() -> EmbeddedPlant:
+    plant = EmbeddedPlant(synthetic_weather())
+    # Finding windows takes a simulated year; which ones they are is not tested here.
+    days = {"peak_heat_day": 16, "typical_heat_day": 108}
+    plant._periods = {name: Period(name, day * DAY_S) for name, day in days.items()}
+    return plant
+
+
+def new_house() -> EmbeddedPlant:
+    """A plant of its own that shares what never changes (weather, constructions)."""
+    plant = copy.copy(template())
+    plant.reset(0.0, 0.0)
+    return plant
 
 
 @dataclass
@@ -45,9 +79,10 @@ class Fault:
     """What goes wrong with the next `times` requests whose path matches `pattern`."""
 
     pattern: str
-    kind: str  # "500", "drop", "slow", "garbage", "gone"
+    kind: str  # "500", "drop", "truncated", "slow", "garbage", "moved", "gone"
     times: int = 1
     after_work: bool = False  # the request is carried out, only its answer is lost
+    seconds: float = 1.0  # how slow
 
 
 @dataclass
@@ -58,6 +93,9 @@ class Service:
     tests: dict[str, EmbeddedPlant] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
+    scenarios: dict[str, dict] = field(default_factory=dict)
+    bodies: list[tuple[str, dict]] = field(default_factory=list)
+    message: str = ""
     faults: list[Fault] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
@@ -69,42 +107,56 @@ class Service:
     def answer(self, method: str, path: str, body: dict):
         if path == "version":
             return {"version": "0.9.0-test"}
+        if path == "testcases":
+            raise Bare(200, [{"testcaseid": NAME}, {"testcaseid": "bestest_air"}])
         if match := re.fullmatch(r"testcases/(\w+)/select", path):
             if match[1] != NAME:
-                raise Rejected(f"Invalid testcase name: {match[1]}")
+                raise Bare(404, "Not Found")
             testid = str(uuid.uuid4())
-            self.tests[testid], self.steps[testid] = EmbeddedPlant(synthetic_weather()), 3600.0
+            self.tests[testid], self.steps[testid] = new_house(), 3600.0
             self.ends[testid] = np.inf
-            return {"testid": testid}
+            raise Bare(200, {"testid": testid})
         verb, _, testid = path.partition("/")
         if testid not in self.tests:
-            raise Rejected(f"Invalid testid: {testid}")
+            raise Bare(400, {"errors": [{"msg": f"Invalid testid: {testid}", "param": "testid"}]})
         plant = self.tests[testid]
         return getattr(self, f"_{verb}")(testid, plant, body)
 
     def _status(self, testid, plant, body):
         if self.queued_polls > 0:
             self.queued_polls -= 1
-            return "Queued"
-        return "Running"
+            raise Bare(200, "Queued")
+        raise Bare(200, "Running")
 
     def _name(self, testid, plant, body):
         return {"name": NAME}
 
     def _inputs(self, testid, plant, body):
-        names = [f"{name}{ending}" for name, _, _ in OVERWRITES for ending in ("_u", "_activate")]
-        return {name: {"Unit": "1", "Description": name, "Minimum": 0, "Maximum": 1} for name in names}
+        out = {}
+        for name, low, high in OVERWRITES:
+            unit = "K" if name == "oveTSet" else "1"
+            out[f"{name}_u"] = {"Unit": unit, "Description": name, "Minimum": low, "Maximum": high}
+            out[f"{name}_activate"] = {"Unit": None, "Description": name, "Minimum": None, "Maximum": None}
+        return out
 
     def _measurements(self, testid, plant, body):
         return {
-            name: {"Unit": None, "Description": name, "Minimum": None, "Maximum": None} for name in self._now(plant)
+            name: {"Unit": unit_of(name), "Description": name, "Minimum": None, "Maximum": None}
+            for name in _MEASUREMENTS
         }
 
     def _forecast_points(self, testid, plant, body):
-        return {name: {"Unit": "1", "Description": name} for name in [*_FORECAST, *_PRICES]}
+        units = {"TDryBul": "K", "LowerSetp[1]": "K", "UpperSetp[1]": "K", "HGloHor": "W/m2"}
+        return {name: {"Unit": units.get(name), "Description": name} for name in [*_FORECAST, *_PRICES]}
 
     def _now(self, plant):
-        return dict(plant._measurement(np.empty((0, len(RECORD)))).points) | {"time": plant._now_s}
+        level = plant._record[-1][-1, RECORD.index("level")] if plant._record else 0.0
+        points = plant._measurement(np.empty((0, len(RECORD)))).points
+        # JSON has no NaN: the service writes null.
+        return {k: None if np.isnan(v) else v for k, v in points.items()} | {
+            "oveHeaPumY_u": level,
+            "time": plant._now_s,
+        }
 
     def _initialize(self, testid, plant, body):
         plant.reset(float(body["start_time"]), float(body["warmup_period"]), plant._price)
@@ -112,10 +164,15 @@ class Service:
         return self._now(plant)
 
     def _scenario(self, testid, plant, body):
+        if not body:
+            return self.scenarios.get(testid, {})
         if body.get("electricity_price"):
             plant._price = body["electricity_price"]
-        out = {key: None for key in ("electricity_price", "time_period")} | {"electricity_price": plant._price}
+        self.scenarios[testid] = self.scenarios.get(testid, {}) | body
+        out = dict.fromkeys(body) | {"electricity_price": plant._price}
         if body.get("time_period"):
+            if body["time_period"] not in ("peak_heat_day", "typical_heat_day"):
+                raise rejected(f"Scenario parameter time_period is {body['time_period']}, but should be one of ...")
             period = plant.period(body["time_period"])
             plant.reset(period.start_s, period.warmup_s, plant._price)
             self.ends[testid] = period.start_s + period.scored_s
@@ -125,7 +182,7 @@ class Service:
     def _step(self, testid, plant, body):
         if "step" in body:
             if not isinstance(body["step"], int | float) or body["step"] <= 0:
-                raise Rejected("Invalid value for parameter step")
+                raise rejected("Invalid value for parameter step")
             self.steps[testid] = float(body["step"])
         return self.steps[testid]
 
@@ -135,7 +192,10 @@ class Service:
         overrides = {}
         for name, low, high in OVERWRITES:
             if body.get(f"{name}_activate"):
-                overrides[name] = min(max(float(body[f"{name}_u"]), low), high)
+                value = float(body[f"{name}_u"])
+                overrides[name] = min(max(value, low), high)
+                if value != overrides[name]:
+                    self.message = f"{value} is out of the limits of {name}_u, clipped"
         plant.advance_points(overrides, self.steps[testid])
         return self._now(plant)
 
@@ -149,18 +209,29 @@ class Service:
                 attribute, shift = _FORECAST[name]
                 out[name] = (getattr(boundary, attribute) + shift).tolist()
             else:
-                raise Rejected(f"Invalid forecast point: {name}")
+                raise rejected(f"Invalid forecast point: {name}")
         return out
 
     def _results(self, testid, plant, body):
-        from thermoforce_mpc.plants.embedded.emulator import _MEASUREMENTS
-
         rows = np.vstack([plant._first, *plant._record])
         time_s = plant._begin_s + np.arange(rows.shape[0]) * STEP_S
         inside = (time_s >= body["start_time"]) & (time_s <= body["final_time"])
+        if not inside.any():
+            reason = "Traceback (most recent call last):\nIndexError: index 0 is out of bounds"
+            raise Bare(500, {"status": 500, "message": "Internal BOPTEST error", "payload": reason})
         out = {"time": time_s[inside].tolist()}
         for name in body["point_names"]:
-            out[name] = rows[inside, RECORD.index(_MEASUREMENTS[name])].tolist()
+            if name in _MEASUREMENTS:
+                column = _MEASUREMENTS[name]
+            elif name == "oveHeaPumY_u":
+                column = "level"
+            elif name.startswith("ove"):
+                out[name] = [0.0] * len(out["time"])
+                continue
+            else:
+                raise rejected(f"Invalid point name {name} in parameter point_names.")
+            values = rows[inside, RECORD.index(column)]
+            out[name] = [None if np.isnan(v) else v for v in values.tolist()]
         return out
 
     def _kpi(self, testid, plant, body):
@@ -169,10 +240,11 @@ class Service:
     def _stop(self, testid, plant, body):
         self.stopped.append(testid)
         del self.tests[testid]
+        raise Bare(200, None)  # the bare word OK
 
 
 @contextmanager
-def running_service(days: float = 14.0) -> Iterator[Service]:
+def running_service() -> Iterator[Service]:
     """A service on a free loopback port, until the block ends."""
     service = Service()
     lock = threading.Lock()
@@ -187,36 +259,43 @@ def running_service(days: float = 14.0) -> Iterator[Service]:
             body = json.loads(self.rfile.read(length) or b"{}")
             with lock:
                 service.requests.append(path)
+                service.bodies.append((path, body))
+                service.message = "Advanced simulation successfully." if path.startswith("advance/") else "Success"
                 fault = next((f for f in service.faults if f.times > 0 and re.match(f.pattern, path)), None)
                 if fault:
                     fault.times -= 1
-                if fault and fault.kind == "gone":
+                kind = fault.kind if fault else ""
+                if kind == "gone":
                     service.tests.clear()
-                status, message, payload = 200, "Success", None
-                if not fault or fault.after_work or fault.kind in ("slow", "gone"):
+                status, answer = 200, None
+                if not fault or fault.after_work or kind in ("slow", "gone"):
                     try:
                         payload = service.answer(self.command, path, body)
-                    except Rejected as error:
-                        status, message = 400, str(error)
-            kind = fault.kind if fault else ""
+                        answer = {"status": status, "message": service.message, "payload": payload}
+                    except Bare as bare:
+                        status, answer = bare.status, bare.body
             if kind == "slow":
-                time.sleep(1.0)
+                time.sleep(fault.seconds)
             if kind == "drop":
                 self.connection.close()
                 return
             if kind == "500":
-                status, message, payload = 500, "Internal error in the simulation", None
-            text = (
-                "<html>not json</html>"
-                if kind == "garbage"
-                else json.dumps({"status": status, "message": message, "payload": payload})
-            )
+                status, answer = 500, {"status": 500, "message": "Internal error in the simulation", "payload": None}
+            text = "OK" if path.startswith("stop/") and status == 200 else json.dumps(answer)
+            if kind == "garbage":
+                text = "<html>not json</html>"
+            if kind == "moved":
+                status = 301
             try:
                 self.send_response(status)
                 self.send_header("Content-Type", "application/json")
                 self.send_header("Content-Length", str(len(text)))
+                if kind == "moved":
+                    self.send_header("Location", "https://elsewhere.example/")
                 self.end_headers()
-                self.wfile.write(text.encode())
+                self.wfile.write(text.encode()[: len(text) // 2] if kind == "truncated" else text.encode())
+                if kind == "truncated":
+                    self.connection.close()
             except OSError:
                 pass  # the client gave up waiting
 

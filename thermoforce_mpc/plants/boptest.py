@@ -3,53 +3,97 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from types import TracebackType
+from typing import Literal
 
 import numpy as np
 
-from boptest_client import BoptestClient, BoptestError, RequestRejected, TransportConfig, UnknownTest
-from thermoforce_mpc.configuration import suggestion
+from boptest_client import (
+    BadAddress,
+    BoptestClient,
+    BoptestError,
+    RequestRejected,
+    Scenario,
+    TransportConfig,
+    UnknownTest,
+)
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
-from thermoforce_mpc.testcase import PRICES, Price, TestCase
+from thermoforce_mpc.plants.boptest_points import check_points
+from thermoforce_mpc.testcase import PRICES, TestCase
 from thermoforce_mpc.types import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
 
+_LOG = logging.getLogger(__name__)
 _KELVIN = 273.15
-# BOPTEST initialises a scenario's time period with this much of the embedded control.
+# BOPTEST initialises a scenario's time period with this much of the embedded control, and ends it after this much.
 _SCENARIO_WARMUP_S = 7 * DAY_S
 _SCENARIO_LENGTH_S = 14 * DAY_S
-_NAMED_PERIODS = ("peak_heat_day", "typical_heat_day")
-_CLOCK_TOLERANCE_S = 1.0
+_CLOCK_TOLERANCE_S = 1e-3
+
+Uncertainty = Literal["none", "low", "medium", "high"]
 
 
 class BoptestPlant:
-    """One test case on a service. The test is stopped when the plant is closed."""
+    """One test case on a service. The test is stopped when the plant is closed.
 
-    def __init__(self, url: str, testcase: TestCase, *, config: TransportConfig | None = None) -> None:
-        """Select the test case and check that every point of `testcase` exists there.
+    ```python
+    with BoptestPlant("http://127.0.0.1:8000", testcase) as plant:
+        window = plant.period("peak_heat_day")
+        plant.reset(window.start_s, window.warmup_s)
+        measurement = plant.advance(u=0.5, duration_s=900)
+    ```
+    """
+
+    def __init__(
+        self,
+        url: str,
+        testcase: TestCase,
+        *,
+        forecast_uncertainty: Uncertainty = "none",
+        seed: int = 1,
+        config: TransportConfig | None = None,
+        start_timeout_s: float = 120.0,
+    ) -> None:
+        """Select the test case and check that every point of `testcase` exists there, in the unit expected.
+
+        Args:
+            forecast_uncertainty: level of the service's errors of the weather forecast, drawn with `seed`.
+            config: how patient the client is.
+            start_timeout_s: how long the test may be queued for.
 
         Raises:
-            ConfigError: the service does not offer the test case, or lacks a point that the YAML file names.
+            ConfigError: the service does not offer the test case, `testcase` does not fit its points, or the seed is 0
+                where forecast errors are drawn.
             PlantError: the service cannot be reached or failed.
         """
         self.testcase = testcase
+        self._url, self._config, self._start_timeout_s = url, config, start_timeout_s
+        level = None if forecast_uncertainty == "none" else forecast_uncertainty
+        if level and seed < 1:
+            raise ConfigError(
+                f"seed: {seed} means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
+            )
+        self._scenario = Scenario(
+            electricity_price="constant",
+            temperature_uncertainty=level,
+            solar_uncertainty=level,
+            seed=None if level is None else seed,
+        )
         self._start_of: dict[str, float] = {}
-        self._price: Price = "constant"
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0
-        with _failures():
-            try:
-                self._client = BoptestClient(url, testcase.name, config=config)
-            except (RequestRejected, UnknownTest) as error:
-                raise ConfigError(f"testcase '{testcase.name}' is not offered by {url}: {error.message}") from error
+        self._end_s = math.inf
+        self._final_kpis: dict[str, float] | None = None
+        self._client = self._select()
         try:
             with _failures():
-                self._check_points()
+                check_points(testcase, self._client)
                 self._version = self._client.version()
         except BaseException:
-            self._client.stop()
+            self.close()
             raise
 
     @property
@@ -65,19 +109,20 @@ class BoptestPlant:
         )
 
     def period(self, name: str) -> Period:
-        """The scored window of the service's scenario, or of a start day; asking for a scenario initialises it.
+        """The window of the service's scenario `name`, or of a start day.
+
+        The service tells where a scenario starts only by initialising it, so asking for one (the first time) puts the
+        plant at its start.
 
         Raises:
-            InputError: neither a scenario nor a day of the year.
+            InputError: neither a scenario of the service nor a day of the year.
             PlantError: the service failed.
         """
         try:
             day = float(name)
         except ValueError:
-            if name not in _NAMED_PERIODS:
-                raise InputError(f"period '{name}': expected {', '.join(_NAMED_PERIODS)} or a start day") from None
             if name not in self._start_of:
-                self._start_of[name] = self._initialize_scenario(name, self._price).time_s
+                self._start_of[name] = self._initialize_scenario(name).time_s
             return Period(name, self._start_of[name], _SCENARIO_LENGTH_S, _SCENARIO_WARMUP_S)
         if not 0.0 <= day < 365.0:
             raise InputError(f"period '{name}': a start day lies between 0 and 365")
@@ -86,19 +131,28 @@ class BoptestPlant:
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` after `warmup_s` of the embedded control.
 
-        Where the times are those of a scenario's window, the official scenario is set.
+        Where the times are those of a window that `period` gave, the service's official scenario is set, which ends
+        after two weeks. A test that the service dropped while idle is selected anew.
+
+        Raises:
+            InputError: a time is not a finite nonnegative number, or the tariff is unknown.
+            PlantError: the service failed.
         """
+        for label, value in (("start", start_s), ("warm-up", warmup_s)):
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
         if price not in PRICES:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
-        self._price = next(known for known in PRICES if known == price)
-        self._begin_s = max(start_s - warmup_s, 0.0)
-        for name, scenario_start in self._start_of.items():
-            if scenario_start == start_s and warmup_s == _SCENARIO_WARMUP_S:
-                return self._initialize_scenario(name, price)
+        self._scenario = replace(self._scenario, electricity_price=price)
+        self._wake()
+        if warmup_s == _SCENARIO_WARMUP_S:
+            for name, scenario_start_s in self._start_of.items():
+                if scenario_start_s == start_s:
+                    return self._initialize_scenario(name)
         with _failures():
-            self._client.set_scenario(electricity_price=price)
             points = self._client.initialize(start_s, warmup_s)
-        return self._at_rest(points, start_s)
+            self._client.set_scenario(self._scenario)
+        return self._at_rest(points, warmup_s, end_s=math.inf)
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
         """Hold `u` in [0, 1] (None: nothing is overwritten) for `duration_s`.
@@ -111,90 +165,112 @@ class BoptestPlant:
             raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
         if not (math.isfinite(duration_s) and duration_s > 0):
             raise InputError(f"step of {duration_s!r} s: expected a positive number")
+        if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
+            raise PlantError(
+                f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
+                f"from day {self._now_s / DAY_S:g} runs past it; score at most 14 days of a named window"
+            )
         actuator = self.testcase.actuator
         inputs = {} if u is None else {f"{actuator.point}_u": actuator.value(u), f"{actuator.point}_activate": 1.0}
-        before = self._now_s
+        before_s = self._now_s
         with _failures():
             if duration_s != self._step_s:
                 self._client.set_step(duration_s)
                 self._step_s = duration_s
             points = self._client.advance(inputs)
             if not points:
-                raise PlantError(f"the service's scenario ended at day {before / DAY_S:g}: nothing more to simulate")
-            self._now_s = float(points.get("time", before + duration_s))
-            moved = self._now_s - before
-            if abs(moved - duration_s) > _CLOCK_TOLERANCE_S:
-                raise PlantError(f"the service advanced by {moved:g} s instead of {duration_s:g} s")
-            past = self._recorded(before, self._now_s)
+                raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
+            if "time" not in points:
+                raise PlantError("the service did not say how far it simulated (no 'time' among the measurements)")
+            self._now_s = points["time"]
+            if abs(self._now_s - before_s - duration_s) > _CLOCK_TOLERANCE_S:
+                raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")
+            if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
+                # Whatever is asked past the end may cost the results, so they are taken first.
+                self._final_kpis = self._read_kpis()
+            record = self._recorded(before_s, self._now_s, [f"{actuator.point}_u", *self._flows()])
+        edges = np.array([before_s, self._now_s])
         return self._measurement(
             points,
-            u=math.nan if u is None else u,
-            power_W=_mean(past, self.testcase.measurements.electric_power, before, self._now_s),
-            heat_W=_mean(past, self.testcase.measurements.heat, before, self._now_s),
+            u=float(self._levels(record, edges)[0]),
+            power_W=float(_means(record, self.testcase.measurements.electric_power, edges)[0]),
+            heat_W=float(_means(record, self.testcase.measurements.heat, edges)[0]),
         )
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, as the service forecasts them."""
+        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, as the service forecasts them.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+            PlantError: the service failed (under forecast uncertainty it refuses horizons beyond 48 h).
+        """
+        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
+            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
         f = self.testcase.forecast
-        names = [
-            f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, f.price[self._price], f.emission,
-        ]  # fmt: skip
+        price = f.price[next(name for name in PRICES if name == self._scenario.electricity_price)]
+        names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, f.emission]
         with _failures():
-            data = self._client.forecast(names, horizon_s, interval_s)
-        values = [np.array(data[name]) for name in names]
+            # A point may serve twice, as a price that is the same in two tariffs.
+            data = self._client.forecast(list(dict.fromkeys(names)), horizon_s, interval_s)
+        series = {name: np.array(values) for name, values in data.items()}
+        holes = [name for name in names if not np.isfinite(series[name]).all()]
+        if holes:
+            raise PlantError(f"the service's forecast has no value for some instants of {', '.join(holes)}")
         return Boundary(
-            time_s=np.array(data["time"]),
-            T_out_C=values[0] - _KELVIN,
-            solar_W_m2=values[1],
-            occupancy=values[2],
-            lower_C=values[3] - _KELVIN,
-            upper_C=values[4] - _KELVIN,
-            price_per_kWh=values[5],
-            emission_kg_per_kWh=values[6],
+            time_s=series["time"],
+            T_out_C=series[f.outdoor_temperature] - _KELVIN,
+            solar_W_m2=series[f.solar],
+            occupancy=series[f.occupancy],
+            lower_C=series[f.lower] - _KELVIN,
+            upper_C=series[f.upper] - _KELVIN,
+            price_per_kWh=series[price],
+            emission_kg_per_kWh=series[f.emission],
         )
 
     def past(self, step_s: float) -> History:
-        """What the service recorded since the start of the warm-up, at `step_s`.
+        """What the service recorded since the start of the warm-up, at `step_s`; older remainders are cut.
 
-        The level of the embedded control is no point of the service, so `u` is NaN there; where the heat is measured
-        that suffices. Without measured heat, only the present instant is returned.
+        Raises:
+            InputError: `step_s` is not positive.
+            PlantError: the service failed.
         """
+        if not (math.isfinite(step_s) and step_s > 0):
+            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
         m = self.testcase.measurements
-        n = math.floor((self._now_s - self._begin_s) / step_s + 1e-9) if m.heat else 0
-        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
+        sampled = [m.zone_temperature, m.outdoor_temperature, m.solar]
+        names = [*sampled, f"{self.testcase.actuator.point}_u", *self._flows()]
         with _failures():
-            record = self._recorded(edges[0], edges[-1], sampled=True)
-        time_s = record["time"]
-        if n and time_s[0] > edges[0] + _CLOCK_TOLERANCE_S + step_s:
-            # The service kept less than was asked for: use what there is.
-            edges = edges[edges >= time_s[0]]
-            n = edges.size - 1
-
-        def at_edges(point: str) -> Array:
-            return np.interp(edges, time_s, record[point])
-
-        def means(points: Sequence[str]) -> Array:
-            return np.array([_mean(record, points, a, b) for a, b in pairwise(edges)])
-
+            record = self._recorded(self._begin_s, self._now_s, names)
+        # The record begins with the warm-up on services that keep it, with the present on those that do not.
+        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
+        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
+        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in sampled)
         return History(
             time_s=edges,
-            T_zone_C=at_edges(m.zone_temperature) - _KELVIN,
-            T_out_C=at_edges(m.outdoor_temperature) - _KELVIN,
-            solar_W_m2=at_edges(m.solar),
-            u=np.full(n, math.nan),
-            power_W=means(m.electric_power),
-            heat_W=means(m.heat),
+            T_zone_C=T_zone - _KELVIN,
+            T_out_C=T_out - _KELVIN,
+            solar_W_m2=solar,
+            u=self._levels(record, edges),
+            power_W=_means(record, m.electric_power, edges),
+            heat_W=_means(record, m.heat, edges),
         )
 
     def kpis(self) -> dict[str, float]:
         """The service's own KPIs since the end of the warm-up; those a test case does not have are left out."""
+        if self._final_kpis is not None:
+            return dict(self._final_kpis)
         with _failures():
-            found = self._client.kpi()
-        return {name: value for name, value in found.items() if value is not None}
+            return self._read_kpis()
 
     def close(self) -> None:
-        """Stop the test at the service; safe to call twice."""
-        self._client.stop()
+        """Stop the test at the service; safe to call twice. A failure to stop is logged: the service drops idle tests.
+
+        Never raises, so that it cannot hide what went wrong before.
+        """
+        try:
+            self._client.stop()
+        except BoptestError as error:
+            _LOG.warning("the test was not stopped, the service will drop it when idle: %s", error)
 
     def __enter__(self) -> BoptestPlant:
         return self
@@ -204,19 +280,43 @@ class BoptestPlant:
     ) -> None:
         self.close()
 
-    def _initialize_scenario(self, name: str, price: str) -> Measurement:
+    def _select(self) -> BoptestClient:
         with _failures():
-            answer = self._client.set_scenario(time_period=name, electricity_price=price)
-            points = answer.get("time_period")
-            if not isinstance(points, dict) or "time" not in points:
-                raise PlantError(f"the service did not say where scenario '{name}' starts (it answered {answer!r})")
-        start_s = float(points["time"])
-        self._begin_s = max(start_s - _SCENARIO_WARMUP_S, 0.0)
-        return self._at_rest({key: float(value) for key, value in points.items()}, start_s)
+            try:
+                return BoptestClient(
+                    self._url, self.testcase.name, config=self._config, start_timeout_s=self._start_timeout_s
+                )
+            except BadAddress as error:
+                raise ConfigError(f"plant.url: {error}") from error
+            except (RequestRejected, UnknownTest) as error:
+                raise ConfigError(f"testcase '{self.testcase.name}' is not offered: {error}") from error
 
-    def _at_rest(self, points: dict[str, float], start_s: float) -> Measurement:
+    def _wake(self) -> None:
+        """Select the test anew when the service dropped it: a run begins from nothing anyway."""
+        with _failures():
+            try:
+                self._client.status()
+            except UnknownTest:
+                _LOG.info("the service dropped the idle test; selecting it again")
+                self.close()
+                self._client = self._select()
+
+    def _initialize_scenario(self, name: str) -> Measurement:
+        with _failures():
+            try:
+                points = self._client.set_scenario(replace(self._scenario, time_period=name))
+            except RequestRejected as error:
+                raise InputError(
+                    f"period '{name}': neither a start day nor a scenario of the service ({error})"
+                ) from error
+        return self._at_rest(points, _SCENARIO_WARMUP_S, end_s=points["time"] + _SCENARIO_LENGTH_S)
+
+    def _at_rest(self, points: dict[str, float], warmup_s: float, end_s: float) -> Measurement:
         """The measurement right after an initialisation: nothing has been averaged yet."""
-        self._now_s = start_s
+        self._now_s = points["time"]
+        self._begin_s = max(self._now_s - warmup_s, 0.0)
+        self._end_s = end_s
+        self._final_kpis = None
         self._step_s = math.nan  # initialising may have put the service's own step back
         return self._measurement(points, math.nan, math.nan, math.nan)
 
@@ -233,47 +333,26 @@ class BoptestPlant:
             points=points,
         )
 
-    def _recorded(self, start_s: float, final_s: float, *, sampled: bool = False) -> dict[str, Array]:
-        """Recorded series between two times: powers and heat, and with `sampled` the sampled signals too."""
+    def _flows(self) -> list[str]:
         m = self.testcase.measurements
-        names = [*m.electric_power, *m.heat]
-        if sampled:
-            names += [m.zone_temperature, m.outdoor_temperature, m.solar]
-        data = self._client.results(names, start_s, final_s)
+        return [*m.electric_power, *m.heat]
+
+    def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
+        data = self._client.results(list(dict.fromkeys(names)), start_s, final_s)
         if not data["time"]:
             raise PlantError(f"the service recorded nothing between {start_s:g} s and {final_s:g} s")
         return {name: np.array(values) for name, values in data.items()}
 
-    def _check_points(self) -> None:
-        """Every point the test case file names must exist at the service."""
-        t = self.testcase
-        m, f = t.measurements, t.forecast
-        inputs = set(self._client.inputs())
-        measured = set(self._client.measurements())
-        forecast = set(self._client.forecast_points())
-        wanted = [
-            ("actuator.point", f"{t.actuator.point}_u", inputs),
-            ("actuator.point", f"{t.actuator.point}_activate", inputs),
-            ("measurements.zone_temperature", m.zone_temperature, measured),
-            ("measurements.outdoor_temperature", m.outdoor_temperature, measured),
-            ("measurements.solar", m.solar, measured),
-            *(("measurements.electric_power", name, measured) for name in m.electric_power),
-            *(("measurements.heat", name, measured) for name in m.heat),
-            ("forecast.outdoor_temperature", f.outdoor_temperature, forecast),
-            ("forecast.solar", f.solar, forecast),
-            ("forecast.occupancy", f.occupancy, forecast),
-            ("forecast.lower", f.lower, forecast),
-            ("forecast.upper", f.upper, forecast),
-            *((f"forecast.price.{key}", name, forecast) for key, name in f.price.items()),
-            ("forecast.emission", f.emission, forecast),
-        ]
-        wrong = [
-            f"{key}: the service has no point '{name}'{suggestion(name, known)}"
-            for key, name, known in wanted
-            if name not in known
-        ]
-        if wrong:
-            raise ConfigError(f"test case '{t.name}' does not fit the service:\n  " + "\n  ".join(wrong))
+    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
+        """Mean u in [0, 1] between the edges; the service records what acted, whoever decided it."""
+        actuator = self.testcase.actuator
+        wire = record[f"{actuator.point}_u"]
+        span = actuator.maximum - actuator.minimum
+        u = np.clip((wire - actuator.minimum) / span, 0.0, 1.0)
+        return _means({"time": record["time"], "u": u}, ["u"], edges)
+
+    def _read_kpis(self) -> dict[str, float]:
+        return {name: value for name, value in self._client.kpi().items() if value is not None}
 
 
 @contextlib.contextmanager
@@ -285,18 +364,15 @@ def _failures() -> Iterator[None]:
         raise PlantError(f"BOPTEST service: {error}") from error
 
 
-def _mean(record: dict[str, Array], points: Sequence[str], start_s: float, end_s: float) -> float:
-    """Time mean of the sum of `points` between two times; NaN when there are no points or no samples.
+def _means(record: Mapping[str, Array], points: Sequence[str], edges: Array) -> Array:
+    """Time means of the sum of `points` between `edges` (n + 1,), shape (n,); NaN where there are no points.
 
-    Each sample stands for the time since the one before it: at a switch, the sample at the start of the interval still
+    Each sample stands for the time since the one before it: at a switch, the sample at the start of an interval still
     belongs to the action before.
     """
-    if not points:
-        return math.nan
+    if not points or edges.size < 2:
+        return np.full(edges.size - 1, math.nan)
     time_s = record["time"]
     total = np.sum([record[name] for name in points], axis=0)
-    inside = (time_s > start_s + 1e-6) & (time_s <= end_s + 1e-6)
-    if not inside.any():
-        return math.nan
-    stretches = np.diff(np.concatenate([[start_s], time_s[inside]]))
-    return float(np.sum(stretches * total[inside]) / np.sum(stretches))
+    integral = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * total[1:])])
+    return np.asarray(np.diff(np.interp(edges, time_s, integral)) / np.diff(edges))
