@@ -1,37 +1,68 @@
-"""Make the shipped forecaster: `python -m thermoforce_mpc.pretraining --out FOLDER`."""
+"""Make and check the shipped forecaster: `python -m thermoforce_mpc.pretraining train|evaluate`."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import BackboneError, ConfigError
+from thermoforce_mpc.pretraining.evaluation import evaluate
 from thermoforce_mpc.pretraining.training import TrainingConfig, pretrain
 
 
-@click.command(context_settings={"show_default": True})
+@click.group(context_settings={"show_default": True})
+@click.option("--threads", default=1, help="CPU threads; one is reproducible.")
+def main(threads: int) -> None:
+    """Make the shipped forecaster, or check one."""
+    import torch
+
+    torch.set_num_threads(threads)
+
+
+@main.command()
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for state and checkpoint.")
 @click.option("--steps", default=TrainingConfig.steps, help="Training steps.")
 @click.option("--batch", default=TrainingConfig.batch, help="Series per step.")
 @click.option("--seed", default=TrainingConfig.seed, help="Seed of weights and series.")
-@click.option("--threads", default=1, help="CPU threads; one is reproducible.")
 @click.option("--force", is_flag=True, help="Train anew over what the folder holds.")
-def main(out: Path, steps: int, batch: int, seed: int, threads: int, force: bool) -> None:
+def train(out: Path, steps: int, batch: int, seed: int, force: bool) -> None:
     """Train the forecaster on synthetic series; an interrupted run goes on where it stopped.
 
-    The checkpoint is FOLDER/checkpoint. To ship it, copy its files to thermoforce_mpc/data/bolt_thermal.
+    The checkpoint is OUT/checkpoint. To ship it, copy its files to thermoforce_mpc/data/bolt_thermal.
     """
-    import torch
-
-    torch.set_num_threads(threads)
     config = TrainingConfig(steps=steps, batch=batch, seed=seed)
     try:
         checkpoint = pretrain(out, config, lambda line: click.echo(line), force=force)
     except ConfigError as error:
-        click.echo(f"Error: {error}", err=True)
-        raise SystemExit(2) from None
+        raise _failure(error) from None
     click.echo(f"Checkpoint: {checkpoint}")
+
+
+@main.command("evaluate")
+@click.argument("checkpoint", type=click.Path(path_type=Path))
+@click.option("--series", default=1024, help="Held-out synthetic series.")
+@click.option("--seed", default=TrainingConfig.seed, help="Seed of the series; never those of training.")
+def evaluate_command(checkpoint: Path, series: int, seed: int) -> None:
+    """Score CHECKPOINT on held-out synthetic series and write CHECKPOINT/evaluation.json."""
+    try:
+        scores = evaluate(checkpoint, series=series, seed=seed)
+    except (BackboneError, ConfigError) as error:
+        raise _failure(error) from None
+    click.echo("context  model  persistence  seasonal naive  inside 80 %   (mean absolute error / scale of context)")
+    for row in scores["contexts"]:
+        click.echo(
+            f"{row['context']:7d}  {row['model']:5.3f}  {row['persistence']:11.3f}  {row['seasonal_naive']:14.3f}  "
+            f"{row['inside_80']:11.3f}"
+        )
+    click.echo(f"{scores['milliseconds']:.1f} ms per forecast")
+    (checkpoint / "evaluation.json").write_text(json.dumps(scores, indent=1) + "\n", encoding="utf-8")
+
+
+def _failure(error: Exception) -> SystemExit:
+    click.echo(f"Error: {error}", err=True)
+    return SystemExit(2)
 
 
 if __name__ == "__main__":
