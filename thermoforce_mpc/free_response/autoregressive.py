@@ -48,8 +48,7 @@ class Autoregressive:
         if not np.isfinite(ahead).all():
             raise DataError("weather forecast has values that are not finite")
         windows = np.lib.stride_tricks.sliding_window_view(free, lags)[:-1]
-        # Values relative to the last one: the fit is about shape, not level.
-        X = np.hstack([windows - windows[:, -1:], past[lags - 1 :], np.ones((windows.shape[0], 1))])
+        X = _regressors(windows, past[lags - 1 :])
         y = free[lags:] - windows[:, -1]
         usable = np.isfinite(X).all(axis=1) & np.isfinite(y)
         if usable.sum() < _EQUATIONS_PER_UNKNOWN * X.shape[1]:
@@ -67,9 +66,8 @@ class Autoregressive:
         def roll(start: Array, weather: Array, steps: int) -> Array:
             """Iterate from windows `start` (k, lags) with `weather` (k, steps, e); shape (k, steps)."""
             window, out = start.copy(), np.empty((start.shape[0], steps))
-            ones = np.ones((start.shape[0], 1))
             for t in range(steps):
-                x = np.hstack([window - window[:, -1:], weather[:, t], ones])
+                x = _regressors(window, weather[:, t])
                 out[:, t] = window[:, -1] + offset + ((x - center_x) / scale) @ weights
                 window = np.hstack([window[:, 1:], out[:, t : t + 1]])
             return out
@@ -96,3 +94,9 @@ class Autoregressive:
         weather = np.stack([past[s - 1 : s - 1 + n] for s in starts])
         truth = np.stack([free[s : s + n] for s in starts])
         return np.asarray(truth - roll(windows, weather, n))
+
+
+def _regressors(windows: Array, weather: Array) -> Array:
+    """Shape (last values relative to the last one), level and weather, shape (k, lags + e)."""
+    last = windows[:, -1:]
+    return np.hstack([windows[:, :-1] - last, last, weather])

@@ -19,13 +19,13 @@ from thermoforce_mpc.free_response.checks import LEVELS, checked_free, quantiles
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
 
 # From a room's air to a massive structure, h.
-TIME_CONSTANTS_H = np.array([1.0, 5.0, 24.0, 120.0])
+TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
 _SHORTEST_HISTORY_S = DAY_S
 # Weights of the priors in units of one squared kelvin of misfit; the data have hundreds of them.
-_RIDGE_WEATHER = 0.3
+_RIDGE_WEATHER = 0.1
 _RIDGE_WAVE = 1.0
 _RIDGE_START = 0.01
-_LONG_RUN_GAIN_WEIGHT = 3.0
+_LONG_RUN_GAIN_WEIGHT = 5.0
 # Irradiance enters in units that make its weights of the order of one: 100 W/m2.
 _SOLAR_UNIT_W_M2 = 100.0
 _SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
