@@ -17,7 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import _MEASUREMENTS, OVERWRITES
+from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
 from thermoforce_mpc.plants.embedded.kernel import RECORD, STEP_S
 from thermoforce_mpc.types import DAY_S, Period
 from thermoforce_mpc.weather import synthetic_weather
@@ -142,7 +142,7 @@ class Service:
     def _measurements(self, testid, plant, body):
         return {
             name: {"Unit": unit_of(name), "Description": name, "Minimum": None, "Maximum": None}
-            for name in _MEASUREMENTS
+            for name in MEASUREMENTS
         }
 
     def _forecast_points(self, testid, plant, body):
@@ -221,8 +221,8 @@ class Service:
             raise Bare(500, {"status": 500, "message": "Internal BOPTEST error", "payload": reason})
         out = {"time": time_s[inside].tolist()}
         for name in body["point_names"]:
-            if name in _MEASUREMENTS:
-                column = _MEASUREMENTS[name]
+            if name in MEASUREMENTS:
+                column = MEASUREMENTS[name]
             elif name == "oveHeaPumY_u":
                 column = "level"
             elif name.startswith("ove"):

@@ -171,7 +171,10 @@ class BoptestPlant:
                 f"from day {self._now_s / DAY_S:g} runs past it; score at most 14 days of a named window"
             )
         actuator = self.testcase.actuator
-        inputs = {} if u is None else {f"{actuator.point}_u": actuator.value(u), f"{actuator.point}_activate": 1.0}
+        # Said in so many words: what is not mentioned keeps the value it had.
+        inputs = {f"{actuator.point}_activate": 0.0}
+        if u is not None:
+            inputs = {f"{actuator.point}_u": actuator.value(u), f"{actuator.point}_activate": 1.0}
         before_s = self._now_s
         with _failures():
             if duration_s != self._step_s:

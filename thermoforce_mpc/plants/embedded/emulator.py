@@ -28,7 +28,7 @@ _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
 OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
 
 # Measurements of the test case: name at the wire and column of the record.
-_MEASUREMENTS = {
+MEASUREMENTS = {
     "reaTZon_y": "T_operative",
     "reaPHeaPum_y": "P_heat_pump",
     "reaPFan_y": "P_fan",
@@ -137,8 +137,7 @@ class EmbeddedPlant:
                 raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
         if start_s >= YEAR_S:
             raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
-        if price not in self._tariffs:
-            raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
+        self.tariff(price)
         self._price = price
         self._nodes = self._network.start_K.copy()
         self._scalars = np.zeros(kernel.N_SCALARS)
@@ -255,6 +254,48 @@ class EmbeddedPlant:
             area_m2=AREA_M2,
         )
 
+    @property
+    def now_s(self) -> float:
+        """Now, s since 1 January."""
+        return self._now_s
+
+    @property
+    def begin_s(self) -> float:
+        """Start of the warm-up, s since 1 January."""
+        return self._begin_s
+
+    @property
+    def tariff_names(self) -> tuple[str, ...]:
+        """Tariffs that this plant knows."""
+        return tuple(self._tariffs)
+
+    def tariff(self, name: str) -> tariffs.Tariff:
+        """The tariff called `name`; raises `InputError`."""
+        if name not in self._tariffs:
+            raise InputError(f"unknown tariff '{name}'; known: {', '.join(self._tariffs)}")
+        return self._tariffs[name]
+
+    def use(self, price: str, forecast_error: ForecastError | None) -> None:
+        """Change what surrounds the house without disturbing it: tariff and errors of the forecast.
+
+        Raises:
+            InputError: the tariff is unknown.
+        """
+        self.tariff(price)
+        self._price, self._forecast_error = price, forecast_error
+
+    def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
+        """Samples every 30 s between two times: 'time' s and every column of `kernel.RECORD`, units of the wire.
+
+        The record starts with the warm-up and ends now; arrays of one length, empty where nothing was recorded.
+        """
+        rows = np.vstack([self._first, *self._record])
+        first = max(math.ceil((start_s - self._begin_s) / kernel.STEP_S - 1e-9), 0)
+        last = min(math.floor((final_s - self._begin_s) / kernel.STEP_S + 1e-9), rows.shape[0] - 1)
+        rows = rows[first : max(last + 1, first)]
+        time_s: Array = self._begin_s + (first + np.arange(rows.shape[0], dtype=np.float64)) * kernel.STEP_S
+        return {"time": time_s} | {name: rows[:, i] for name, i in _COLUMN.items()}
+
     def snapshot(self) -> Snapshot:
         """Keep this moment, to come back to it or branch from it."""
         return Snapshot(
@@ -308,7 +349,7 @@ class EmbeddedPlant:
         """Samples of the last recorded row, means over `rows` (NaN when there are none)."""
         last = self._record[-1][-1] if self._record else self._first[0]
         means = rows.mean(axis=0) if rows.size else np.full(len(kernel.RECORD), math.nan)
-        points = {name: float(last[_COLUMN[column]]) for name, column in _MEASUREMENTS.items()}
+        points = {name: float(last[_COLUMN[column]]) for name, column in MEASUREMENTS.items()}
         return Measurement(
             time_s=self._now_s,
             T_zone_C=points["reaTZon_y"] - _KELVIN,

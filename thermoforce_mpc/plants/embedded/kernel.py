@@ -29,7 +29,7 @@ N_SCALARS = 12
 # Columns of the record, one row a step, values at its end (kelvin, W, ppm).
 RECORD = (
     "T_operative", "P_heat_pump", "P_fan", "P_pump", "Q_condenser", "Q_floor", "T_supply", "T_return", "COP", "level",
-    "T_setpoint", "CO2", "T_out", "solar", "fan", "pump",
+    "T_setpoint", "CO2", "T_out", "solar", "fan", "pump", "Q_evaporator",
 )  # fmt: skip
 
 _KELVIN = 273.15
@@ -298,3 +298,4 @@ def advance(
         record[step, 13] = w[x.GLOBAL]
         record[step, 14] = fan
         record[step, 15] = pump
+        record[step, 16] = from_air
