@@ -36,7 +36,7 @@ class MPCConfig(StrictModel):
     comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
     comfort_margin_K: float = Field(0.05, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
     backoff_level: float = Field(
-        0.5, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
+        0.1, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
     )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
     curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
