@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 
-from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.free_response.backbones.base import Context
-from thermoforce_mpc.free_response.backbones.loading import SHIPPED, load_backbone
+from thermoforce_mpc.errors import BackboneError, DataError
+from thermoforce_mpc.free_response.backbones import SHIPPED, Weather, load_backbone, shipped_folder
 from thermoforce_mpc.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.free_response.persistence import Persistence
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
 
-# Below a day of history a daily course cannot be known: persistence takes over and says so.
+__all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
+
+# With less than a day of measurements a daily course cannot be known: persistence takes over and says so.
 _SHORTEST_HISTORY_S = DAY_S
-# Instance normalisation of fewer values than this says nothing.
-_FEWEST_VALUES = 8
-_SHORTEST_CONTEXT = 16
+_LEAST_CONTEXT_STEPS = 16
 
 
 class ChronosFreeResponse:
-    """`FreeResponse` by a frozen backbone: evaluation mode, no gradients, weights hashed on request."""
+    """A frozen backbone: evaluation mode, no gradients, weights hashed on request."""
 
     name = "chronos"
 
@@ -31,17 +26,16 @@ class ChronosFreeResponse:
         """Load the weights.
 
         Args:
-            backbone: 'shipped', 'fracast', a local directory, or a hub name such as 'amazon/chronos-bolt-small'.
+            backbone: 'shipped', 'fracast', a local directory, or a hub name; see `load_backbone`.
             context_steps: how much of the history the model sees at most.
 
         Raises:
-            ConfigError: `context_steps` is too small.
-            BackboneError: see `load_backbone`.
+            BackboneError: the weights cannot be loaded, or `context_steps` is less than the 16 a patch has.
         """
-        if context_steps < _SHORTEST_CONTEXT:
-            raise ConfigError(
-                f"free response 'chronos': context_steps is {context_steps}, one patch of the backbone is "
-                f"{_SHORTEST_CONTEXT}; give at least that"
+        if context_steps < _LEAST_CONTEXT_STEPS:
+            raise BackboneError(
+                f"context_steps is {context_steps}: the backbone reads patches of {_LEAST_CONTEXT_STEPS}, give at least "
+                "that"
             )
         self.backbone = backbone
         self._context_steps = context_steps
@@ -54,13 +48,8 @@ class ChronosFreeResponse:
         return self._model.label
 
     def weight_hash(self) -> str:
-        """SHA-256 over names, shapes and values of all weights: equal before and after a run, since they are frozen."""
-        digest = hashlib.sha256()
-        for index, module in enumerate(self._model.modules):
-            for name, tensor in sorted(module.state_dict().items()):
-                digest.update(f"{index}.{name}{tuple(tensor.shape)}".encode())
-                digest.update(tensor.detach().cpu().contiguous().float().numpy().tobytes())
-        return digest.hexdigest()
+        """SHA-256 over names and bytes of all weights: equal before and after a run, since they are frozen."""
+        return self._model.weight_hash()
 
     def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`. NaN gaps are passed to the model as they are, nothing is filled in.
@@ -69,46 +58,21 @@ class ChronosFreeResponse:
             DataError: no value was ever measured, history and forecast differ in step, or the model's answer is not
                 finite.
         """
-        import torch
-
         free = checked_free(free_C, history)
-        if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
+        context = free[-self._context_steps :]
+        known = int(np.isfinite(context).sum())
+        # A day has this many steps and one more boundary.
+        if known <= round(_SHORTEST_HISTORY_S / boundary.step_s):
+            short = self._short.forecast(free, history, boundary)
+            hours = max(known - 1, 0) * boundary.step_s / HOUR_S
+            return FreeForecast(short.levels, short.quantiles_C, f"persistence: only {hours:g} h of history measured")
+        if abs(history.step_s - boundary.step_s) > 1e-6:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
-        recent = slice(-self._context_steps, None)
-        known = np.flatnonzero(np.isfinite(free))
-        # Leading gaps are no history.
-        length_s = (free.size - 1 - known[0]) * boundary.step_s
-        if length_s < _SHORTEST_HISTORY_S:
-            return self._persistence(free, history, boundary, f"only {length_s / HOUR_S:g} h of history")
-        values = int(np.isfinite(free[recent]).sum())
-        if values < _FEWEST_VALUES:
-            return self._persistence(free, history, boundary, f"only {values} measured values in the context")
-        context = Context(
-            free[recent],
-            np.stack([history.T_out_C, history.solar_W_m2], axis=1)[recent],
-            np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:],
+        weather = Weather(
+            past={"T_out": history.T_out_C[-context.size :], "solar": history.solar_W_m2[-context.size :]},
+            ahead={"T_out": boundary.T_out_C[1:], "solar": boundary.solar_W_m2[1:]},
         )
-        with _one_thread(), torch.inference_mode():
-            quantiles = np.sort(self._model.quantiles_C(context), axis=0)
-        if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
-            raise DataError(
-                f"{self.label}: its forecast of shape {quantiles.shape} is not finite or not of full length"
-            )
-        return FreeForecast(LEVELS, quantiles, self.label)
-
-    def _persistence(self, free: Array, history: History, boundary: Boundary, why: str) -> FreeForecast:
-        short = self._short.forecast(free, history, boundary)
-        return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread: the models are small, and the order of a sum must not depend on the machine."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+        values = np.sort(self._model.quantiles(context, boundary.n_steps, weather), axis=0)
+        if values.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(values).all():
+            raise DataError(f"{self.label} gave values of shape {values.shape} that are not all finite")
+        return FreeForecast(LEVELS, values, self.label)

@@ -51,9 +51,10 @@ def _linear_weather() -> FreeResponse:
 
 
 def _residual(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+    from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.free_response.residual import ResidualFreeResponse
 
-    return ResidualFreeResponse(_chronos(backbone, context_steps))
+    return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps))
 
 
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.free_response.checks import checked_free
+from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.free_response.linear_weather import fit_linear_weather
-from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import Array, Boundary, FreeForecast, History
 
 
@@ -15,9 +15,12 @@ class ResidualFreeResponse:
 
     name = "residual"
 
-    def __init__(self, backbone: FreeResponse) -> None:
-        """`backbone` forecasts the residual; usually a frozen `ChronosFreeResponse`."""
+    def __init__(self, backbone: ChronosFreeResponse) -> None:
         self.backbone = backbone
+
+    def weight_hash(self) -> str:
+        """Hash of the backbone's weights, which nothing here changes."""
+        return self.backbone.weight_hash()
 
     def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` where the linear model or the backbone does."""

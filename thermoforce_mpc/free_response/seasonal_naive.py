@@ -1,4 +1,4 @@
-"""Seasonal naive: the same hour of yesterday, shifted to where the series stands now."""
+"""Seasonal naive: the same hour of yesterday."""
 
 from __future__ import annotations
 

@@ -1,0 +1,42 @@
+"""What every frozen backbone can do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from thermoforce_mpc.types import Array
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a backbone may see: the control-free series, and the weather before and after now. Never the control.
+
+    `free_C` (k,) °C with NaN gaps, the last value being now; `past_weather` (k, 2) at the same instants and
+    `ahead_weather` (N, 2) at the ends of the N steps ahead: outdoor temperature °C and irradiance W/m².
+    """
+
+    free_C: Array
+    past_weather: Array
+    ahead_weather: Array
+
+
+class Backbone(Protocol):
+    """A frozen model that turns a context into quantiles."""
+
+    @property
+    def label(self) -> str:
+        """What it is, for reports."""
+        ...
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights, in a fixed order."""
+        ...
+
+    def quantiles_C(self, context: Context) -> Array:
+        """Quantiles 0.1, 0.2, ... 0.9 over the N steps ahead, shape (9, N), °C."""
+        ...

@@ -1,0 +1,44 @@
+"""Chronos-Bolt (Ansari et al. 2024): univariate, patches in, nine quantiles out."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermoforce_mpc.free_response.backbones.base import Context
+from thermoforce_mpc.free_response.checks import LEVELS
+from thermoforce_mpc.types import Array
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+class BoltBackbone:
+    """`Backbone` around a `ChronosBoltPipeline`; sees the series alone."""
+
+    def __init__(self, pipeline: Any, label: str) -> None:
+        self._pipeline = pipeline
+        self._label = label
+
+    @property
+    def label(self) -> str:
+        """What it is, for reports."""
+        return self._label
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights."""
+        return (self._pipeline.model,)
+
+    def quantiles_C(self, context: Context) -> Array:
+        """See `Backbone.quantiles_C`; horizons beyond the trained one are unrolled by the library."""
+        import torch
+
+        series = torch.tensor(context.free_C, dtype=torch.float32)[None]
+        with warnings.catch_warnings():
+            # Unrolling is intended here; the library warns at every call.
+            warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
+            values, _ = self._pipeline.predict_quantiles(series, len(context.ahead_weather), LEVELS.round(1).tolist())
+        return np.asarray(values[0].T.double().numpy())

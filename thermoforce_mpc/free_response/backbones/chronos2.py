@@ -1,0 +1,51 @@
+"""Chronos-2 (Ansari et al. 2025): takes the weather forecast as covariates known ahead."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermoforce_mpc.free_response.backbones.base import Context
+from thermoforce_mpc.free_response.checks import LEVELS
+from thermoforce_mpc.types import Array
+
+if TYPE_CHECKING:
+    from torch import nn
+
+_COVARIATES = ("outdoor_temperature", "irradiance")
+
+
+class Chronos2Backbone:
+    """`Backbone` around a `Chronos2Pipeline`: outdoor temperature and irradiance enter, past and ahead."""
+
+    def __init__(self, pipeline: Any, label: str) -> None:
+        self._pipeline = pipeline
+        self._label = label
+
+    @property
+    def label(self) -> str:
+        """What it is, for reports."""
+        return self._label
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights."""
+        return (self._pipeline.model,)
+
+    def quantiles_C(self, context: Context) -> Array:
+        """See `Backbone.quantiles_C`."""
+        task = {
+            "target": context.free_C.astype(np.float32),
+            "past_covariates": _columns(context.past_weather),
+            "future_covariates": _columns(context.ahead_weather),
+        }
+        values, _ = self._pipeline.predict_quantiles(
+            [task], prediction_length=len(context.ahead_weather), quantile_levels=LEVELS.round(1).tolist()
+        )
+        # One list entry per task, shape (variates, N, levels); the target is the only variate forecast.
+        return np.asarray(values[0][0].T.double().numpy())
+
+
+def _columns(weather: Array) -> dict[str, Any]:
+    return {name: weather[:, i].astype(np.float32) for i, name in enumerate(_COVARIATES)}

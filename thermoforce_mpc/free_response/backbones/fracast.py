@@ -1,0 +1,50 @@
+"""Fracast-0: 85 001 pretrained parameters in the wheel of the optional package `fracast` (Apache-2.0)."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.free_response.backbones.base import Context
+from thermoforce_mpc.free_response.checks import LEVELS
+from thermoforce_mpc.types import Array
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+class FracastBackbone:
+    """`Backbone` by `fracast` with its full-precision weights; sees the series alone, unrolls beyond 48 steps."""
+
+    def __init__(self) -> None:
+        """Load the weights of the wheel; raises `BackboneError` when the package is absent or damaged."""
+        if importlib.util.find_spec("fracast") is None:
+            raise BackboneError("backbone 'fracast': the package is not installed; run `pip install fracast`")
+        try:
+            from fracast import FracastModel
+
+            self._model = FracastModel.from_pretrained(weights="fp32")
+        except Exception as error:  # whatever its readers of JSON and safetensors raise
+            raise BackboneError(
+                f"backbone 'fracast': its weights cannot be loaded: {type(error).__name__}: {error}; reinstall it"
+            ) from error
+        if not np.allclose(self._model.quantiles, LEVELS):
+            raise BackboneError(f"backbone 'fracast': its quantiles are {self._model.quantiles}, expected 0.1 ... 0.9")
+
+    @property
+    def label(self) -> str:
+        """What it is, for reports."""
+        return "Fracast-0"
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights."""
+        return (self._model.core, self._model.head)
+
+    def quantiles_C(self, context: Context) -> Array:
+        """See `Backbone.quantiles_C`."""
+        values = self._model.forecast(context.free_C.astype(np.float32), horizon=len(context.ahead_weather))
+        return np.asarray(values.T, dtype=np.float64)
