@@ -18,6 +18,48 @@ def command() -> None:
     """Measure parts of the package against their targets: tables, plots and JSON, failed targets shown as such."""
 
 
+_Folder = click.Path(path_type=Path, exists=True, file_okay=False)
+_JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result here.")
+_QUICK = click.option("--quick", is_flag=True, help="A smaller version, for a first look.")
+
+
+@command.command("operator")
+@click.option("--reference", required=True, type=_Folder, help="Folder with records of the real test case.")
+@_QUICK
+@_JSON
+def operator_command(reference: Path, quick: bool, json_file: Path | None) -> None:
+    """Score identified operators on interventions they never saw, and time them against a plain loop."""
+    from thermoforce_mpc.bench.operator import run_operator_bench
+
+    show(run_operator_bench(reference, quick=quick, progress=_progress), json_file)
+
+
+@command.command("free-response")
+@click.option("--reference", type=_Folder, help="Folder with records of the real test case.")
+@click.option("--houses", type=_Folder, help="Folder with measured houses.")
+@click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
+@_QUICK
+@_JSON
+def free_response_command(
+    reference: Path | None,
+    houses: Path | None,
+    backbone: str,
+    out: Path | None,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Forecast 24 h from many origins with every method; every method gets the same history."""
+    from thermoforce_mpc.bench.free_response import run_free_response_bench
+
+    result = run_free_response_bench(reference, houses, backbone=backbone, quick=quick, out=out, progress=_progress)
+    show(result, json_file)
+
+
+def _progress(line: str) -> None:
+    click.echo(line, err=True)
+
+
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     """Print a bench's rows and targets, and write its JSON where asked."""
     console = Console(highlight=False)
@@ -42,14 +84,3 @@ def _cell(value: Any) -> str:
     if value is None:
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-_REFERENCE = click.option(
-    "--reference",
-    required=True,
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Folder of reference trajectories in the layout of docs/plant.md.",
-)
-_JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result here.")
-_OUT = click.option("--out", type=click.Path(path_type=Path), default=Path("bench"), help="Folder for plots.")
-_QUICK = click.option("--quick", is_flag=True, help="A smaller version, for a first look.")
