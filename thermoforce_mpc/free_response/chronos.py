@@ -76,12 +76,14 @@ class ChronosFreeResponse:
         if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
         context = free[-self._context_steps :]
-        known = int(np.isfinite(context).sum())
+        known, seen_values = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
         # A day has this many steps, and one more boundary.
-        if known < max(_FEWEST_VALUES, round(_SHORTEST_HISTORY_S / boundary.step_s) + 1):
-            short = self._short.forecast(free, history, boundary)
-            hours = max(known - 1, 0) * boundary.step_s / HOUR_S
-            return FreeForecast(short.levels, short.quantiles_C, f"persistence: only {hours:g} h of history measured")
+        if known < round(_SHORTEST_HISTORY_S / boundary.step_s) + 1:
+            hours = (known - 1) * boundary.step_s / HOUR_S
+            return self._persistence(free, history, boundary, f"only {hours:g} h of history measured")
+        if seen_values < _FEWEST_VALUES:
+            why = f"only {seen_values} of the last {context.size} values were measured"
+            return self._persistence(free, history, boundary, why)
         seen = Context(
             context,
             np.stack([history.T_out_C, history.solar_W_m2], axis=1)[-context.size :],
@@ -92,6 +94,10 @@ class ChronosFreeResponse:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
             raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
         return FreeForecast(LEVELS, quantiles, self.label)
+
+    def _persistence(self, free: Array, history: History, boundary: Boundary, why: str) -> FreeForecast:
+        short = self._short.forecast(free, history, boundary)
+        return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,9 +41,12 @@ class Chronos2Backbone:
             "past_covariates": _columns(context.past_weather),
             "future_covariates": _columns(context.ahead_weather),
         }
-        values, _ = self._pipeline.predict_quantiles(
-            [task], prediction_length=len(context.ahead_weather), quantile_levels=LEVELS.round(1).tolist()
-        )
+        with warnings.catch_warnings():
+            # Unrolling is intended here; the library warns at every call.
+            warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
+            values, _ = self._pipeline.predict_quantiles(
+                [task], prediction_length=len(context.ahead_weather), quantile_levels=LEVELS.round(1).tolist()
+            )
         # One list entry per task, shape (variates, N, levels); the target is the only variate forecast.
         return np.asarray(values[0][0].T.double().numpy())
 
