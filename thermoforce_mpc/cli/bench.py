@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,26 @@ def command() -> None:
     """Measure parts of the package against their targets: tables, plots and JSON, failed targets shown as such."""
 
 
-_Folder = click.Path(path_type=Path, exists=True, file_okay=False)
+_FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 _JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result here.")
 _QUICK = click.option("--quick", is_flag=True, help="A smaller version, for a first look.")
 
 
+@command.command("plant")
+@click.option("--reference", required=True, type=_FOLDER, help="Folder with records of the real test case.")
+@click.option("--weather", type=click.Path(path_type=Path), help="Their weather file, if not in the folder.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
+@_QUICK
+@_JSON
+def plant_command(reference: Path, weather: Path | None, out: Path | None, quick: bool, json_file: Path | None) -> None:
+    """Score the embedded plant against records of the real test case."""
+    from thermoforce_mpc.bench.plant import run_plant_bench
+
+    show(run_plant_bench(reference, weather, quick=quick, out=out, progress=_progress), json_file)
+
+
 @command.command("operator")
-@click.option("--reference", required=True, type=_Folder, help="Folder with records of the real test case.")
+@click.option("--reference", required=True, type=_FOLDER, help="Folder with records of the real test case.")
 @_QUICK
 @_JSON
 def operator_command(reference: Path, quick: bool, json_file: Path | None) -> None:
@@ -35,8 +49,8 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
 
 
 @command.command("free-response")
-@click.option("--reference", type=_Folder, help="Folder with records of the real test case.")
-@click.option("--houses", type=_Folder, help="Folder with measured houses.")
+@click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
+@click.option("--houses", type=_FOLDER, help="Folder with measured houses.")
 @click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
 @_QUICK
@@ -63,14 +77,13 @@ def _progress(line: str) -> None:
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     """Print a bench's rows and targets, and write its JSON where asked."""
     console = Console(highlight=False)
-    rows = result["rows"]
-    if rows:
+    # Rows that carry the same figures share a table.
+    for columns, group in groupby(result["rows"], key=lambda row: tuple(row)):
         table = Table(title=f"bench {result['bench']}", title_justify="left")
-        columns = list(dict.fromkeys(key for row in rows for key in row))
         for column in columns:
             table.add_column(column, overflow="fold")
-        for row in rows:
-            table.add_row(*(_cell(row.get(column)) for column in columns))
+        for row in group:
+            table.add_row(*(_cell(row[column]) for column in columns))
         console.print(table)
     for target in result["targets"]:
         mark = "holds      " if target["holds"] else "DOES NOT HOLD"
