@@ -1,0 +1,289 @@
+"""The embedded plant behind BOPTEST's protocol: our client and plain requests must find what the real service gives."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+import numpy as np
+import pytest
+import requests
+from emulator_service import running_emulator_service
+
+from boptest_client import (
+    BoptestClient,
+    RequestRejected,
+    Scenario,
+    ServiceError,
+    TransportConfig,
+    UnknownTest,
+)
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.plants.boptest import BoptestPlant
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.scenario import load_testcase
+from thermoforce_mpc.service.server import build_server
+from thermoforce_mpc.types import DAY_S, HOUR_S
+from thermoforce_mpc.weather import synthetic_weather
+
+NAME = "bestest_hydronic_heat_pump"
+QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=60.0, retries=0)
+
+
+@pytest.fixture(scope="module")
+def url():
+    with running_emulator_service(most_tests=3) as address:
+        yield address
+
+
+@pytest.fixture
+def client(url):
+    with BoptestClient(url, NAME, config=QUICK) as test:
+        yield test
+
+
+@pytest.fixture(scope="module")
+def house():
+    return EmbeddedPlant(synthetic_weather())
+
+
+def test_the_plant_on_the_service_is_the_embedded_plant(url, house):
+    with BoptestPlant(url, load_testcase(NAME), config=QUICK) as served:
+        for plant in (served, house):
+            plant.reset(20 * DAY_S, 2 * DAY_S, "dynamic")
+        for u, duration in ((0.6, 900.0), (1.0, 3600.0), (0.0, 300.0), (None, 1800.0)):
+            a, b = served.advance(u, duration), house.advance(u, duration)
+            assert (a.time_s, a.T_zone_C) == (b.time_s, b.T_zone_C)
+            assert a.u == pytest.approx(b.u, abs=1e-12)
+            assert a.power_W == pytest.approx(b.power_W)
+            assert a.heat_W == pytest.approx(b.heat_W)
+        a, b = served.past(HOUR_S), house.past(HOUR_S)
+        for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2", "u", "power_W", "heat_W"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-9, atol=1e-6, err_msg=name)
+        a, b = served.forecast(DAY_S, HOUR_S), house.forecast(DAY_S, HOUR_S)
+        for name in a.__dataclass_fields__:
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-9, err_msg=name)
+        kpis = served.kpis()
+        for name, value in house.kpis().items():
+            assert kpis[name] == pytest.approx(value)
+
+
+def test_every_point_of_the_test_case_is_there(client):
+    assert {f"{p}_{e}" for p in ("oveHeaPumY", "oveTSet", "ovePum", "oveFan") for e in ("u", "activate")} == set(
+        client.inputs()
+    )
+    assert client.inputs()["oveTSet_u"].minimum == 278.15
+    measured, forecast = client.measurements(), client.forecast_points()
+    assert len(measured) == 13 + 23
+    assert len(forecast) == 3 + 8 + 23
+    assert measured["weaSta_reaWeaTDryBul_y"].unit == forecast["TDryBul"].unit == "K"
+    state = client.initialize(100.5 * DAY_S, 3600)
+    assert set(state) == set(measured) | {"oveHeaPumY_u", "oveTSet_u", "ovePum_u", "oveFan_u", "time"}
+    assert all(np.isfinite(value) for value in state.values())
+    series = client.forecast(list(forecast), 3600, 3600)
+    for name in forecast:
+        station = f"weaSta_reaWea{name[0].upper()}{name[1:]}_y"
+        if station in state:
+            assert series[name][0] == pytest.approx(state[station]), name
+    assert state["weaSta_reaWeaTDewPoi_y"] <= state["weaSta_reaWeaTWetBul_y"] <= state["weaSta_reaWeaTDryBul_y"]
+    assert 0 < state["weaSta_reaWeaSolAlt_y"] < np.pi / 2, "the sun is up at noon"
+    record = client.results([*measured, *(n for n in client.inputs() if n.endswith("_u"))], 0, 1e9)
+    assert record["time"][0] == 100.5 * DAY_S - 3600
+    assert record["time"][-1] == 100.5 * DAY_S
+    assert {name: values[-1] for name, values in record.items()} == state
+
+
+def test_heat_out_of_the_air_and_power_make_the_heat_into_the_water(client):
+    client.initialize(20 * DAY_S, 3600)
+    state = client.advance({"oveHeaPumY_u": 1.0, "oveHeaPumY_activate": 1})
+    assert state["reaQHeaPumEva_y"] < 0
+    assert state["reaQHeaPumCon_y"] < -state["reaQHeaPumEva_y"] + state["reaPHeaPum_y"] + 1.0
+    assert state["reaQHeaPumCon_y"] > -state["reaQHeaPumEva_y"]
+
+
+def test_all_four_inputs_act_and_stay_until_changed(client):
+    client.initialize(20 * DAY_S, DAY_S)
+    client.set_step(600)
+    on = client.advance({"oveHeaPumY_u": 0.7, "oveHeaPumY_activate": 1})
+    assert on["oveHeaPumY_u"] == 0.7
+    assert client.advance({})["oveHeaPumY_u"] == 0.7
+    client.advance({"oveHeaPumY_activate": 0})
+    off = client.advance({"oveTSet_u": 278.15, "oveTSet_activate": 1})
+    assert off["reaTSetHea_y"] == 278.15
+    fan = client.advance({"oveFan_u": 1, "oveFan_activate": True, "ovePum_u": "1", "ovePum_activate": "1"})
+    assert fan["reaPFan_y"] > 0
+    assert fan["reaPPumEmi_y"] > 0
+    assert client.initialize(20 * DAY_S, 0)["time"] == 20 * DAY_S
+    assert client.advance({})["reaTSetHea_y"] > 278.15, "initialising forgets what was overwritten"
+
+
+def test_values_out_of_their_limits_are_clipped_with_a_warning(client, caplog):
+    with caplog.at_level(logging.WARNING):
+        state = client.advance({"oveHeaPumY_u": 1.7, "oveHeaPumY_activate": 1})
+    assert state["oveHeaPumY_u"] == 1.0
+    assert "1.7 of oveHeaPumY_u is out of its limits 0 to 1" in caplog.text
+
+
+def test_a_scenario_runs_two_weeks_and_ends(client):
+    start = client.set_scenario(Scenario("highly_dynamic", "typical_heat_day"))
+    assert client.scenario().time_period == "typical_heat_day"
+    record = client.results(["reaTZon_y"], 0, 1e9)
+    assert start["time"] - record["time"][0] == 7 * DAY_S
+    client.set_step(13.5 * DAY_S)
+    client.advance()
+    assert client.advance()["time"] == start["time"] + 14 * DAY_S, "the last step is cut"
+    assert client.advance() == {}
+    kpis = client.kpi()
+    assert kpis["ener_tot"] > 0
+    assert kpis["pgas_tot"] is None
+
+
+def test_kpis_right_after_the_start_are_zero(client):
+    client.initialize(20 * DAY_S, 3600)
+    assert client.kpi()["ener_tot"] == 0.0
+
+
+def test_forecast_errors_repeat_with_the_seed_and_touch_only_what_they_should(client):
+    def seen(scenario):
+        client.set_scenario(scenario)
+        client.initialize(100 * DAY_S, 0)
+        return client.forecast(["TDryBul", "HGloHor", "HDirNor"], 24 * HOUR_S, HOUR_S)
+
+    truth = seen(Scenario())
+    warm = seen(Scenario(temperature_uncertainty="high", seed=3))
+    assert warm["TDryBul"] != truth["TDryBul"]
+    assert warm["HGloHor"] == truth["HGloHor"]
+    assert warm == seen(Scenario(temperature_uncertainty="high", seed=3))
+    assert warm["TDryBul"] != seen(Scenario(temperature_uncertainty="high", seed=4))["TDryBul"]
+    sunny = seen(Scenario(solar_uncertainty="medium", seed=3))
+    assert sunny["TDryBul"] == truth["TDryBul"]
+    assert sunny["HGloHor"] != truth["HGloHor"]
+    with pytest.raises(RequestRejected, match="at most 48 hours in a solar_uncertainty scenario"):
+        client.forecast(["HGloHor"], 49 * HOUR_S, HOUR_S)
+    assert len(client.forecast(["LowerSetp[1]"], 72 * HOUR_S, HOUR_S)["time"]) == 73
+    assert seen(Scenario()) == truth, "uncertainties that are not named again are gone"
+
+
+def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client):
+    client.initialize(20 * DAY_S, 0)
+    before = client.advance()
+    client.set_scenario(Scenario("dynamic"))
+    assert client.advance()["time"] == before["time"] + 3600
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "status", "message"),
+    [
+        ("put", "step", {"step": "an hour"}, 400, "'an hour' of step"),
+        ("put", "step", {"step": -900}, 400, "-900 of step"),
+        ("put", "step", {"step": 0}, 400, "at least 30"),
+        ("put", "step", {"step": 100}, 400, "multiples of 30 s"),
+        ("put", "step", {"step": 4e7}, 400, "at most"),
+        ("put", "step", {}, 400, "Missing parameter step"),
+        ("put", "initialize", {"start_time": -1, "warmup_period": 0}, 400, "start_time"),
+        ("put", "initialize", {"start_time": 0, "warmup_period": None}, 400, "warmup_period"),
+        ("put", "initialize", {"start_time": 4e7, "warmup_period": 0}, 400, "beyond the year"),
+        ("put", "scenario", {"electricity_price": "cheap"}, 400, "constant, dynamic, highly_dynamic"),
+        ("put", "scenario", {"time_period": "peak_day"}, 400, "peak_heat_day, typical_heat_day"),
+        ("put", "scenario", {"temperature_uncertainty": "huge"}, 400, "none, low, medium, high"),
+        ("put", "scenario", {"seed": -1}, 400, "seed"),
+        ("put", "scenario", {"weather": "sunny"}, 400, "Unknown scenario parameter 'weather'"),
+        ("post", "advance", {"oveHeaPumX_u": 1}, 400, "Unexpected input 'oveHeaPumX_u'"),
+        ("post", "advance", {"oveHeaPumY_u": "full"}, 400, "'full' of oveHeaPumY_u"),
+        ("post", "advance", {"oveHeaPumY_u": "nan", "oveHeaPumY_activate": 1}, 400, "finite"),
+        ("post", "advance", {"oveHeaPumY_u": 1, "oveHeaPumY_activate": 2}, 400, "expected 0 or 1"),
+        ("post", "advance", {"oveHeaPumY_activate": 1}, 400, "no value of oveHeaPumY_u"),
+        ("put", "forecast", {"point_names": ["TDryBull"], "horizon": 1, "interval": 1}, 400, "TDryBull"),
+        ("put", "forecast", {"point_names": ["TDryBul"], "horizon": 3600, "interval": 0}, 400, "interval"),
+        ("put", "forecast", {"point_names": ["TDryBul"], "horizon": 3e7, "interval": 1}, 400, "fewer points"),
+        ("put", "forecast", {"horizon": 3600, "interval": 3600}, 400, "point_names"),
+        ("put", "results", {"point_names": ["reaTZon_z"], "start_time": 0, "final_time": 1}, 400, "reaTZon_z"),
+        ("put", "results", {"point_names": ["reaTZon_y"], "start_time": 9e6, "final_time": 9.1e6}, 500, "recorded"),
+        ("post", "step", {}, 405, "use GET or PUT"),
+        ("get", "reset", {}, 404, "no such endpoint"),
+    ],
+)
+def test_bad_requests_get_the_services_status_and_a_reason(client, method, path, body, status, message):
+    before = client.results(["reaTZon_y"], 0, 1e9)
+    answer = getattr(requests, method)(f"{client.url}/{path}/{client.testid}", json=body, timeout=10)
+    assert answer.status_code == status, answer.text
+    said = answer.json()
+    assert message in said["message"]
+    assert (said["status"], said["payload"]) == (status, None)
+    assert client.results(["reaTZon_y"], 0, 1e9) == before, "nothing half done"
+
+
+@pytest.mark.parametrize(("body", "message"), [(b"{step", "not JSON"), (b"[1]", "a JSON list"), (b"[" * 5000, "JSON")])
+def test_bodies_that_are_no_json_object_are_refused(client, body, message):
+    answer = requests.put(f"{client.url}/step/{client.testid}", data=body, timeout=10)
+    assert answer.status_code == 400
+    assert message in answer.json()["message"]
+
+
+def test_forms_are_understood_as_older_clients_send_them(client):
+    assert requests.put(f"{client.url}/step/{client.testid}", data={"step": "900"}, timeout=10).ok
+    assert client.step() == 900
+    form = {"point_names": ["TDryBul", "HGloHor"], "horizon": "3600", "interval": "900"}
+    payload = requests.put(f"{client.url}/forecast/{client.testid}", data=form, timeout=10).json()["payload"]
+    assert [len(payload[name]) for name in ("TDryBul", "HGloHor", "time")] == [5, 5, 5]
+    advance = requests.post(
+        f"{client.url}/advance/{client.testid}", data={"oveHeaPumY_u": "0.5", "oveHeaPumY_activate": "1"}, timeout=10
+    )
+    assert advance.json()["payload"]["oveHeaPumY_u"] == 0.5
+
+
+def test_a_body_that_is_too_long_is_refused(client):
+    # Refused by the announced length: the server need not read it, and may close before all is sent.
+    try:
+        answer = requests.put(f"{client.url}/step/{client.testid}", data=b"x" * 1_100_000, timeout=10)
+    except requests.ConnectionError:
+        pass
+    else:
+        assert answer.status_code == 413
+    assert client.step() == 3600
+
+
+def test_a_test_that_does_not_exist_is_told_as_the_service_does(url):
+    answer = requests.get(f"{url}/measurements/nonsense", timeout=10)
+    assert answer.status_code == 400
+    assert answer.json()["errors"][0]["msg"] == "Invalid testid: nonsense"
+    with pytest.raises(UnknownTest, match="offers bestest_hydronic_heat_pump"):
+        BoptestClient(url, "bestest_air", config=QUICK)
+
+
+def test_tests_live_side_by_side_and_only_so_many(url):
+    with BoptestClient(url, NAME, config=QUICK) as a, BoptestClient(url, NAME, config=QUICK) as b:
+        outcomes = {}
+
+        def run(test, level):
+            test.initialize(20 * DAY_S, 3600)
+            for _ in range(5):
+                outcomes[level] = test.advance({"oveHeaPumY_u": level, "oveHeaPumY_activate": 1})
+
+        threads = [threading.Thread(target=run, args=pair) for pair in ((a, 0.0), (b, 1.0))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(timeout=30)
+        assert outcomes[1.0]["reaTZon_y"] > outcomes[0.0]["reaTZon_y"] + 0.1
+        with (
+            BoptestClient(url, NAME, config=QUICK),
+            pytest.raises(ServiceError, match="All 3 tests of this service are in use"),
+        ):
+            BoptestClient(url, NAME, config=QUICK)
+
+
+def test_idle_tests_are_dropped():
+    with running_emulator_service(idle_s=0.2) as address, BoptestClient(address, NAME, config=QUICK) as test:
+        assert test.status() == "Running"
+        threading.Event().wait(0.4)
+        with pytest.raises(UnknownTest, match="Invalid testid"):
+            test.step()
+
+
+def test_an_address_in_use_and_senseless_numbers_are_told(url):
+    weather = synthetic_weather()
+    with pytest.raises(PlantError, match=r"cannot listen on 127\.0\.0\.1"):
+        build_server(weather, port=int(url.rsplit(":", 1)[1]))
+    with pytest.raises(ConfigError, match="port 70000"):
+        build_server(weather, port=70000)

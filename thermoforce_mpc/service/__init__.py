@@ -1,0 +1,1 @@
+"""The embedded plant behind BOPTEST's REST protocol, for clients written for the real service."""

@@ -1,0 +1,46 @@
+"""Forecast uncertainty as a scenario names it: one level for the temperature, another for the sun."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
+from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.types import Array
+
+LEVELS: tuple[Level, ...] = ("low", "medium", "high")
+
+
+class SeparateErrors(ForecastError):
+    """Errors of one level on the temperature and of another on the irradiance; None leaves the truth."""
+
+    def __init__(self, temperature: Level | None, solar: Level | None, seed: int) -> None:
+        super().__init__(temperature or solar or "low", seed)
+        self._temperature = ForecastError(temperature, seed) if temperature else None
+        self._solar = ForecastError(solar, seed) if solar else None
+
+    def apply(self, time_s: Array, T_out_C: Array, hourly_solar_W_m2: Array, solar_W_m2: Array) -> tuple[Array, Array]:
+        """See `ForecastError.apply`."""
+        T_seen, solar_seen = T_out_C, solar_W_m2
+        if self._temperature:
+            T_seen, _ = self._temperature.apply(time_s, T_out_C, hourly_solar_W_m2, solar_W_m2)
+        if self._solar:
+            _, solar_seen = self._solar.apply(time_s, T_out_C, hourly_solar_W_m2, solar_W_m2)
+        return T_seen, solar_seen
+
+
+def level(name: str, value: Any) -> Level | None:
+    """The level in a request; nothing, '' and 'none' mean a perfect forecast. Raises `Refusal`."""
+    if value in (None, "", "none"):
+        return None
+    for known in LEVELS:
+        if value == known:
+            return known
+    raise Refusal(400, f"Invalid {name} {value!r}; expected one of none, {', '.join(LEVELS)}.")
+
+
+def forecast_error(temperature: Level | None, solar: Level | None, seed: int | None) -> ForecastError | None:
+    """The forecast errors of a scenario, or None when the forecast is perfect; without a seed, seed 0 is drawn."""
+    if temperature is None and solar is None:
+        return None
+    return SeparateErrors(temperature, solar, seed or 0)

@@ -1,0 +1,99 @@
+"""Serving the application on a socket. Needs the extra `serve` (flask, waitress)."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import socket
+from collections.abc import Callable
+
+from waitress.server import BaseWSGIServer, create_server  # type: ignore[import-untyped]
+
+from thermoforce_mpc.boundary.tariffs import Tariff
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.service.app import create_app
+from thermoforce_mpc.weather.year import Weather
+
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
+_MOST_BYTES = 1_000_000
+
+
+def build_server(
+    weather: Weather,
+    *,
+    host: str = DEFAULT_HOST,
+    port: int = DEFAULT_PORT,
+    highly_dynamic: Tariff | None = None,
+    most_tests: int = 8,
+    idle_s: float = 900.0,
+    threads: int = 4,
+) -> BaseWSGIServer:
+    """Bind the service; `run()` of what is returned serves until `close()`.
+
+    Args:
+        weather: the year that every test lives in.
+        host: address to listen on; anything but a loopback address lets others in, without any authentication.
+        port: 0 takes a free one (`effective_port` of what is returned).
+        highly_dynamic: tariff of that name; by default a synthetic one.
+        most_tests: how many tests may run at a time.
+        idle_s: after how long a test that is asked nothing is dropped, s.
+        threads: how many requests are answered at a time.
+
+    Raises:
+        ConfigError: a number out of its range.
+        PlantError: the address cannot be bound.
+    """
+    if not 0 <= port <= 65535:
+        raise ConfigError(f"port {port}: expected 0 to 65535")
+    if most_tests < 1 or threads < 1 or not idle_s > 0:
+        raise ConfigError("most_tests, threads and idle_s must be positive")
+    # Bound here, since waitress leaves its own socket open when that fails.
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.create_server((host, port), family=family)
+    except OSError as error:
+        raise PlantError(f"cannot listen on {host}:{port} ({error.strerror or error}); choose another port") from error
+    app = create_app(_plants(weather, highly_dynamic), most_tests=most_tests, idle_s=idle_s, most_bytes=_MOST_BYTES)
+    return create_server(app, sockets=[listening], threads=threads, max_request_body_size=_MOST_BYTES, ident=None)
+
+
+def serve(
+    weather: Weather,
+    *,
+    host: str = DEFAULT_HOST,
+    port: int = DEFAULT_PORT,
+    highly_dynamic: Tariff | None = None,
+    most_tests: int = 8,
+    idle_s: float = 900.0,
+    on_ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve until interrupted; `on_ready` is told the base URL. Arguments and errors as for `build_server`."""
+    server = build_server(
+        weather, host=host, port=port, highly_dynamic=highly_dynamic, most_tests=most_tests, idle_s=idle_s
+    )
+    logging.getLogger("waitress").setLevel(logging.WARNING)
+    if on_ready:
+        on_ready(f"http://{host}:{effective_port(server)}")
+    try:
+        server.run()
+    finally:
+        server.close()
+
+
+def effective_port(server: BaseWSGIServer) -> int:
+    """The port a server listens on."""
+    return int(server.effective_port)
+
+
+def _plants(weather: Weather, highly_dynamic: Tariff | None) -> Callable[[], EmbeddedPlant]:
+    """Plants that share what never changes: what the weather does to each surface takes a while to work out."""
+    first = EmbeddedPlant(weather, highly_dynamic=highly_dynamic)
+
+    def another() -> EmbeddedPlant:
+        # A reset gives the copy a state, a record and a clock of its own.
+        plant = copy.copy(first)
+        plant.reset(0.0, 0.0)
+        return plant
+
+    return another

@@ -1,0 +1,321 @@
+"""One test: an embedded plant with a step, a scenario and overwritten inputs, driven by requests.
+
+Every public method is one endpoint: it takes the request's values as they came and returns `Reply(message, payload)`,
+or raises `Refusal`. Semantics follow the BOPTEST documentation; times are on the emulator's 30-s grid.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded.kernel import STEP_S
+from thermoforce_mpc.service.points import (
+    FORECAST_POINTS,
+    INPUT_COLUMNS,
+    INPUTS,
+    MEASUREMENT_POINTS,
+    forecast_points,
+    recorded_points,
+)
+from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.service.scenario import forecast_error, level
+from thermoforce_mpc.types import HOUR_S, Array, Period
+
+DEFAULT_STEP_S = 3600.0
+# What one answer and one test may hold, so that memory stays bounded.
+MOST_VALUES = 5_000_000
+_MOST_RECORDED_S = 400 * 86400.0
+_PERIODS = ("peak_heat_day", "typical_heat_day")
+
+
+class Reply(NamedTuple):
+    """A message for people and a payload for machines."""
+
+    message: str
+    payload: Any
+
+
+class Session:
+    """A running test. Not for several threads at once: the caller holds the lock."""
+
+    def __init__(self, plant: EmbeddedPlant, period: Callable[[str], Period]) -> None:
+        """`period` finds the scored window of a name; it may take a simulated year the first time."""
+        self._plant = plant
+        self._period = period
+        self._step_s = DEFAULT_STEP_S
+        self._start_s, self._end_s = plant.now_s, math.inf
+        self._scenario: dict[str, Any] = {
+            "electricity_price": "constant",
+            "time_period": None,
+            "temperature_uncertainty": None,
+            "solar_uncertainty": None,
+            "seed": None,
+        }
+        self._overwrites: dict[str, float] = {}
+        self._active: dict[str, bool] = {}
+        self._waits_s: list[float] = []
+        self._answered_s: float | None = None
+
+    def inputs(self) -> Reply:
+        """Names and limits of the inputs."""
+        return Reply("The inputs.", {name: info.as_json(limits=True) for name, info in INPUTS.items()})
+
+    def measurements(self) -> Reply:
+        """Names and units of the measurements."""
+        points = {name: info.as_json(limits=True) for name, info in MEASUREMENT_POINTS.items()}
+        return Reply("The measurements.", points)
+
+    def forecast_points(self) -> Reply:
+        """Names and units of the forecast points."""
+        points = {name: info.as_json(limits=False) for name, info in FORECAST_POINTS.items()}
+        return Reply("The forecast points.", points)
+
+    def step(self) -> Reply:
+        """Length of a step, s."""
+        return Reply("The control step.", self._step_s)
+
+    def set_step(self, body: Mapping[str, Any]) -> Reply:
+        """Set the length of a step: a multiple of 30 s, less than a year."""
+        step_s = _number(body, "step", low=STEP_S, high=364 * 86400.0)
+        if abs(step_s % STEP_S) > 1e-6:
+            raise Refusal(400, f"Invalid step {step_s:g} s: the embedded plant simulates multiples of {STEP_S:g} s.")
+        self._step_s = step_s
+        return Reply("The control step was set.", {"step": step_s})
+
+    def initialize(self, body: Mapping[str, Any]) -> Reply:
+        """Start at `start_time` after `warmup_period` of native control."""
+        start_s = _number(body, "start_time", low=0.0)
+        warmup_s = _number(body, "warmup_period", low=0.0)
+        return self._start(start_s, warmup_s, math.inf)
+
+    def scenario(self) -> Reply:
+        """The scenario in force."""
+        return Reply("The current scenario.", dict(self._scenario))
+
+    def set_scenario(self, body: Mapping[str, Any]) -> Reply:
+        """Change the scenario; a `time_period` initialises the test.
+
+        Price and time period stay as they are when not named; uncertainties and seed do not.
+        """
+        unknown = [name for name in body if name not in self._scenario]
+        if unknown:
+            raise Refusal(400, f"Unknown scenario parameter {unknown[0]!r}; known: {', '.join(self._scenario)}.")
+        price = body.get("electricity_price")
+        if price and price not in self._plant.tariff_names:
+            raise Refusal(
+                400, f"Invalid electricity_price {price!r}; expected one of {', '.join(self._plant.tariff_names)}."
+            )
+        period = body.get("time_period")
+        if period and period not in _PERIODS:
+            raise Refusal(400, f"Invalid time_period {period!r}; expected one of {', '.join(_PERIODS)}.")
+        changed: dict[str, Any] = {
+            name: level(name, body.get(name)) for name in ("temperature_uncertainty", "solar_uncertainty")
+        }
+        changed["seed"] = _seed(body.get("seed"))
+        if price:
+            changed["electricity_price"] = price
+        if period:
+            changed["time_period"] = period
+        self._scenario |= changed
+        self._surround()
+        payload = {name: changed.get(name) for name in self._scenario} | {"time_period": None}
+        if period:
+            window = self._period(period)
+            payload["time_period"] = self._start(
+                window.start_s, window.warmup_s, window.start_s + window.scored_s
+            ).payload
+        return Reply("The scenario was set.", payload)
+
+    def advance(self, body: Mapping[str, Any]) -> Reply:
+        """Simulate one step with the inputs given; those not named keep what they had since the initialisation."""
+        self._count_wait()
+        overwrites, active, notes = self._read_inputs(body)
+        now_s = self._plant.now_s
+        if now_s >= self._end_s:
+            return Reply("End of test case scenario: its time period is over.", {})
+        step_s = min(self._step_s, self._end_s - now_s)
+        if now_s + step_s - self._plant.begin_s > _MOST_RECORDED_S:
+            raise Refusal(400, "This test holds as long a record as it may; initialize it again, or select another.")
+        forced = {name: overwrites[name] for name, on in active.items() if on}
+        with _refusing():
+            self._plant.advance_points(forced, step_s)
+        self._overwrites, self._active = overwrites, active
+        self._answered_s = time.monotonic()
+        message = f"Advanced simulation from {now_s:g} s to {self._plant.now_s:g} s."
+        return Reply(" ".join(notes) or message, self._state())
+
+    def forecast(self, body: Mapping[str, Any]) -> Reply:
+        """Forecast of `point_names` from now to `horizon` every `interval`."""
+        names = _names(body, FORECAST_POINTS, "forecast points")
+        horizon_s = _number(body, "horizon", low=0.0)
+        interval_s = _number(body, "interval", low=1.0)
+        uncertain = (("temperature_uncertainty", "TDryBul"), ("solar_uncertainty", "HGloHor"))
+        for key, name in uncertain:
+            if self._scenario[key] and name in names and horizon_s > MAX_HORIZON_H * HOUR_S:
+                raise Refusal(
+                    400, f"Invalid horizon {horizon_s:g} s: at most {MAX_HORIZON_H} hours in a {key} scenario."
+                )
+        _check_size(len(names), horizon_s / interval_s)
+        with _refusing():
+            series = forecast_points(self._plant, names, horizon_s, interval_s)
+        return Reply("The forecast.", _lists(series))
+
+    def results(self, body: Mapping[str, Any]) -> Reply:
+        """What was recorded of `point_names` between `start_time` and `final_time`, warm-up included."""
+        names = _names(body, {**MEASUREMENT_POINTS, **dict.fromkeys(INPUT_COLUMNS)}, "inputs and measurements")
+        start_s, final_s = _number(body, "start_time"), _number(body, "final_time")
+        first_s, last_s = max(start_s, self._plant.begin_s), min(final_s, self._plant.now_s)
+        if first_s > last_s:
+            raise Refusal(
+                500,
+                f"Nothing is recorded between {start_s:g} s and {final_s:g} s: "
+                f"the record of this test goes from {self._plant.begin_s:g} s to {self._plant.now_s:g} s.",
+            )
+        _check_size(len(names), (last_s - first_s) / STEP_S)
+        return Reply("The results.", _lists(recorded_points(self._plant, names, first_s, last_s)))
+
+    def kpi(self) -> Reply:
+        """Key performance indicators since the end of the warm-up."""
+        if self._plant.now_s > self._start_s:
+            kpis: dict[str, float | None] = dict(self._plant.kpis())
+        else:
+            names = ("cost_tot", "emis_tot", "ener_tot", "idis_tot", "pele_tot", "tdis_tot")
+            kpis = dict.fromkeys(names, 0.0)
+        wait_s = float(np.mean(self._waits_s)) if self._waits_s else 0.0
+        # A house with electricity only: no gas, no district heat.
+        extra = {"pgas_tot": None, "pdih_tot": None, "time_rat": wait_s / self._step_s}
+        return Reply("The key performance indicators.", dict(sorted((kpis | extra).items())))
+
+    def _start(self, start_s: float, warmup_s: float, end_s: float) -> Reply:
+        on_grid_s = round(start_s / STEP_S) * STEP_S
+        with _refusing():
+            self._plant.reset(on_grid_s, warmup_s, self._scenario["electricity_price"])
+        self._start_s, self._end_s = on_grid_s, end_s
+        self._overwrites, self._active = {}, {}
+        self._waits_s, self._answered_s = [], None
+        note = "" if on_grid_s == start_s else f" (the nearest multiple of {STEP_S:g} s)"
+        return Reply(f"The test was initialized to {on_grid_s:g} s{note}.", self._state())
+
+    def _surround(self) -> None:
+        s = self._scenario
+        error = forecast_error(s["temperature_uncertainty"], s["solar_uncertainty"], s["seed"])
+        with _refusing():
+            self._plant.use(s["electricity_price"], error)
+
+    def _state(self) -> dict[str, float | None]:
+        """All measurements and inputs now."""
+        now_s = self._plant.now_s
+        series = recorded_points(self._plant, [*MEASUREMENT_POINTS, *INPUT_COLUMNS], now_s, now_s)
+        return {name: _plain(values[-1]) for name, values in series.items()}
+
+    def _read_inputs(self, body: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, bool], list[str]]:
+        overwrites, active, notes = dict(self._overwrites), dict(self._active), []
+        for key, value in body.items():
+            if key not in INPUTS:
+                raise Refusal(400, f"Unexpected input {key!r}; known: {', '.join(INPUTS)}.")
+            if value is None:
+                continue
+            name, _, ending = key.rpartition("_")
+            if ending == "activate":
+                active[name] = _switch(key, value)
+                continue
+            number = _number(body, key)
+            info = INPUTS[key]
+            overwrites[name] = min(max(number, info.minimum or 0.0), info.maximum or 0.0)
+            if overwrites[name] != number:
+                notes.append(
+                    f"Value {number:g} of {key} is out of its limits {info.minimum:g} to {info.maximum:g}: "
+                    f"{overwrites[name]:g} is used."
+                )
+        for name, on in active.items():
+            if on and name not in overwrites:
+                raise Refusal(400, f"{name}_activate is 1, but no value of {name}_u was ever given.")
+        return overwrites, active, notes
+
+    def _count_wait(self) -> None:
+        """Time the client took between two steps: the numerator of `time_rat`."""
+        if self._answered_s is not None:
+            self._waits_s.append(time.monotonic() - self._answered_s)
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """What the plant finds wrong with a value is the client's to mend."""
+    try:
+        yield
+    except InputError as error:
+        raise Refusal(400, str(error)) from error
+
+
+def _number(body: Mapping[str, Any], key: str, *, low: float = -math.inf, high: float = math.inf) -> float:
+    if key not in body:
+        raise Refusal(400, f"Missing parameter {key}.")
+    try:
+        value = float(body[key])
+    except (TypeError, ValueError):
+        raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a number.") from None
+    if not math.isfinite(value):
+        raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a finite number.")
+    if value < low or value > high:
+        bound = f"at least {low:g}" if value < low else f"at most {high:g}"
+        raise Refusal(400, f"Invalid value {value:g} of {key}: expected {bound}.")
+    return value
+
+
+def _switch(key: str, value: Any) -> bool:
+    text = str(value).lower()
+    if text in ("1", "1.0", "true"):
+        return True
+    if text in ("0", "0.0", "false"):
+        return False
+    raise Refusal(400, f"Invalid value {value!r} of {key}: expected 0 or 1.")
+
+
+def _seed(value: Any) -> int | None:
+    if value is None or value == "":
+        return None
+    try:
+        seed = int(str(value))
+    except ValueError:
+        seed = -1
+    if seed < 0:
+        raise Refusal(400, f"Invalid seed {value!r}: expected a nonnegative integer.")
+    return seed
+
+
+def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list[str]:
+    names = body.get("point_names")
+    if isinstance(names, str):
+        names = [names]
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise Refusal(400, f"Invalid point_names {names!r}: expected a list of names of {what}.")
+    wrong = [name for name in names if name not in known]
+    if wrong:
+        raise Refusal(400, f"Invalid point name(s) {', '.join(wrong)}: not among the {what} of this test case.")
+    return list(dict.fromkeys(names))
+
+
+def _check_size(n_names: int, n_samples: float) -> None:
+    if (n_names + 1) * (n_samples + 1) > MOST_VALUES:
+        raise Refusal(400, f"More than {MOST_VALUES} values asked for at once: name fewer points or a shorter time.")
+
+
+def _lists(series: Mapping[str, Array]) -> dict[str, list[float | None]]:
+    return {
+        name: values.tolist() if np.isfinite(values).all() else [_plain(value) for value in values]
+        for name, values in series.items()
+    }
+
+
+def _plain(value: float) -> float | None:
+    """JSON has no NaN."""
+    return float(value) if math.isfinite(value) else None

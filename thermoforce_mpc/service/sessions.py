@@ -1,0 +1,70 @@
+"""The tests that are running: made, found, stopped, and dropped when idle."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.service.session import Session
+
+
+class UnknownTestid(Exception):
+    """No such test: stopped, dropped when idle, or never was."""
+
+
+@dataclass
+class _Entry:
+    session: Session
+    used_s: float
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Sessions:
+    """At most `most` tests at a time; one that is not asked anything for `idle_s` makes room. Safe between threads."""
+
+    def __init__(self, make: Callable[[], Session], *, most: int, idle_s: float) -> None:
+        self._make, self._most, self._idle_s = make, most, idle_s
+        self._entries: dict[str, _Entry] = {}
+        self._lock = threading.Lock()
+
+    def select(self) -> str:
+        """Start a test; returns its id. Raises `Refusal` (503) when all are taken."""
+        with self._lock:
+            self._drop_idle()
+            if len(self._entries) >= self._most:
+                raise Refusal(503, f"All {self._most} tests of this service are in use; stop one, or try again later.")
+            testid = str(uuid.uuid4())
+            self._entries[testid] = _Entry(self._make(), time.monotonic())
+            return testid
+
+    def stop(self, testid: str) -> None:
+        """End a test. Raises `UnknownTestid`."""
+        with self._lock:
+            self._drop_idle()
+            if self._entries.pop(testid, None) is None:
+                raise UnknownTestid(testid)
+
+    @contextmanager
+    def using(self, testid: str) -> Iterator[Session]:
+        """The test, for one request at a time. Raises `UnknownTestid`."""
+        with self._lock:
+            self._drop_idle()
+            entry = self._entries.get(testid)
+        if entry is None:
+            raise UnknownTestid(testid)
+        with entry.lock:
+            try:
+                yield entry.session
+            finally:
+                entry.used_s = time.monotonic()
+
+    def _drop_idle(self) -> None:
+        until_s = time.monotonic() - self._idle_s
+        for testid, entry in list(self._entries.items()):
+            if entry.used_s < until_s and not entry.lock.locked():
+                del self._entries[testid]
