@@ -1,0 +1,18 @@
+"""Run two controllers side by side on the embedded plant for two days and compare their KPIs."""
+
+from dataclasses import replace
+
+from controllers import Thermostat, ThermoForceMPC
+from thermoforce_mpc.closed_loop import run_closed_loop
+from thermoforce_mpc.composition import identify_on
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.types import DAY_S
+from thermoforce_mpc.weather import synthetic_weather
+
+plant = EmbeddedPlant(synthetic_weather())
+window = replace(plant.period("peak_heat_day"), scored_s=2 * DAY_S)
+model = identify_on(plant, before=window, days=3)
+
+for controller in (ThermoForceMPC(model), Thermostat()):
+    kpis = run_closed_loop(plant, controller, window).kpis
+    print(f"{controller.name:16s} cost {kpis['cost_tot']:.4f} EUR/m²   discomfort {kpis['tdis_tot']:.2f} K·h")

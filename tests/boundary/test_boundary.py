@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.periods import heating_windows
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.types import DAY_S, HOUR_S
+
+
+def test_the_dynamic_tariff_is_dear_from_seven_to_the_sample_of_twenty_two():
+    hours = np.array([6.75, 7.0, 21.75, 22.0, 22.25])
+    np.testing.assert_allclose(tariffs.dynamic(hours * HOUR_S), [0.2383, 0.2666, 0.2666, 0.2666, 0.2383])
+
+
+def test_the_synthetic_spot_is_deterministic_hourly_and_near_its_mean():
+    a, b = tariffs.synthetic_spot(), tariffs.synthetic_spot()
+    time_s = np.arange(8760) * HOUR_S
+    np.testing.assert_array_equal(a(time_s), b(time_s))
+    np.testing.assert_array_equal(a(time_s), a(time_s + 1800))
+    assert a(time_s).mean() == pytest.approx(0.24, abs=0.01)
+    assert a(np.array([365 * DAY_S])) == a(np.array([0.0]))
+
+
+def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
+    path = tmp_path / "prices.csv"
+    path.write_text("time,price\n0,0.1\n3600,-0.2\n7200,0.3\n")
+    tariff = tariffs.tariff_from_file(path)
+    np.testing.assert_allclose(tariff(np.array([0, 3599, 3600, 7200, 9000])), [0.1, 0.1, -0.2, 0.3, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,b\n1,2\n", "columns 'time'"),
+        ("time,price\n0,x\n", "not a number"),
+        ("time,price\n0,nan\n", "not finite"),
+        ("time,price\n3600,1\n", "start at 0"),
+        ("time,price\n0,1\n0,2\n", "must rise"),
+        ("", "columns 'time'"),
+    ],
+)
+def test_a_tariff_file_that_cannot_be_used_is_refused(tmp_path, text, message):
+    path = tmp_path / "prices.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        tariffs.tariff_from_file(path)
+
+
+def test_windows_follow_the_rule():
+    highest = np.zeros(365)
+    highest[20:60] = np.linspace(1000, 3000, 40)  # days 20 to 59, rising
+    highest[5] = 9000.0  # too early in the year for a window with its warm-up
+    power = np.zeros((365, 96))
+    power[:, 40] = highest
+    windows = heating_windows(power.ravel())
+    assert windows["peak_heat_day"].start_s == (59 - 7) * DAY_S
+    # 41 heating days; the median is the 21st, which is day 40.
+    assert windows["typical_heat_day"].start_s == (40 - 7) * DAY_S
