@@ -78,7 +78,8 @@ def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     """Print a bench's rows and targets, and write its JSON where asked."""
     console = Console(highlight=False)
     # Rows that carry the same figures share a table.
-    for columns, group in groupby(result["rows"], key=lambda row: tuple(row)):
+    columns: tuple[str, ...]
+    for columns, group in groupby(result["rows"], key=tuple):
         table = Table(title=f"bench {result['bench']}", title_justify="left")
         for column in columns:
             table.add_column(column, overflow="fold")
