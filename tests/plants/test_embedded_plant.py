@@ -199,3 +199,18 @@ def test_the_other_overwrites_act(plant):
     pumped = plant.advance_points({"oveHeaPumY": 0.0, "ovePum": 1.0, "oveFan": 1.0}, 900)
     assert pumped.points["reaPPumEmi_y"] == pytest.approx(20.4986)
     assert pumped.points["reaPFan_y"] == pytest.approx(510.204)
+
+
+def test_the_record_between_any_two_times_is_the_part_of_the_whole_in_between(plant):
+    plant.reset(20 * DAY_S, 3600)
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        plant.advance(float(rng.random()), 30.0 * int(rng.integers(1, 50)))
+    whole = plant.recorded(0.0, 1e9)
+    assert whole["time"][0] == plant.begin_s
+    assert whole["time"][-1] == plant.now_s
+    for start_s, end_s in rng.uniform(plant.begin_s - 2000, plant.now_s + 2000, (200, 2)):
+        part = plant.recorded(start_s, end_s)
+        inside = (whole["time"] >= start_s) & (whole["time"] <= end_s)
+        for name in ("time", "T_operative", "Q_evaporator"):
+            np.testing.assert_array_equal(part[name], whole[name][inside])

@@ -78,7 +78,7 @@ def test_every_point_of_the_test_case_is_there(client):
     assert len(forecast) == 3 + 8 + 23
     assert measured["weaSta_reaWeaTDryBul_y"].unit == forecast["TDryBul"].unit == "K"
     state = client.initialize(100.5 * DAY_S, 3600)
-    assert set(state) == set(measured) | {"oveHeaPumY_u", "oveTSet_u", "ovePum_u", "oveFan_u", "time"}
+    assert set(state) == set(measured) | set(client.inputs()) | {"time"}
     assert all(np.isfinite(value) for value in state.values())
     series = client.forecast(list(forecast), 3600, 3600)
     for name in forecast:
@@ -87,7 +87,7 @@ def test_every_point_of_the_test_case_is_there(client):
             assert series[name][0] == pytest.approx(state[station]), name
     assert state["weaSta_reaWeaTDewPoi_y"] <= state["weaSta_reaWeaTWetBul_y"] <= state["weaSta_reaWeaTDryBul_y"]
     assert 0 < state["weaSta_reaWeaSolAlt_y"] < np.pi / 2, "the sun is up at noon"
-    record = client.results([*measured, *(n for n in client.inputs() if n.endswith("_u"))], 0, 1e9)
+    record = client.results([*measured, *client.inputs()], 0, 1e9)
     assert record["time"][0] == 100.5 * DAY_S - 3600
     assert record["time"][-1] == 100.5 * DAY_S
     assert {name: values[-1] for name, values in record.items()} == state
@@ -115,6 +115,59 @@ def test_all_four_inputs_act_and_stay_until_changed(client):
     assert fan["reaPPumEmi_y"] > 0
     assert client.initialize(20 * DAY_S, 0)["time"] == 20 * DAY_S
     assert client.advance({})["reaTSetHea_y"] > 278.15, "initialising forgets what was overwritten"
+
+
+def test_the_record_tells_when_an_input_was_overwritten(client):
+    client.initialize(20 * DAY_S, 3600)
+    client.set_step(600)
+    for on in (1, 0, 1):
+        assert client.advance({"oveHeaPumY_u": 0.4, "oveHeaPumY_activate": on})["oveHeaPumY_activate"] == on
+    record = client.results(["oveHeaPumY_activate", "oveFan_activate"], 20 * DAY_S - 600, 1e9)
+    assert np.diff(np.flatnonzero(record["oveHeaPumY_activate"])).max() == 21, "20 samples off between two steps on"
+    assert sum(record["oveHeaPumY_activate"]) == 40
+    assert not any(record["oveFan_activate"])
+    assert record["time"][21] == 20 * DAY_S + 30
+    assert record["oveHeaPumY_activate"][20:22] == [0.0, 1.0]
+
+
+def test_a_learning_environment_finds_what_it_asks_for(url):
+    """The calls of Gymnasium environments written for BOPTEST: bare requests, integers, regressive observations."""
+    testid = requests.post(f"{url}/testcases/{NAME}/select", timeout=10).json()["testid"]
+
+    def ask(method, verb, **body):
+        answer = requests.request(method, f"{url}/{verb}/{testid}", json=body or None, timeout=10)
+        assert answer.ok, answer.text
+        return answer.json()["payload"]
+
+    try:
+        assert ask("get", "name") == {"name": NAME}
+        assert ask("get", "step") == 3600
+        assert ask("get", "scenario")["electricity_price"] == "constant"
+        limits = ask("get", "inputs")["oveHeaPumY_u"]
+        assert (limits["Minimum"], limits["Maximum"]) == (0, 1)
+        start = ask("put", "initialize", start_time=1234567, warmup_period=86400)
+        assert abs(start["time"] - 1234567) <= 15
+        ask("put", "step", step=900)
+        ask("put", "scenario", electricity_price="dynamic")
+        spent = 0.0
+        for _ in range(3):
+            state = ask("post", "advance", oveHeaPumY_u=0.8, oveHeaPumY_activate=1.0)
+            cost = ask("get", "kpi")["cost_tot"]
+            assert cost > spent
+            spent = cost
+        past = ask("put", "results", point_names=["reaTZon_y"], start_time=int(state["time"] - 3600), final_time=1e9)
+        assert past["time"][-1] - past["time"][0] == 3600
+        names = ["TDryBul", "PriceElectricPowerDynamic"]
+        future = ask("put", "forecast", point_names=names, horizon=3600, interval=900)
+        assert [len(future[name]) for name in names] == [5, 5]
+        forever = requests.put(
+            f"{url}/results/{testid}",
+            data={"point_names": "reaTZon_y", "start_time": "0", "final_time": "inf"},
+            timeout=10,
+        )
+        assert forever.json()["payload"]["time"][-1] == state["time"]
+    finally:
+        assert requests.put(f"{url}/stop/{testid}", timeout=10).text == "OK"
 
 
 def test_values_out_of_their_limits_are_clipped_with_a_warning(client, caplog):

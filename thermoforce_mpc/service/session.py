@@ -20,7 +20,6 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
 from thermoforce_mpc.service.points import (
     FORECAST_POINTS,
-    INPUT_COLUMNS,
     INPUTS,
     MEASUREMENT_POINTS,
     forecast_points,
@@ -62,6 +61,7 @@ class Session:
         }
         self._overwrites: dict[str, float] = {}
         self._active: dict[str, bool] = {}
+        self._switches: list[tuple[float, Mapping[str, bool]]] = []
         self._waits_s: list[float] = []
         self._answered_s: float | None = None
 
@@ -149,6 +149,7 @@ class Session:
         with _refusing():
             self._plant.advance_points(forced, step_s)
         self._overwrites, self._active = overwrites, active
+        self._switches.append((self._plant.now_s, active))
         self._answered_s = time.monotonic()
         message = f"Advanced simulation from {now_s:g} s to {self._plant.now_s:g} s."
         return Reply(" ".join(notes) or message, self._state())
@@ -171,8 +172,9 @@ class Session:
 
     def results(self, body: Mapping[str, Any]) -> Reply:
         """What was recorded of `point_names` between `start_time` and `final_time`, warm-up included."""
-        names = _names(body, {**MEASUREMENT_POINTS, **dict.fromkeys(INPUT_COLUMNS)}, "inputs and measurements")
-        start_s, final_s = _number(body, "start_time"), _number(body, "final_time")
+        names = _names(body, {**MEASUREMENT_POINTS, **INPUTS}, "inputs and measurements")
+        start_s = _number(body, "start_time", finite=False)
+        final_s = _number(body, "final_time", finite=False)
         first_s, last_s = max(start_s, self._plant.begin_s), min(final_s, self._plant.now_s)
         if first_s > last_s:
             raise Refusal(
@@ -181,7 +183,7 @@ class Session:
                 f"the record of this test goes from {self._plant.begin_s:g} s to {self._plant.now_s:g} s.",
             )
         _check_size(len(names), (last_s - first_s) / STEP_S)
-        return Reply("The results.", _lists(recorded_points(self._plant, names, first_s, last_s)))
+        return Reply("The results.", _lists(self._recorded(names, first_s, last_s)))
 
     def kpi(self) -> Reply:
         """Key performance indicators since the end of the warm-up."""
@@ -200,7 +202,7 @@ class Session:
         with _refusing():
             self._plant.reset(on_grid_s, warmup_s, self._scenario["electricity_price"])
         self._start_s, self._end_s = on_grid_s, end_s
-        self._overwrites, self._active = {}, {}
+        self._overwrites, self._active, self._switches = {}, {}, []
         self._waits_s, self._answered_s = [], None
         note = "" if on_grid_s == start_s else f" (the nearest multiple of {STEP_S:g} s)"
         return Reply(f"The test was initialized to {on_grid_s:g} s{note}.", self._state())
@@ -214,8 +216,21 @@ class Session:
     def _state(self) -> dict[str, float | None]:
         """All measurements and inputs now."""
         now_s = self._plant.now_s
-        series = recorded_points(self._plant, [*MEASUREMENT_POINTS, *INPUT_COLUMNS], now_s, now_s)
+        series = self._recorded([*MEASUREMENT_POINTS, *INPUTS], now_s, now_s)
         return {name: _plain(values[-1]) for name, values in series.items()}
+
+    def _recorded(self, names: list[str], start_s: float, final_s: float) -> dict[str, Array]:
+        """Recorded samples of any measurements and inputs, with 'time'."""
+        switches = [name for name in names if name.endswith("_activate")]
+        series = recorded_points(self._plant, [name for name in names if name not in switches], start_s, final_s)
+        # A sample belongs to the step that ends there or later.
+        step = np.searchsorted([until_s for until_s, _ in self._switches], series["time"])
+        started = series["time"] > self._start_s
+        for key in switches:
+            name = key.removesuffix("_activate")
+            on = np.array([float(active.get(name, False)) for _, active in self._switches] + [0.0])
+            series[key] = np.where(started, on[step], 0.0)
+        return {name: series[name] for name in [*names, "time"]}
 
     def _read_inputs(self, body: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, bool], list[str]]:
         overwrites, active, notes = dict(self._overwrites), dict(self._active), []
@@ -256,14 +271,16 @@ def _refusing() -> Iterator[None]:
         raise Refusal(400, str(error)) from error
 
 
-def _number(body: Mapping[str, Any], key: str, *, low: float = -math.inf, high: float = math.inf) -> float:
+def _number(
+    body: Mapping[str, Any], key: str, *, low: float = -math.inf, high: float = math.inf, finite: bool = True
+) -> float:
     if key not in body:
         raise Refusal(400, f"Missing parameter {key}.")
     try:
         value = float(body[key])
     except (TypeError, ValueError):
         raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a number.") from None
-    if not math.isfinite(value):
+    if math.isnan(value) or (finite and math.isinf(value)):
         raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a finite number.")
     if value < low or value > high:
         bound = f"at least {low:g}" if value < low else f"at most {high:g}"
@@ -298,6 +315,8 @@ def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list
         names = [names]
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise Refusal(400, f"Invalid point_names {names!r}: expected a list of names of {what}.")
+    # Time comes with every answer, asked for or not.
+    names = [name for name in names if name != "time"]
     wrong = [name for name in names if name not in known]
     if wrong:
         raise Refusal(400, f"Invalid point name(s) {', '.join(wrong)}: not among the {what} of this test case.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -289,10 +290,18 @@ class EmbeddedPlant:
 
         The record starts with the warm-up and ends now; arrays of one length, empty where nothing was recorded.
         """
-        rows = np.vstack([self._first, *self._record])
+        n_rows = round((self._now_s - self._begin_s) / kernel.STEP_S) + 1
         first = max(math.ceil((start_s - self._begin_s) / kernel.STEP_S - 1e-9), 0)
-        last = min(math.floor((final_s - self._begin_s) / kernel.STEP_S + 1e-9), rows.shape[0] - 1)
-        rows = rows[first : max(last + 1, first)]
+        last = min(math.floor((final_s - self._begin_s) / kernel.STEP_S + 1e-9), n_rows - 1)
+        # From the latest backwards: a client that asks for the present must not pay for the past.
+        needed, position = [], n_rows
+        for part in itertools.chain(reversed(self._record), [self._first]):
+            position -= part.shape[0]
+            if position <= last:
+                needed.append(part)
+            if position <= first:
+                break
+        rows = np.vstack(needed[::-1])[first - position : last + 1 - position] if needed else self._first[:0]
         time_s: Array = self._begin_s + (first + np.arange(rows.shape[0], dtype=np.float64)) * kernel.STEP_S
         return {"time": time_s} | {name: rows[:, i] for name, i in _COLUMN.items()}
 
