@@ -144,6 +144,7 @@ def _methods(backbone: str) -> dict[str, FreeResponse]:
         "arx26": build_free_response("arx", lags=26),
         "linear_weather": build_free_response("linear_weather"),
         "residual": build_free_response("residual", backbone=backbone),
+        "selected": build_free_response("selected", backbone=backbone),
     }
 
 

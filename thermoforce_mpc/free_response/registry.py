@@ -57,6 +57,23 @@ def _residual(backbone: str = "shipped", context_steps: int = 512) -> FreeRespon
     return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps))
 
 
+def _selected(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+    from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
+    from thermoforce_mpc.free_response.linear_weather import LinearWeather
+    from thermoforce_mpc.free_response.persistence import Persistence
+    from thermoforce_mpc.free_response.residual import ResidualFreeResponse
+    from thermoforce_mpc.free_response.selected import SelectedFreeResponse
+
+    chronos = ChronosFreeResponse(backbone, context_steps)
+    candidates: dict[str, FreeResponse] = {
+        "persistence": Persistence(),
+        "chronos": chronos,
+        "linear_weather": LinearWeather(),
+        "residual": ResidualFreeResponse(chronos),
+    }
+    return SelectedFreeResponse(candidates, first="chronos")
+
+
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 
@@ -73,6 +90,7 @@ def _rc(*, model: ThermalModel | None) -> FreeResponse:
 
 _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
     "chronos": _chronos,
+    "selected": _selected,
     "residual": _residual,
     "linear_weather": _linear_weather,
     "rc": _rc,
