@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -56,6 +56,7 @@ class Weather:
     wind_from_rad: Array
     opaque_cover: Array
     pressure_Pa: Array
+    _splines: dict[str, Akima1DInterpolator] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -81,13 +82,18 @@ class Weather:
         Akima's spline is what Modelica's `ContinuousDerivative` tables use; radiation is clipped at zero.
         """
         shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
-        rows = getattr(self, column)
-        # Three rows beyond either end make the spline periodic.
-        padded = np.concatenate([rows[-3:], rows, rows[:4]])
-        knots = (np.arange(padded.size) - 3) * HOUR_S
-        values = Akima1DInterpolator(knots, padded)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
+        values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
         low, high = _LIMITS[column]
         return np.asarray(np.clip(values, low, high))
+
+    def _spline(self, column: str) -> Akima1DInterpolator:
+        """Kept once made: it costs more than reading a horizon from it."""
+        if column not in self._splines:
+            rows = getattr(self, column)
+            # Three rows beyond either end make the spline periodic.
+            padded = np.concatenate([rows[-3:], rows, rows[:4]])
+            self._splines[column] = Akima1DInterpolator((np.arange(padded.size) - 3) * HOUR_S, padded)
+        return self._splines[column]
 
     def sky_temperature_C(self, time_s: Array) -> Array:
         """Black-body sky temperature from dew point, dry bulb and opaque cover, °C.
