@@ -101,3 +101,12 @@ def test_the_actuator_maps_levels_to_the_wire_and_back():
     scaled = actuator.model_copy(update={"minimum": 283.15, "maximum": 303.15})
     assert scaled.value(0.5) == pytest.approx(293.15)
     assert scaled.level(scaled.value(0.37)) == pytest.approx(0.37)
+
+
+@pytest.mark.parametrize(("baselines", "between"), [((), False), (("thermoforce_paper",), True)])
+def test_the_machine_is_probed_the_way_the_controllers_will_run_it(baselines, between):
+    from thermoforce_mpc.composition import identification_settings
+
+    scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=baselines)
+    levels = identification_settings(scenario, load_testcase(scenario.testcase))[0].levels
+    assert any(0 < level < 1 for level in levels) is between

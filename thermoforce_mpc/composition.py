@@ -168,23 +168,21 @@ def identify_on(
 def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[ProbingConfig, IdentificationConfig]:
     """How a scenario probes and identifies; raises `ConfigError` naming each wrong key.
 
-    Unless told otherwise the machine is probed the way its controller will run it.
+    Unless told otherwise the machine is probed the way the controllers of the scenario will run it.
     """
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing import ProbingConfig
 
     spec = scenario.identification
-    actuation = getattr(
-        controller_config(scenario.controller.name, scenario.controller.options, testcase), "actuation", None
-    )
+    acting = [(scenario.controller.name, scenario.controller.options), *((name, {}) for name in scenario.baselines)]
+    configs = [controller_config(name, options, testcase) for name, options in acting]
+    actuations = [config.actuation for config in configs if hasattr(config, "actuation")]
+    held = [actuation.lowest_level for actuation in actuations if actuation.mode == "modulating"]
     defaults: dict[str, Any] = {}
-    if actuation is not None:
-        lowest = actuation.lowest_level
-        defaults["levels"] = (
-            (0.0, actuation.level)
-            if actuation.mode == "duty"
-            else (0.0, *np.linspace(lowest, 1.0, 5).round(3).tolist())
-        )
+    if held:  # levels between off and full have to be seen to be planned
+        defaults["levels"] = (0.0, *np.linspace(min(held), 1.0, 5).round(3).tolist())
+    elif actuations:
+        defaults["levels"] = (0.0, actuations[0].level)
     probing = validate(ProbingConfig, merge(defaults, spec.probing), "identification.probing")
     config = validate(IdentificationConfig, merge({"seed": scenario.seed}, spec.options), "identification.options")
     return probing, config
