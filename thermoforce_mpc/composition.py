@@ -94,7 +94,7 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     if spec.kind == "boptest":
         from thermoforce_mpc.plants.boptest import BoptestPlant
 
-        return BoptestPlant(spec.url, testcase)
+        return BoptestPlant(spec.url, testcase, forecast_uncertainty=spec.forecast_uncertainty, seed=seed)
     from thermoforce_mpc.boundary.forecast_error import ForecastError
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
