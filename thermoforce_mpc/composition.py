@@ -287,7 +287,7 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
 
         write_report(folder, currency=testcase.currency, kpis=kpis, result=result, baselines=baselines)
     everyone = {name: result.kpis, **{other: b.kpis for other, b in baselines.items()}}
-    title = f"{info.kind} plant, {info.weather}; {_window(period)}; {scenario.price} tariff"
+    title = f"{info.kind} plant, {info.weather}\n{_window(period)}, {scenario.price} tariff"
     display.kpi_table(everyone, title, testcase.currency)
     fallbacks = {rung: n for rung, n in result.ladder().items() if n and rung not in ("solved", "rule")}
     if fallbacks:

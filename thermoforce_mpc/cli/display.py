@@ -14,13 +14,13 @@ from rich.text import Text
 from thermoforce_mpc.closed_loop import StepRecord
 from thermoforce_mpc.types import DAY_S, HOUR_S, Period, PlanStatus
 
-KPI_ROWS = {
-    "cost_tot": "cost, {currency}/m²",
-    "ener_tot": "energy, kWh/m²",
-    "tdis_tot": "discomfort, K·h",
-    "emis_tot": "emissions, kg CO2/m²",
-    "pele_tot": "peak power, kW/m²",
-    "time_rat": "computing time ratio",
+KPI_COLUMNS = {
+    "cost_tot": "cost\n{currency}/m²",
+    "tdis_tot": "discomfort\nK·h",
+    "ener_tot": "energy\nkWh/m²",
+    "emis_tot": "CO2\nkg/m²",
+    "pele_tot": "peak\nkW/m²",
+    "time_rat": "computing\ntime ratio",
 }
 
 
@@ -99,15 +99,22 @@ class RunDisplay:
         return LoopDisplay(self.console, controller, period, area_m2, self.quiet)
 
     def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
-        """KPIs side by side, the best of each row marked with an asterisk."""
+        """One row per controller, the best of each column marked with an asterisk."""
         table = Table(title=title, title_justify="left")
-        table.add_column("KPI")
-        for name in everyone:
-            table.add_column(name, justify="right")
-        for key, label in KPI_ROWS.items():
-            values = [kpis.get(key) for kpis in everyone.values()]
-            numbers = [value for value in values if value is not None and np.isfinite(value)]
-            best = min(numbers) if numbers and key != "time_rat" else None
-            cells = ["–" if v is None else f"{v:.4g}" + (" *" if v == best else "  ") for v in values]
-            table.add_row(label.format(currency=currency), *cells)
+        table.add_column("controller", no_wrap=True)
+        best: dict[str, float] = {}
+        for key, label in KPI_COLUMNS.items():
+            table.add_column(label.format(currency=currency), justify="right")
+            found = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
+            if found and key != "time_rat":
+                best[key] = min(found)
+        for name, kpis in everyone.items():
+            values = {key: kpis.get(key) for key in KPI_COLUMNS}
+            table.add_row(
+                name,
+                *(
+                    "–" if v is None else f"{v:.4g}" + (" *" if v == best.get(key) else "  ")
+                    for key, v in values.items()
+                ),
+            )
         self.console.print(table)
