@@ -12,6 +12,7 @@ import numpy as np
 
 from thermoforce_mpc.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
 from thermoforce_mpc.bench.result import Target, bench_result
+from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError, Level
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
@@ -22,6 +23,10 @@ NAIVE = ("persistence", "seasonal_naive", "ar26", "ar49", "ets")
 _LEAST_KNOWN_SHARE = 0.9
 _ORIGINS_PER_SOURCE = 60
 _ORIGINS_QUICK = 8
+# How weather-aware methods bear BOPTEST's forecast errors is tried where there is hourly weather of the test case.
+_LEVELS: tuple[Level, ...] = ("low", "medium", "high")
+_WEATHER_AWARE = ("arx26", "linear_weather", "residual")
+_ERROR_SEED = 1
 _LOW, _HIGH = 0, -1  # rows of the 0.1 and 0.9 quantiles
 
 
@@ -44,7 +49,10 @@ def run_free_response_bench(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
-    """Forecast 24 h from many origins on every source with every method; the weather "forecast" is what came.
+    """Forecast 24 h from many origins on every source with every method.
+
+    The weather "forecast" is what came; on the test case's records weather-aware methods are also given forecasts with
+    BOPTEST's low, medium and high errors.
 
     Args:
         reference: records of the real test case in the layout of docs/plant.md; left out without it.
@@ -63,24 +71,29 @@ def run_free_response_bench(
     sources += mons_sources(houses) if houses else []
     methods = _methods(backbone)
     scores: dict[str, dict[str, Score]] = {}
+    rows: list[dict[str, Any]] = []
+    uncertain: dict[Level, dict[str, list[Score]]] = {level: {name: [] for name in _WEATHER_AWARE} for level in _LEVELS}
     for source in sources:
         origins = forecast_origins(source, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
         scores[source.name] = {}
         for name, method in methods.items():
             try:
-                scores[source.name][name] = score(method, source, origins)
+                found = scores[source.name][name] = score(method, source, origins)
+                rows.append(_row(source, name, found))
             except DataError as error:  # a method that needs more history than a source has is not scored on it
                 progress(f"{source.name}: {name} left out: {error}")
+        for level in _LEVELS if source.group == "BOPTEST" else ():
+            for name in _WEATHER_AWARE:
+                found = score(methods[name], source, origins, ForecastError(level, _ERROR_SEED))
+                uncertain[level][name].append(found)
+                rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")
     groups = {source.name: source.group for source in sources}
-    rows = [
-        _row(source, groups[source], method, found)
-        for source, by_method in scores.items()
-        for method, found in by_method.items()
-    ]
     if out is not None:
         _plot(scores, groups, out)
-    return bench_result("free-response", rows, _targets(scores, groups))
+    return bench_result(
+        "free-response", rows, [*_targets(scores, groups), *_uncertainty_targets(scores, groups, uncertain)]
+    )
 
 
 def forecast_origins(source: Source, at_most: int) -> list[int]:
@@ -100,8 +113,11 @@ def forecast_origins(source: Source, at_most: int) -> list[int]:
     return [possible[i] for i in np.linspace(0, len(possible) - 1, at_most).round().astype(int)]
 
 
-def window(source: Source, origin: int) -> tuple[Array, History, Boundary, Array]:
-    """Control-free history up to `origin`, its weather, the 24 h ahead, and what came, shape (N,)."""
+def window(source: Source, origin: int, error: ForecastError | None = None) -> tuple[Array, History, Boundary, Array]:
+    """Control-free history up to `origin`, its weather, the 24 h ahead, and what came, shape (N,).
+
+    With `error` (hourly sources only) the weather ahead is what a forecaster with such errors would have said.
+    """
     n, first = source.horizon, max(0, origin - source.context_steps)
     whole = source.history
     past, ahead = slice(first, origin + 1), slice(origin, origin + n + 1)
@@ -109,18 +125,22 @@ def window(source: Source, origin: int) -> tuple[Array, History, Boundary, Array
     history = History(
         whole.time_s[past], source.free_C[past], whole.T_out_C[past], whole.solar_W_m2[past], acting, acting, acting
     )
+    T_out, solar = whole.T_out_C[ahead], whole.solar_W_m2[ahead]
+    if error is not None:
+        hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
+        # At the end of a record its last value stands for what lies beyond; it only steers redrawing.
+        hourly = np.pad(hourly, (0, MAX_HORIZON_H + 1 - hourly.size), mode="edge")
+        T_out, solar = error.apply(whole.time_s[ahead], T_out, hourly, solar)
     unknown = np.zeros(n + 1)
-    boundary = Boundary(
-        whole.time_s[ahead], whole.T_out_C[ahead], whole.solar_W_m2[ahead], unknown, unknown, unknown, unknown, unknown
-    )
+    boundary = Boundary(whole.time_s[ahead], T_out, solar, unknown, unknown, unknown, unknown, unknown)
     return source.free_C[past], history, boundary, source.free_C[origin + 1 : origin + n + 1]
 
 
-def score(method: FreeResponse, source: Source, origins: Sequence[int]) -> Score:
+def score(method: FreeResponse, source: Source, origins: Sequence[int], error: ForecastError | None = None) -> Score:
     """Forecast from every origin and compare with what came."""
     errors, inside, pinball, seconds = [], [], [], []
     for origin in origins:
-        free, history, boundary, truth = window(source, origin)
+        free, history, boundary, truth = window(source, origin, error)
         began = time.perf_counter()
         forecast = method.forecast(free, history, boundary)
         seconds.append(time.perf_counter() - began)
@@ -153,11 +173,12 @@ def _mae(found: Score, hours: float) -> float:
     return float(found.errors_K[:, :steps].mean())
 
 
-def _row(source: str, group: str, method: str, found: Score) -> dict[str, Any]:
+def _row(source: Source, method: str, found: Score, weather: str | None = None) -> dict[str, Any]:
     return {
-        "source": source,
-        "group": group,
+        "source": source.name,
+        "group": source.group,
         "method": method,
+        "weather": weather or ("not used" if method in (*NAIVE, "chronos") else "perfect"),
         "origins": len(found.errors_K),
         "mae_6h_K": _mae(found, 6),
         "mae_24h_K": _mae(found, 24),
@@ -206,6 +227,24 @@ def _targets(scores: dict[str, dict[str, Score]], groups: dict[str, str]) -> lis
     worst = max(found["chronos"].milliseconds for found in scores.values())
     targets.append(Target("chronos: median ms per 24-h forecast, slowest source", worst, 5.0))
     return targets
+
+
+def _uncertainty_targets(
+    scores: dict[str, dict[str, Score]], groups: dict[str, str], uncertain: dict[Level, dict[str, list[Score]]]
+) -> list[Target]:
+    """Even a bad weather forecast should be better than none: against the backbone, which sees no weather."""
+    blind = [scores[name]["chronos"] for name in scores if groups[name] == "BOPTEST"]
+    if not blind:
+        return []
+    without = float(np.mean([_mae(found, 24) for found in blind]))
+    return [
+        Target(
+            f"BOPTEST, {level} forecast errors: residual 24-h MAE over chronos'",
+            float(np.mean([_mae(found, 24) for found in by_method["residual"]])) / without,
+            1.0,
+        )
+        for level, by_method in uncertain.items()
+    ]
 
 
 def _plot(scores: dict[str, dict[str, Score]], groups: dict[str, str], out: Path) -> None:

@@ -74,6 +74,12 @@ def _selected(backbone: str = "shipped", context_steps: int = 512) -> FreeRespon
     return SelectedFreeResponse(candidates, first="chronos")
 
 
+def _calibrated(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+    from thermoforce_mpc.free_response.calibrated import CalibratedFreeResponse
+
+    return CalibratedFreeResponse(_selected(backbone, context_steps))
+
+
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 
@@ -90,6 +96,7 @@ def _rc(*, model: ThermalModel | None) -> FreeResponse:
 
 _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
     "chronos": _chronos,
+    "calibrated": _calibrated,
     "selected": _selected,
     "residual": _residual,
     "linear_weather": _linear_weather,

@@ -83,11 +83,12 @@ def run_trials(
     return trials
 
 
-def interval_scale(trials: Sequence[Trial], groups: int = 4) -> Array:
+def interval_scale(trials: Sequence[Trial], groups: int = 4, least_values: int = 1) -> Array:
     """Factor for the distance of each quantile from the median that would have put 80 % inside, per step, shape (N,).
 
     Split conformal prediction with normalised scores (Angelopoulos and Bates 2023): the score of a value is its
-    distance from the median over that of the outer quantile on its side. Neighbouring lead times share a factor.
+    distance from the median over that of the outer quantile on its side. Neighbouring lead times share a factor; it is
+    one where fewer than `least_values` values are known.
     """
     horizon = trials[0].truth_C.size
     scale = np.ones(horizon)
@@ -100,7 +101,7 @@ def interval_scale(trials: Sequence[Trial], groups: int = 4) -> Array:
             side = np.maximum(np.where(gap >= 0, up, down), 1e-6)
             scores.append((np.abs(gap) / side)[np.isfinite(gap)])
         found = np.concatenate(scores)
-        if found.size:
+        if found.size >= max(least_values, 1):
             scale[lead] = np.quantile(found, _INSIDE)
     return np.clip(scale, *_SCALE_RANGE)
 
