@@ -1,6 +1,9 @@
 """Training learns, resumes to the same weights and overwrites nothing unasked; evaluation tells good from bad."""
 
 import json
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +14,12 @@ import torch
 from click.testing import CliRunner
 
 from thermoforce_mpc.errors import BackboneError, ConfigError
-from thermoforce_mpc.free_response.chronos import shipped_folder
 from thermoforce_mpc.pretraining import training
 from thermoforce_mpc.pretraining.__main__ import main
 from thermoforce_mpc.pretraining.evaluation import CONTEXTS, evaluate
 from thermoforce_mpc.pretraining.training import TrainingConfig, batch_loss, pretrain
 
+SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "data" / "bolt_thermal"
 TINY = TrainingConfig(steps=4, batch=8, save_every=2, validation_batches=1)
 
 
@@ -90,6 +93,31 @@ def test_a_run_of_other_options_is_not_continued(trained):
         pretrain(trained[0], TrainingConfig(steps=4, batch=9, save_every=2, validation_batches=1), lambda _: None)
 
 
+def test_a_second_stage_starts_from_the_first_ones_weights(trained, tmp_path):
+    first = trained[0] / "checkpoint"
+    still = replace(TINY, steps=2, rate_scale=0.0, start_sha256=training.weights_sha256(first))
+    pretrain(tmp_path / "still", still, lambda _: None, start=first)
+    moved = replace(still, rate_scale=1.0)
+    pretrain(tmp_path / "moved", moved, lambda _: None, start=first)
+    before, unmoved, after = weights(trained[0]), weights(tmp_path / "still"), weights(tmp_path / "moved")
+    assert all(torch.equal(before[name], unmoved[name]) for name in before)
+    assert not all(torch.equal(before[name], after[name]) for name in before)
+
+
+def test_a_second_stage_says_what_it_starts_from(trained, tmp_path):
+    first = trained[0] / "checkpoint"
+    with pytest.raises(ConfigError, match="start_sha256"):
+        pretrain(tmp_path, TINY, lambda _: None, start=first)
+    with pytest.raises(ConfigError, match=r"no model\.safetensors"):
+        pretrain(tmp_path, TINY, lambda _: None, start=tmp_path)
+    from safetensors.torch import save_file
+
+    save_file({"shared.weight": torch.zeros(2, 64)}, tmp_path / "model.safetensors")
+    other = replace(TINY, start_sha256=training.weights_sha256(tmp_path))
+    with pytest.raises(ConfigError, match="another architecture"):
+        pretrain(tmp_path / "out", other, lambda _: None, start=tmp_path)
+
+
 def test_the_loss_falls():
     """Twenty-five steps on one fixed batch: gradients reach the weights through both optimisers."""
     from thermoforce_mpc.pretraining.model import build_model
@@ -113,7 +141,7 @@ def test_the_loss_falls():
 
 
 def test_the_shipped_checkpoint_beats_plain_forecasts_on_held_out_series(trained):
-    shipped = evaluate(shipped_folder(), series=256, seed=5)["contexts"]
+    shipped = evaluate(SHIPPED, series=256, seed=5)["contexts"]
     assert [row["context"] for row in shipped] == list(CONTEXTS)
     for row in shipped:
         assert row["series"] == 256
@@ -127,7 +155,7 @@ def test_the_shipped_checkpoint_beats_plain_forecasts_on_held_out_series(trained
 
 
 def test_the_shipped_checkpoint_is_small():
-    assert (shipped_folder() / "model.safetensors").stat().st_size < 4e6
+    assert (SHIPPED / "model.safetensors").stat().st_size < 4e6
 
 
 def test_evaluation_names_what_is_wrong(tmp_path):

@@ -9,7 +9,7 @@ import click
 
 from thermoforce_mpc.errors import BackboneError, ConfigError
 from thermoforce_mpc.pretraining.evaluation import evaluate
-from thermoforce_mpc.pretraining.training import TrainingConfig, pretrain
+from thermoforce_mpc.pretraining.training import TrainingConfig, pretrain, weights_sha256
 
 
 @click.group(context_settings={"show_default": True})
@@ -26,15 +26,20 @@ def main(threads: int) -> None:
 @click.option("--steps", default=TrainingConfig.steps, help="Training steps.")
 @click.option("--batch", default=TrainingConfig.batch, help="Series per step.")
 @click.option("--seed", default=TrainingConfig.seed, help="Seed of weights and series.")
+@click.option("--start-from", type=click.Path(path_type=Path), help="Checkpoint to start from: a second stage.")
+@click.option("--rate-scale", default=TrainingConfig.rate_scale, help="Scale of the learning rates.")
 @click.option("--force", is_flag=True, help="Train anew over what the folder holds.")
-def train(out: Path, steps: int, batch: int, seed: int, force: bool) -> None:
+def train(
+    out: Path, steps: int, batch: int, seed: int, start_from: Path | None, rate_scale: float, force: bool
+) -> None:
     """Train the forecaster on synthetic series; an interrupted run goes on where it stopped.
 
     The checkpoint is OUT/checkpoint. To ship it, copy its files to thermoforce_mpc/data/bolt_thermal.
     """
-    config = TrainingConfig(steps=steps, batch=batch, seed=seed)
     try:
-        checkpoint = pretrain(out, config, lambda line: click.echo(line), force=force)
+        start_sha256 = weights_sha256(start_from) if start_from else ""
+        config = TrainingConfig(steps=steps, batch=batch, seed=seed, rate_scale=rate_scale, start_sha256=start_sha256)
+        checkpoint = pretrain(out, config, lambda line: click.echo(line), start=start_from, force=force)
     except ConfigError as error:
         raise _failure(error) from None
     click.echo(f"Checkpoint: {checkpoint}")

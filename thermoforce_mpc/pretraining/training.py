@@ -23,11 +23,19 @@ from thermoforce_mpc.pretraining.series import draw_batch
 _LARGEST_Z = 8.0
 _WARM_UP = 200
 _CLIP = 1.0
+# Taken at import: a long run must not be labelled with what the files have become meanwhile.
+_CODE_HASH = hashlib.sha256(
+    b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in ("series", "model", "training"))
+).hexdigest()
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Options; `steps` decides the shape of the learning-rate schedule."""
+    """Options; `steps` decides the shape of the learning-rate schedule.
+
+    `start_sha256` is that of the weights a second stage starts from, empty for a start from random ones; such a stage
+    wants smaller learning rates, by `rate_scale`.
+    """
 
     steps: int = 12_000
     batch: int = 128
@@ -37,10 +45,17 @@ class TrainingConfig:
     weight_decay: float = 0.01
     save_every: int = 500
     validation_batches: int = 4
+    rate_scale: float = 1.0
+    start_sha256: str = ""
 
 
 def pretrain(
-    folder: Path, config: TrainingConfig, report: Callable[[str], None] = print, *, force: bool = False
+    folder: Path,
+    config: TrainingConfig,
+    report: Callable[[str], None] = print,
+    *,
+    start: Path | None = None,
+    force: bool = False,
 ) -> Path:
     """Train, or go on where `folder/state.pt` left off; writes the checkpoint and `training.json` into `folder`.
 
@@ -48,17 +63,25 @@ def pretrain(
     was not (on the same machine and number of threads).
 
     Args:
+        start: folder of a checkpoint to start from instead of random weights; `config.start_sha256` must be its
+            `weights_sha256`.
         force: train anew over what `folder` holds.
 
     Raises:
-        ConfigError: `folder` holds a finished run, or one of another configuration or code, and `force` is not set.
+        ConfigError: `folder` holds a finished run, or one of another configuration or code, and `force` is not set;
+            or `start` is not the checkpoint that `config` names.
     """
     state_path = folder / "state.pt"
+    if config.start_sha256 != (weights_sha256(start) if start else ""):
+        raise ConfigError(f"start_sha256 of the configuration is not that of the checkpoint to start from, {start}")
     if force:
         state_path.unlink(missing_ok=True)
     torch.manual_seed(config.seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    model = build_model().to(device)
+    model = build_model()
+    if start is not None:
+        _start_from(model, start)
+    model = model.to(device)
     matrices, rest = _split_parameters(model)
     optimisers = [
         torch.optim.Muon(matrices, lr=config.muon_lr, weight_decay=config.weight_decay),
@@ -75,7 +98,7 @@ def pretrain(
             optimiser.load_state_dict(saved)
         first, curve = int(state["step"]), list(state["curve"])
         report(f"going on at step {first}")
-    rates = [config.muon_lr, config.adamw_lr]
+    rates = [config.rate_scale * config.muon_lr, config.rate_scale * config.adamw_lr]
     began, running = time.perf_counter(), 0.0
     model.train()
     for step in range(first, config.steps):
@@ -121,11 +144,28 @@ def pretrain(
 
 
 def code_hash() -> str:
-    """SHA-256 of the sources that decide the weights: series, architecture and training."""
-    here = Path(__file__).parent
-    return hashlib.sha256(
-        b"".join((here / f"{n}.py").read_bytes() for n in ("series", "model", "training"))
-    ).hexdigest()
+    """SHA-256 of the sources that decide the weights, as they were when they were loaded: series, model, training."""
+    return _CODE_HASH
+
+
+def weights_sha256(checkpoint: Path) -> str:
+    """SHA-256 of a checkpoint's weight file; raises `ConfigError` when there is none."""
+    path = checkpoint / "model.safetensors"
+    if not path.is_file():
+        raise ConfigError(f"{checkpoint} holds no model.safetensors to start from")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _start_from(model: Any, checkpoint: Path) -> None:
+    from safetensors.torch import load_file
+
+    weights = {name: tensor.float() for name, tensor in load_file(checkpoint / "model.safetensors").items()}
+    # Tied tensors are stored once: what is missing must be an alias of what is there.
+    missing, unexpected = model.load_state_dict(weights, strict=False)
+    stored = {model.state_dict(keep_vars=True)[name].data_ptr() for name in weights if name not in unexpected}
+    foreign = [name for name in missing if model.state_dict(keep_vars=True)[name].data_ptr() not in stored]
+    if foreign or unexpected:
+        raise ConfigError(f"{checkpoint} is of another architecture: {', '.join([*foreign, *unexpected])[:200]}")
 
 
 def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path) -> None:
