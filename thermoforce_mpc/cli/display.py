@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -16,11 +17,11 @@ from thermoforce_mpc.types import DAY_S, HOUR_S, Period, PlanStatus
 
 KPI_COLUMNS = {
     "cost_tot": "cost\n{currency}/m²",
-    "tdis_tot": "discomfort\nK·h",
+    "tdis_tot": "discomf.\nK·h",
     "ener_tot": "energy\nkWh/m²",
     "emis_tot": "CO2\nkg/m²",
     "pele_tot": "peak\nkW/m²",
-    "time_rat": "computing\ntime ratio",
+    "time_rat": "time\nratio",
 }
 
 
@@ -100,7 +101,7 @@ class RunDisplay:
 
     def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
         """One row per controller, the best of each column marked with an asterisk."""
-        table = Table(title=title, title_justify="left")
+        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column("controller", no_wrap=True)
         best: dict[str, float] = {}
         for key, label in KPI_COLUMNS.items():
@@ -113,8 +114,13 @@ class RunDisplay:
             table.add_row(
                 name,
                 *(
-                    "–" if v is None else f"{v:.4g}" + (" *" if v == best.get(key) else "  ")
+                    "–" if v is None else _cell(key, v) + ("*" if v == best.get(key) else " ")
                     for key, v in values.items()
                 ),
             )
         self.console.print(table)
+
+
+def _cell(key: str, value: float) -> str:
+    """Four digits; the computing time ratio in powers of ten."""
+    return f"{value:.0e}" if key == "time_rat" else f"{value:.4g}"
