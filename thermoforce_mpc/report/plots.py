@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from thermoforce_mpc.types import DAY_S
 
 INK, FREE, FORCED, BAND, QUIET = "#1b1f24", "#228b22", "#b22222", "#dfeaf5", "#8a939c"
-BASELINE_COLOURS = ("#8a6d3b", "#6b5b95", "#3b7a8a", "#a05a7a")
+BASELINE_COLOURS = ("#8a6d3b", "#6b5b95", "#3b7a8a", "#a05a7a", "#5a7d3b", "#c47f2c", "#4a5568")
 
 
 def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: Mapping[str, pd.DataFrame]) -> str:
