@@ -207,7 +207,7 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
         raise DataError(f"history: u is {u[outside[0]]:g} at step {outside[0]}, expected values in [0, 1]")
     T_zone = _held(history.T_zone_C)
     heat = operator.actuator(u, history.T_out_C[:-1])
-    heat = np.where(measured, history.heat_W / operator.actuator.reference_W, heat)
+    heat = np.where(measured, operator.sign * history.heat_W / operator.actuator.reference_W, heat)
     features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
     forced = np.empty((n + 1, operator.order))
     forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0

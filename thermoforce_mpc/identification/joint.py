@@ -22,7 +22,7 @@ from thermoforce_mpc.identification.disturbance import disturbance_covariance
 from thermoforce_mpc.identification.modes import ModePriors, poles, unit_responses
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.operator.actuator import ActuatorMap
-from thermoforce_mpc.types import Array, History
+from thermoforce_mpc.types import HOUR_S, Array, History
 
 # Priors of the free part, per slow mode and in steady state: K per K outdoors, K per 100 W/m², K of the daily wave.
 # A house follows the outdoors with a total gain near 1 and winter sun lifts it by a few kelvin.
@@ -79,8 +79,8 @@ class JointFit:
 
     `log_tau` (r,) of ln(τ/h); `gains` (r,) are [slope K/h, G_2 … G_r K] (positive); `gains_sd` and `log_tau_sd` their
     posterior standard deviations; `free_log_tau` (q,) and `free_gains` (q, 7) the steady free gains per unit of
-    `INPUTS`; `misfit` the RMS of the whitened residual (1 when disturbances were as large as assumed); `evidence` the
-    negative log posterior of the time constants.
+    `INPUTS`; `misfit` the RMS of the whitened residual (1 when disturbances were as large as assumed); `objective` the
+    negative log posterior at its maximum, up to a constant.
     """
 
     log_tau: Array
@@ -90,7 +90,7 @@ class JointFit:
     free_log_tau: Array
     free_gains: Array
     misfit: float
-    evidence: float
+    objective: float
 
     def free_model(self, step_s: float, config: IdentificationConfig) -> RcParameters:
         """The free part as a linear free model at `step_s`."""
@@ -147,6 +147,14 @@ def forced_columns(episode: Episode, log_tau: Array, sign: int) -> Array:
     return np.asarray(sign * np.asarray(total)[episode.rows])
 
 
+def follows_action(episode: Episode, hours: float) -> NDArray[np.bool_]:
+    """Which compared rows come within `hours` after a step in which something was done (differently), shape (rows,)."""
+    done = np.abs(np.sum([s * drive for s, drive in episode.drives], axis=0)) > 0.0
+    before = np.concatenate([[0], np.cumsum(done)])
+    reach = max(1, round(hours * HOUR_S / episode.step_s))
+    return np.asarray(before[episode.rows] > before[np.maximum(episode.rows - reach, 0)])
+
+
 def free_columns(episode: Episode, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
     """Columns of the shared free gains and of the run's own starting state, (rows, q·6 + 1) and (rows, modes)."""
     weather = []
@@ -183,7 +191,7 @@ def start_sd(n_modes: int) -> Array:
 @dataclass(frozen=True)
 class _Solution:
     values: Array
-    evidence: float
+    objective: float
     covariance: Array
     whitened_rms: float
 
@@ -196,7 +204,7 @@ def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: Identific
         outside = np.maximum(log_bounds[:, 0] - log_tau, 0.0) + np.maximum(log_tau - log_bounds[:, 1], 0.0)
         if outside.any():
             return _OUTSIDE * (1.0 + float(outside.sum()))
-        return _solve(episodes, log_tau, priors, sign).evidence
+        return _solve(episodes, log_tau, priors, sign).objective
 
     simplex = np.vstack([priors.log_tau, priors.log_tau + np.eye(priors.order) * priors.log_tau_sd])
     found = minimize(
@@ -222,7 +230,7 @@ def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: Identific
         free_log_tau=free_log_tau,
         free_gains=_free_gains(solution.values[r:], free_log_tau.size, with_free=any(not b.is_pair for b in episodes)),
         misfit=solution.whitened_rms,
-        evidence=solution.evidence,
+        objective=solution.objective,
     )
 
 
@@ -240,7 +248,7 @@ def _solve(episodes: Sequence[Episode], log_tau: Array, priors: ModePriors, sign
         mean = np.concatenate([mean, free_mean, np.zeros(starts.size)])
         sd = np.concatenate([sd, free_sd, starts])
         low = np.concatenate([low, free_low, np.full(starts.size, -np.inf)])
-    designs, targets, log_determinant = [], [], 0.0
+    designs, targets = [], []
     for i, episode in enumerate(episodes):
         columns = np.zeros((episode.rows.size, mean.size))
         columns[:, :r] = forced_columns(episode, log_tau, sign)
@@ -251,23 +259,17 @@ def _solve(episodes: Sequence[Episode], log_tau: Array, priors: ModePriors, sign
             columns[:, first : first + n_starts] = start
         designs.append(solve_triangular(episode.factor, columns, lower=True))
         targets.append(solve_triangular(episode.factor, episode.target, lower=True))
-        log_determinant += float(np.log(np.diag(episode.factor)).sum())
     design = np.concatenate([*designs, np.diag(1.0 / sd)])
     target = np.concatenate([*targets, mean / sd])
     values = lsq_linear(design, target, bounds=(low, np.inf)).x
     residual = design @ values - target
     information = design.T @ design
     rows = sum(t.size for t in targets)
-    evidence = (
-        0.5 * float(residual @ residual)
-        + log_determinant
-        + 0.5 * float(np.linalg.slogdet(information)[1])
-        + float(np.log(sd).sum())
-        + 0.5 * float((((log_tau - priors.log_tau) / priors.log_tau_sd) ** 2).sum())
-    )
+    away = (log_tau - priors.log_tau) / priors.log_tau_sd
+    objective = 0.5 * float(residual @ residual) + 0.5 * float(away @ away)
     return _Solution(
         values=np.asarray(values),
-        evidence=evidence,
+        objective=objective,
         covariance=np.linalg.inv(information),
         whitened_rms=float(np.sqrt(np.mean(residual[:rows] ** 2))),
     )

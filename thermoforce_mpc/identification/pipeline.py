@@ -20,6 +20,7 @@ from thermoforce_mpc.identification.joint import (
     Episode,
     JointFit,
     fit_joint,
+    follows_action,
     forced_columns,
     pair_episode,
     run_episode,
@@ -34,8 +35,14 @@ from thermoforce_mpc.power import HEAT_SLOPE, POWER_SLOPE, PowerModel, fit_load
 from thermoforce_mpc.types import HOUR_S, Array, History
 from thermoforce_mpc.world_model import ModelCard, ThermalModel, forced_history
 
-# A higher order must predict this much better than a lower one to be worth its parameters.
-_PARSIMONY = 0.97
+# A lower order must beat a higher one on the held-out rows by this many standard errors and by this share of the
+# squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.
+_SIGNIFICANT = 2.0
+_CLEARLY = 0.2
+# Orders are told apart by rows that follow an action within hours, and only by enough of them: the others tell how the
+# weather was.
+_AFTER_ACTION_H = 6.0
+_LEAST_JUDGED = 24
 # Least share of the whitened variance that the forced response must explain to be believed.
 _LEAST_EXPLAINED = 0.1
 # Narrowest spread that features are normalised by: °C, °C, W/m², 1.
@@ -55,12 +62,17 @@ class _Case:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A fit to the training rows: RMS whitened residual of the rows judged by, and RMSE of the held-out rollouts, K."""
+    """A fit to the training rows: whitened residuals of the rows judged by, and RMSE of the held-out rollouts, K."""
 
     fit: JointFit
     priors: ModePriors
-    score: float
+    judged: Array
     rollout_rmse_K: float
+
+    @property
+    def score(self) -> float:
+        """RMS of the whitened residuals of the rows judged by (NaN where no action was held out)."""
+        return float(np.sqrt(np.mean(self.judged**2))) if self.judged.size else float("nan")
 
 
 def identify(
@@ -234,14 +246,12 @@ def _fit(
             continue
         explained = residuals(case.episode, fit.log_tau)
         residual = case.episode.target - explained.mean - forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
-        judged.append((explained.whitener() @ residual)[split.judged])
+        after_action = split.judged[follows_action(case.episode, _AFTER_ACTION_H)[split.judged]]
+        judged.append((explained.whitener() @ residual)[after_action])
         for past, ahead in split.rollouts:
             errors.append(explained.innovation(past, ahead) @ residual[np.concatenate([past, ahead])])
-    return _Fitted(fit, priors, _rms(judged), _rms(errors))
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    return _Fitted(fit, priors, np.concatenate(judged), rollout_rmse_K)
 
 
 def _explained(cases: Sequence[_Case], fit: JointFit, sign: int) -> float:
@@ -258,10 +268,16 @@ def _explained(cases: Sequence[_Case], fit: JointFit, sign: int) -> float:
 
 
 def _choose(candidates: dict[int, _Fitted]) -> int:
-    """Lowest order that no higher one beats by more than the parsimony factor."""
-    chosen = min(candidates)
-    for order in sorted(candidates):
-        if candidates[order].score < _PARSIMONY * candidates[chosen].score:
+    """Highest order, unless a lower one predicts the held-out rows clearly and significantly better."""
+    chosen = max(candidates)
+    if candidates[chosen].judged.size < _LEAST_JUDGED:
+        return chosen
+    for order in sorted(candidates, reverse=True):
+        gain = candidates[chosen].judged ** 2 - candidates[order].judged ** 2
+        needed = max(
+            _SIGNIFICANT * float(np.std(gain)) / np.sqrt(gain.size), _CLEARLY * float(candidates[chosen].score) ** 2
+        )
+        if float(np.mean(gain)) > needed:
             chosen = order
     return chosen
 
