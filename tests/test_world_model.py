@@ -205,3 +205,19 @@ def test_rc_refuses_what_it_cannot_use():
         free_response.forecast(np.full(25, np.nan), history, make_boundary(history))
     with pytest.raises(DataError, match="poles"):
         replace(RC, poles=np.array([0.5, 1.0]))
+
+
+def test_a_level_that_averaging_rounded_beyond_one_is_one():
+    steps = 24
+    time_s = np.arange(steps + 1) * 3600.0
+    still = np.zeros(steps + 1)
+    operator = linear_operator(np.array([0.9]), np.array([0.5]), step_s=3600.0)
+
+    def history(level: float) -> History:
+        u = np.full(steps, level)
+        return History(time_s, 21.0 + still, still, still, u, u, np.full(steps, np.nan))
+
+    exact, rounded = (forced_history(operator, history(level)) for level in (1.0, np.nextafter(1.0, 2.0)))
+    np.testing.assert_array_equal(exact, rounded)
+    with pytest.raises(DataError, match=r"expected values in \[0, 1\]"):
+        forced_history(operator, history(1.001))

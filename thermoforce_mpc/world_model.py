@@ -19,6 +19,9 @@ from thermoforce_mpc.types import DAY_S, Array, Boundary, FreeForecast, History,
 
 InitialForce = Literal["steady", "zero"]
 
+# How far beyond [0, 1] a mean level may be by rounding alone.
+_ROUNDING = 1e-9
+
 # Fixed-point rounds for the starting force: the modulation moves it by percents, so a handful settles it.
 _START_ROUNDS = 5
 
@@ -202,9 +205,11 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
             raise DataError(f"history: {name} is not finite at step {gaps[0]} of {n} ({gaps.size} such): fill it first")
-    outside = np.flatnonzero((u < 0) | (u > 1))
+    # Averaging blocks of full level over a step rounds to a hair beyond 1.
+    outside = np.flatnonzero((u < -_ROUNDING) | (u > 1 + _ROUNDING))
     if outside.size:
         raise DataError(f"history: u is {u[outside[0]]:g} at step {outside[0]}, expected values in [0, 1]")
+    u = np.clip(u, 0.0, 1.0)
     T_zone = _held(history.T_zone_C)
     heat = operator.actuator(u, history.T_out_C[:-1])
     heat = np.where(measured, operator.sign * history.heat_W / operator.actuator.reference_W, heat)
