@@ -27,6 +27,10 @@ _ORIGINS_QUICK = 8
 _LEVELS: tuple[Level, ...] = ("low", "medium", "high")
 _WEATHER_AWARE = ("arx26", "linear_weather", "residual")
 _ERROR_SEED = 1
+# A run of two weeks, one forecast an hour, on these records: does the calibrated interval hold what it says?
+_RUN_SOURCES = ("excite_jan", "excite_apr")
+_RUN_LEVEL: Level = "medium"
+_RUN_START_STEP, _RUN_SETTLING_STEPS = 14 * 24, 48
 _LOW, _HIGH = 0, -1  # rows of the 0.1 and 0.9 quantiles
 
 
@@ -88,12 +92,24 @@ def run_free_response_bench(
                 uncertain[level][name].append(found)
                 rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")
+    coverages = {}
+    for source in () if quick else (s for s in sources if s.name in _RUN_SOURCES):
+        found = _calibrated_run(source, backbone)
+        rows.append(_row(source, "calibrated, hourly run", found, weather=_RUN_LEVEL))
+        coverages[source.name] = float(found.inside.mean())
+        progress(f"{source.name}: two weeks of hourly forecasts")
     groups = {source.name: source.group for source in sources}
     if out is not None:
         _plot(scores, groups, out)
-    return bench_result(
-        "free-response", rows, [*_targets(scores, groups), *_uncertainty_targets(scores, groups, uncertain)]
-    )
+    targets = [
+        *_targets(scores, groups),
+        *_uncertainty_targets(scores, groups, uncertain),
+        *(
+            Target(f"{name}, two weeks, {_RUN_LEVEL} forecast errors: 80 % interval off by", abs(share - 0.8), 0.03)
+            for name, share in coverages.items()
+        ),
+    ]
+    return bench_result("free-response", rows, targets)
 
 
 def forecast_origins(source: Source, at_most: int) -> list[int]:
@@ -150,6 +166,16 @@ def score(method: FreeResponse, source: Source, origins: Sequence[int], error: F
         level = np.asarray(forecast.levels)[:, None]
         pinball.append(np.maximum(level * gap, (level - 1.0) * gap).mean())
     return Score(np.array(errors), np.array(inside), float(np.mean(pinball)), float(np.median(seconds)) * 1e3)
+
+
+def _calibrated_run(source: Source, backbone: str) -> Score:
+    """Hourly forecasts over what follows the first two weeks; the first two days, while it learns, are not scored."""
+    method = build_free_response("calibrated", backbone=backbone)
+    origins = range(_RUN_START_STEP, source.free_C.size - source.horizon)
+    found = score(method, source, origins, ForecastError(_RUN_LEVEL, _ERROR_SEED))
+    return Score(
+        found.errors_K[_RUN_SETTLING_STEPS:], found.inside[_RUN_SETTLING_STEPS:], found.pinball_K, found.milliseconds
+    )
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

@@ -1,7 +1,7 @@
 """Intervals corrected by what the method's own forecasts turned out to be, weather errors included.
 
-Trials on the history (`selected`) know the weather in hindsight; only forecasts that were really issued show what errors
-of the weather forecast do. So each is kept, compared with what has come since, and the last days set the width
+Trials on the history (`selected`) know the weather in hindsight; only forecasts that were really issued show what
+errors of the weather forecast do. So each is kept, compared with what has come since, and the last days set the width
 (split conformal prediction over a rolling window, which follows slow changes).
 """
 
