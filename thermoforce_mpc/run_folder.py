@@ -19,7 +19,7 @@ from thermoforce_mpc import __version__
 from thermoforce_mpc.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario import Scenario
-from thermoforce_mpc.types import PlantInfo
+from thermoforce_mpc.types import DAY_S, PlantInfo
 
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
@@ -121,11 +121,9 @@ def write_results(
         "testcase": plant.testcase,
         "plant": f"{plant.kind}: {plant.description}",
         "weather": plant.weather,
-        "period": {
-            "name": result.period.name,
-            "start_day": result.period.start_s / 86400,
-            "scored_days": result.period.scored_s / 86400,
-        },
+        "period": scenario.period,
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
         "price": scenario.price,
         "controller": result.controller,
         "kpis": result.kpis,
