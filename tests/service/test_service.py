@@ -336,7 +336,9 @@ def test_idle_tests_are_dropped():
 
 def test_an_address_in_use_and_senseless_numbers_are_told(url):
     weather = synthetic_weather()
-    with pytest.raises(PlantError, match=r"cannot listen on 127\.0\.0\.1"):
+    with pytest.raises(PlantError, match=r"cannot listen on 127\.0\.0\.1:\d+ \(Address already in use\); choose"):
         build_server(weather, port=int(url.rsplit(":", 1)[1]))
+    with pytest.raises(PlantError, match=r"cannot listen on nowhere\.invalid:0"):
+        build_server(weather, host="nowhere.invalid", port=0)
     with pytest.raises(ConfigError, match="port 70000"):
         build_server(weather, port=70000)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import os
 import socket
 from collections.abc import Callable
 
@@ -53,7 +54,9 @@ def build_server(
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         listening = socket.create_server((host, port), family=family)
     except OSError as error:
-        raise PlantError(f"cannot listen on {host}:{port} ({error.strerror or error}); choose another port") from error
+        # Python adds the address to the system's words, which are enough here.
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
+        raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose another address or port") from error
     app = create_app(_plants(weather, highly_dynamic), most_tests=most_tests, idle_s=idle_s, most_bytes=_MOST_BYTES)
     return create_server(app, sockets=[listening], threads=threads, max_request_body_size=_MOST_BYTES, ident=None)
 
