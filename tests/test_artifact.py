@@ -20,7 +20,7 @@ from thermoforce_mpc.world_model import ModelCard, ThermalModel
 def model() -> ThermalModel:
     free = RcParameters(
         poles=np.array([0.5, 0.98]),
-        weights=np.arange(14.0).reshape(2, 7) / 100,
+        weights=np.arange(16.0).reshape(2, 8) / 100,
         step_s=3600.0,
         process_sd_K=np.array([0.05, 0.01]),
     )

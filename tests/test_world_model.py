@@ -156,7 +156,7 @@ def test_impossible_actions_are_refused(world):
 
 RC = RcParameters(
     poles=np.array([0.6, 0.985]),
-    weights=np.array([[0.05, 5e-4, 1.0, 1e-4, -1e-4, 0.02, 0.01], [0.006, 1e-4, 0.1, 0.0, 0.0, 0.0, 0.0]]),
+    weights=np.array([[0.05, 5e-4, 1.0, 1e-4, -1e-4, 0.02, 0.01, 1e-4], [0.006, 1e-4, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]]),
     step_s=STEP,
     process_sd_K=np.array([0.02, 0.01]),
 )
@@ -169,7 +169,7 @@ def _simulate(params: RcParameters, T_out, solar, start, patterns: bool = True) 
         T, sun = 0.5 * (T_out[t] + T_out[t + 1]), 0.5 * (solar[t] + solar[t + 1])
         angle = 2 * np.pi * ((t + 0.5) * params.step_s / 86400 - 0.5)
         c, s = (np.cos(angle), np.sin(angle)) if patterns else (0.0, 0.0)
-        z = params.poles * z + params.weights @ np.array([T, sun, 1.0, sun * c, sun * s, c, s])
+        z = params.poles * z + params.weights @ np.array([T, sun, 1.0, sun * c, sun * s, c, s, sun**2 / 300])
         out.append(float(z.sum()))
     return np.array(out)
 

@@ -27,8 +27,12 @@ INPUTS: tuple[str, ...] = (
     "solar_sine",
     "daily_cosine",
     "daily_sine",
+    "solar_squared",
 )
-"""What drives the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the solar day."""
+"""What drives the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the day from noon, and
+irradiance²/300 W/m²: a clear sky sends most of it straight through a window, a grey one does not."""
+
+_SQUARE_W_M2 = 300.0
 
 # How uncertain the modes are before the first measurement, K: a building's temperature is known to some ten degrees.
 _PRIOR_SD_K = 10.0
@@ -40,7 +44,7 @@ class RcParameters:
 
     Attributes:
         poles: a_i, shape (q,), in (0, 1) per step.
-        weights: shape (q, 7), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
+        weights: shape (q, 8), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
         step_s: length of a step, s.
         process_sd_K: what the weather does not explain, per mode and step, shape (q,), K.
         sensor_sd_K: noise of the temperature sensor, K.
@@ -106,13 +110,14 @@ class RcParameters:
 
 
 def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
-    """`INPUTS` over n steps, shape (n, 7): means of the samples at both ends of each step, arguments (n + 1,)."""
+    """`INPUTS` over n steps, shape (n, 8): means of the samples at both ends of each step, arguments (n + 1,)."""
     T_out, solar = (0.5 * (np.asarray(x)[:-1] + np.asarray(x)[1:]) for x in (T_out_C, solar_W_m2))
     time_s = np.asarray(time_s)
     # Angle of the clock at mid-step, zero at noon.
     angle = 2.0 * np.pi * (0.5 * (time_s[:-1] + time_s[1:]) / DAY_S - 0.5)
     cosine, sine = np.cos(angle), np.sin(angle)
-    return np.stack([T_out, solar, np.ones_like(T_out), solar * cosine, solar * sine, cosine, sine], axis=1)
+    square = solar**2 / _SQUARE_W_M2
+    return np.stack([T_out, solar, np.ones_like(T_out), solar * cosine, solar * sine, cosine, sine, square], axis=1)
 
 
 class RcFreeResponse:

@@ -34,6 +34,7 @@ _FREE_PRIOR: dict[str, tuple[float, float, float, float]] = {
     "solar_sine": (0.01, 0.0, 1.0, -np.inf),
     "daily_cosine": (1.0, 0.0, 0.3, -np.inf),
     "daily_sine": (1.0, 0.0, 0.3, -np.inf),
+    "solar_squared": (0.01, 0.0, 1.0, -np.inf),
 }
 # Level of the free response and state of each mode at the start of a run: as good as unknown, K.
 _LEVEL_SD_K = 50.0
@@ -56,7 +57,7 @@ class Episode:
     """One run or pair as a regression: what is compared, and the whitening of its disturbances.
 
     `target` (rows,) K; `rows` (rows,) boundaries that are compared; `factor` (rows, rows) lower Cholesky factor of the
-    disturbances' covariance; `inputs` (n, 7) weather of the steps, empty for a pair; `drives` the heat v (n,) of each
+    disturbances' covariance; `inputs` (n, 8) weather of the steps, empty for a pair; `drives` the heat v (n,) of each
     run and the sign it enters with.
     """
 
@@ -78,7 +79,7 @@ class JointFit:
     """Result of the joint estimation.
 
     `log_tau` (r,) of ln(τ/h); `gains` (r,) are [slope K/h, G_2 … G_r K] (positive); `gains_sd` and `log_tau_sd` their
-    posterior standard deviations; `free_log_tau` (q,) and `free_gains` (q, 7) the steady free gains per unit of
+    posterior standard deviations; `free_log_tau` (q,) and `free_gains` (q, 8) the steady free gains per unit of
     `INPUTS`; `misfit` the RMS of the whitened residual (1 when disturbances were as large as assumed); `objective` the
     negative log posterior at its maximum, up to a constant.
     """
@@ -156,7 +157,7 @@ def follows_action(episode: Episode, hours: float) -> NDArray[np.bool_]:
 
 
 def free_columns(episode: Episode, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
-    """Columns of the shared free gains and of the run's own starting state, (rows, q·6 + 1) and (rows, modes)."""
+    """Columns of the shared free gains and of the run's own starting state, (rows, q·7 + 1) and (rows, modes)."""
     weather = []
     for name, (unit, *_) in _FREE_PRIOR.items():
         signal = episode.inputs[:, INPUTS.index(name)] * unit
@@ -276,7 +277,7 @@ def _solve(episodes: Sequence[Episode], log_tau: Array, priors: ModePriors, sign
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
-    """Steady gains (q, 7) per unit of `INPUTS` from the shared free columns (zeros where only pairs were seen)."""
+    """Steady gains (q, 8) per unit of `INPUTS` from the shared free columns (zeros where only pairs were seen)."""
     gains = np.zeros((n_free, len(INPUTS)))
     if not with_free:
         return gains

@@ -49,7 +49,7 @@ def residuals(episode: Episode, log_tau: Array) -> Residuals:
     if episode.is_pair:
         return Residuals(mean=np.zeros(episode.rows.size), covariance=noise)
     shared, start = free_columns(episode, log_tau, free_time_constants(log_tau))
-    mean, sd, _ = free_prior((shared.shape[1] - 1) // 6)
+    mean, sd, _ = free_prior(free_time_constants(log_tau).size)
     columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)
     return Residuals(mean=shared @ mean, covariance=noise + columns @ columns.T)
 
