@@ -23,7 +23,7 @@ SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "data" / "bolt_thermal
 TINY = TrainingConfig(steps=4, batch=8, save_every=2, validation_batches=1)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def _one_thread():
     before = torch.get_num_threads()
     torch.set_num_threads(1)
