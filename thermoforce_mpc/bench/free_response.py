@@ -281,15 +281,22 @@ def _plot(scores: dict[str, dict[str, Score]], groups: dict[str, str], out: Path
     import matplotlib.pyplot as plt
 
     pooled = _pooled(scores, groups)
+    methods = list(dict.fromkeys(name for by_method in pooled.values() for name in by_method))
     figure, axes = plt.subplots(1, len(pooled), figsize=(4.2 * len(pooled), 3.6), squeeze=False, layout="constrained")
     for axis, (group, by_method) in zip(axes[0], pooled.items(), strict=True):
         for method, found in by_method.items():
             n = found.errors_K.shape[1]
             hours = np.arange(1, n + 1) * DAY_S / HOUR_S / n
             bold = method in ("chronos", "residual")
-            axis.plot(hours, found.errors_K.mean(axis=0), label=method, lw=2.2 if bold else 1.0)
+            axis.plot(
+                hours,
+                found.errors_K.mean(axis=0),
+                label=method,
+                lw=2.2 if bold else 1.0,
+                color=f"C{methods.index(method)}",
+            )
         axis.set(title=group, xlabel="lead time, h", ylabel="mean absolute error, K", ylim=(0, None))
-    axes[0][-1].legend(fontsize=7)
+    axes[0][0].legend(fontsize=7)
     out.mkdir(parents=True, exist_ok=True)
     figure.savefig(out / "free_response.png", dpi=130)
     plt.close(figure)
