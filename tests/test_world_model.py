@@ -221,3 +221,14 @@ def test_a_level_that_averaging_rounded_beyond_one_is_one():
     np.testing.assert_array_equal(exact, rounded)
     with pytest.raises(DataError, match=r"expected values in \[0, 1\]"):
         forced_history(operator, history(1.001))
+
+
+def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
+    for sign in (1, -1):
+        operator = random_operator(3, 1, actuator=HEAT_MAP, sign=sign)
+        base = make_history()
+        heat = sign * HEAT_MAP.reference_W * HEAT_MAP(base.u, base.T_out_C[:-1])
+        by_map = forced_history(operator, base)
+        np.testing.assert_allclose(forced_history(operator, replace(base, heat_W=heat)), by_map, rtol=1e-9)
+        more = forced_history(operator, replace(base, heat_W=1.5 * heat), initial_force="zero")
+        assert sign * (more - forced_history(operator, base, initial_force="zero"))[-1, 0] > 0

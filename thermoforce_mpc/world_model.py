@@ -19,8 +19,8 @@ from thermoforce_mpc.types import DAY_S, Array, Boundary, FreeForecast, History,
 
 InitialForce = Literal["steady", "zero"]
 
-# How far beyond [0, 1] a mean level may be by rounding alone.
-_ROUNDING = 1e-9
+# How far beyond [0, 1] a level may be: means over a step and solutions of a solver are, by rounding.
+ROUNDING = 1e-6
 
 # Fixed-point rounds for the starting force: the modulation moves it by percents, so a handful settles it.
 _START_ROUNDS = 5
@@ -101,8 +101,9 @@ class Outlook:
         u = np.asarray(u, dtype=np.float64)
         if u.shape[-1:] != (self.n_steps,):
             raise DataError(f"u has shape {u.shape}, expected (..., {self.n_steps})")
-        if not ((u >= 0) & (u <= 1)).all():
+        if not ((u >= -ROUNDING) & (u <= 1 + ROUNDING)).all():
             raise DataError("u must be finite and inside [0, 1]")
+        u = np.clip(u, 0.0, 1.0)
         forced = forced_rollout(self.operator, self.forced_K, u, self.features).sum(axis=-1)
         return Prediction(free_C=self.free.median_C, forced_K=forced)
 
@@ -206,7 +207,7 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
         if gaps.size:
             raise DataError(f"history: {name} is not finite at step {gaps[0]} of {n} ({gaps.size} such): fill it first")
     # Averaging blocks of full level over a step rounds to a hair beyond 1.
-    outside = np.flatnonzero((u < -_ROUNDING) | (u > 1 + _ROUNDING))
+    outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
     if outside.size:
         raise DataError(f"history: u is {u[outside[0]]:g} at step {outside[0]}, expected values in [0, 1]")
     u = np.clip(u, 0.0, 1.0)

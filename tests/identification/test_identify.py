@@ -194,6 +194,11 @@ def test_nothing_is_refused_too():
         identify()
 
 
+def test_records_of_different_steps_are_refused():
+    with pytest.raises(DataError, match=r"steps of 900, 3600 s"):
+        identify([record(HOUSE, 2.0), record(HOUSE, 3.0, 3600.0, seed=5)], config=LINEAR)
+
+
 def test_pairs_must_be_pairs():
     pair = make_pair(HOUSE, 1)
     with pytest.raises(DataError, match="T_out_C differs"):

@@ -27,7 +27,7 @@ from thermoforce_mpc.identification.joint import (
 )
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, residuals, split_run, whole
 from thermoforce_mpc.identification.modes import ModePriors, mode_priors, to_operator
-from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, data_hash
+from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
 from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.operator.parameters import OperatorParameters
@@ -89,7 +89,7 @@ def identify(
 
     Args:
         runs: recorded runs, each with its own excitation; any number, any length from about a day.
-        pairs: runs that share start and weather (paper eq:paired); all with one step.
+        pairs: runs that share start and weather (paper eq:paired). All records have one step.
         config: options.
         mode: sign of what the actuator does to the zone.
         floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on.
@@ -111,6 +111,7 @@ def identify(
     if pairs:
         check_pairs(pairs)
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
+    check_steps(histories)
     sign = 1 if mode == "heating" else -1
     actuator, notes = _actuator(histories, config, sign)
     cases = [_Case(run_episode(h, actuator, config), (h,), float(h.time_s[0])) for h in runs]
@@ -345,7 +346,7 @@ def _modulate(
 
 
 def _uncertainty(fit: JointFit) -> dict[str, float]:
-    """Posterior standard deviations in physical terms, scaled by how large the disturbances really were."""
+    """Estimates of the linear fit and their posterior standard deviations, under disturbances as large as assumed."""
     out = {}
     for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), fit.log_tau_sd, strict=True), start=1):
         out[f"time_constant_{i}_h"] = float(tau)

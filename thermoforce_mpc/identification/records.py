@@ -10,6 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.types import DAY_S, HOUR_S, History
+from thermoforce_mpc.world_model import ROUNDING
 
 # Least excitation: hours on, standard deviation of u, and changes of u. Below, gain and drift cannot be told apart.
 MIN_ON_H = 1.0
@@ -91,6 +92,17 @@ def check_pairs(pairs: Sequence[Pair]) -> None:
         )
 
 
+def check_steps(histories: Sequence[History]) -> None:
+    """Refuse records of different step lengths.
+
+    Raises:
+        DataError: naming the steps found.
+    """
+    steps = sorted({round(h.step_s, 3) for h in histories})
+    if len(steps) > 1:
+        raise DataError(f"the records have steps of {', '.join(f'{s:g}' for s in steps)} s: resample them to one step")
+
+
 def _check_signals(history: History, name: str) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
@@ -110,7 +122,7 @@ def _check_signals(history: History, name: str) -> None:
                 f"{name}: {signal} is not finite at {gaps.size} of {values.size} places, first at {gaps[0]}; "
                 "cut the record there or fill it"
             )
-    if (history.u < 0).any() or (history.u > 1).any():
+    if (history.u < -ROUNDING).any() or (history.u > 1 + ROUNDING).any():
         raise DataError(
             f"{name}: u ranges from {history.u.min():g} to {history.u.max():g}, expected [0, 1]; rescale it"
         )
