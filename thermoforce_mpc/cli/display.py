@@ -122,5 +122,5 @@ class RunDisplay:
 
 
 def _cell(key: str, value: float) -> str:
-    """Four digits; the computing time ratio in powers of ten."""
-    return f"{value:.0e}" if key == "time_rat" else f"{value:.4g}"
+    """Four digits, three for the small peak, and the computing time ratio in powers of ten."""
+    return f"{value:{ {'time_rat': '.0e', 'pele_tot': '.3g'}.get(key, '.4g') }}"
