@@ -18,7 +18,8 @@ SIGN_FROM_K = 0.05
 
 @dataclass(frozen=True)
 class PairScores:
-    """Effect error over all pairs and lags: RMSE K, sign accuracy where |effect| > 0.05 K, RMS of the effect K."""
+    """Effect error over all pairs and lags: RMSE K, sign accuracy where |effect| > 0.05 K (NaN if nowhere), RMS of the
+    effect K, number of lags."""
 
     rmse_K: float
     sign_accuracy: float
@@ -55,7 +56,7 @@ def score_pairs(
     strong = np.abs(m) > SIGN_FROM_K
     return PairScores(
         rmse_K=float(np.sqrt(np.mean((p - m) ** 2))),
-        sign_accuracy=float(np.mean(np.sign(p[strong]) == np.sign(m[strong]))),
+        sign_accuracy=float(np.mean(np.sign(p[strong]) == np.sign(m[strong]))) if strong.any() else float("nan"),
         effect_K=float(np.sqrt(np.mean(m**2))),
         n=int(p.size),
     )
