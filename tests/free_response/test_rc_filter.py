@@ -9,13 +9,13 @@ import pytest
 from forecasting import LEVELS, boundary_of, history_of
 
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.free_response.rc import RcFreeResponse, RcParameters
+from thermoforce_mpc.free_response.rc import INPUTS, RcFreeResponse, RcParameters
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.operator.parameters import linear_operator
 from thermoforce_mpc.world_model import ThermalModel
 
 PAST, AHEAD = 240, 24
-WEIGHTS = np.array([[0.06, 1e-3, 0.7, 0, 0, 0, 0], [0.01, 5e-5, 0.08, 0, 0, 0.01, 0]])
+WEIGHTS = np.array([[0.06, 1e-3, 0.7, 0, 0, 0, 0, 2e-4], [0.01, 5e-5, 0.08, 0, 0, 0.01, 0, 0]])
 
 
 def two_modes(process_sd_K: float = 1e-6, sensor_sd_K: float = 1e-4) -> RcParameters:
@@ -87,7 +87,7 @@ def test_quantiles_cover_what_they_say() -> None:
 
 
 def test_another_step_gives_the_same_course_under_constant_weather() -> None:
-    params = replace(two_modes(), weights=WEIGHTS * np.array([1, 1, 1, 0, 0, 0, 0]))
+    params = replace(two_modes(), weights=WEIGHTS * np.array([1, 1, 1, 0, 0, 0, 0, 1]))
     coarse, fine = np.array([9.0, 5.0]), np.array([9.0, 5.0])
     quarter = params.resampled(900.0)
     constant = {"T_out_C": np.full(2, 3.0), "solar_W_m2": np.full(2, 120.0)}
@@ -102,7 +102,7 @@ def test_another_step_gives_the_same_course_under_constant_weather() -> None:
 
 def test_quantiles_of_one_hour_do_not_depend_on_the_step_it_is_forecast_in() -> None:
     params = two_modes(process_sd_K=0.1)
-    params = replace(params, weights=np.zeros((2, 7)))
+    params = replace(params, weights=np.zeros((2, len(INPUTS))))
     free = np.full(73, 0.0)
     hourly = RcFreeResponse(params).forecast(free, history_of(free), boundary_of(72, 12)).quantiles_C
     quarterly = RcFreeResponse(params).forecast(free, history_of(free), boundary_of(288, 48, step_s=900.0)).quantiles_C
