@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from controllers import Thermostat, ThermoForceMPC
+from controllers import ThermoForceMPC, Thermostat
 from thermoforce_mpc.closed_loop import run_closed_loop
 from thermoforce_mpc.composition import identify_on
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
