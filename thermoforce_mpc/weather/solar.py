@@ -1,19 +1,17 @@
-"""The sun's position in solar time, and irradiance on tilted planes (Perez 1990, through pvlib)."""
+"""The sun's position in solar time, and irradiance on tilted planes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import pvlib
 
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array
+from thermoforce_mpc.weather.perez import sky_diffuse
 from thermoforce_mpc.weather.year import Weather
 
 _OBLIQUITY_RAD = np.deg2rad(23.45)
 _GROUND_REFLECTANCE = 0.2
-# Below this the sun is so low that the extrapolated direct normal means nothing.
-_LEAST_COS_ZENITH = 1e-4
 
 
 @dataclass(frozen=True)
@@ -76,24 +74,11 @@ class PlaneIrradiance:
 
 
 def on_plane(weather: Weather, sun: Sun, time_s: Array, tilt: float, azimuth: float) -> PlaneIrradiance:
-    """Irradiance on a plane (`azimuth` 0 south, west positive; rad); anisotropic sky after Perez et al. (1990)."""
+    """Irradiance on a plane (`azimuth` 0 south, west positive; rad) under an anisotropic sky, see `weather.perez`."""
     normal, diffuse = weather.at("normal_W_m2", time_s), weather.at("diffuse_W_m2", time_s)
     global_horizontal = weather.at("global_W_m2", time_s)
     cos_incidence = sun.cos_incidence(tilt, azimuth)
-    zenith_deg = np.rad2deg(sun.zenith)
-    up = sun.zenith < np.pi / 2
-    extra = pvlib.irradiance.get_extra_radiation(np.asarray(time_s) / DAY_S + 1.0, method="spencer")
-    sky = pvlib.irradiance.perez(
-        surface_tilt=np.rad2deg(tilt),
-        surface_azimuth=np.rad2deg(azimuth) + 180.0,
-        dhi=diffuse,
-        dni=normal,
-        dni_extra=extra,
-        solar_zenith=zenith_deg,
-        solar_azimuth=np.rad2deg(sun.azimuth) + 180.0,
-        airmass=pvlib.atmosphere.get_relative_airmass(np.where(up, zenith_deg, np.nan), model="kasten1966"),
-    )
-    sky = np.where(np.isfinite(sky), sky, diffuse * (1.0 + np.cos(tilt)) / 2.0)
+    sky = sky_diffuse(diffuse, global_horizontal - diffuse, sun.zenith, cos_incidence, tilt)
     ground = _GROUND_REFLECTANCE * global_horizontal * (1.0 - np.cos(tilt)) / 2.0
-    beam = np.where(up, normal * np.maximum(cos_incidence, 0.0), 0.0)
-    return PlaneIrradiance(beam, np.maximum(sky, 0.0) + ground, np.arccos(np.clip(cos_incidence, -1.0, 1.0)))
+    beam = normal * np.maximum(cos_incidence, 0.0)
+    return PlaneIrradiance(beam, sky + ground, np.arccos(np.clip(cos_incidence, -1.0, 1.0)))

@@ -22,25 +22,28 @@ _BEARING = {"south": np.pi, "west": 1.5 * np.pi, "north": 0.0, "east": np.pi / 2
 # Wind from more than this off the normal leaves the surface in the lee.
 _LEE_RAD = np.deg2rad(100.0)
 
-# Double glazing against the angle of incidence, degrees: transmitted, absorbed in the outer and in the inner pane.
+# Double glazing against the angle of incidence, degrees: transmitted, absorbed in the outer and in the inner pane
+# (BESTEST glazing of the IDEAS library, from WINDOW 6.3).
 _ANGLE = [0, 10, 20, 30, 40, 45, 50, 60, 70, 80, 88.9, 90]
+# fmt: off
 _TRANSMITTED = [
-    0.747454,
-    0.746824,
-    0.744654,
-    0.739491,
-    0.729832,
-    0.720922,
-    0.707331,
-    0.652331,
-    0.516754,
-    0.263009,
-    0,
-    0,
+    0.747454, 0.746824, 0.744654, 0.739491, 0.729832, 0.720922, 0.707331, 0.652331, 0.516754, 0.263009, 0, 0,
 ]
-_ABSORBED_ANGLE = [0, 60, 80, 90]
-_ABSORBED_OUTER = [0.0643, 0.0796, 0.094, 0.0]
-_ABSORBED_INNER = [0.0522, 0.0585, 0.0413, 0.0]
+# fmt: on
+# fmt: off
+_ABSORBED_ANGLE = [
+    0, 20, 30, 40, 48, 55, 57, 60, 63, 66, 68, 70, 72,
+    75, 77.5, 80, 82, 83.5, 85, 86, 87, 88, 89, 89.99, 90,
+]
+_ABSORBED_OUTER = [
+    0.0643, 0.0659, 0.0679, 0.0708, 0.0738, 0.0769, 0.0779, 0.0796, 0.0815, 0.0837, 0.0852, 0.0858, 0.089,
+    0.0911, 0.0929, 0.094, 0.0937, 0.0924, 0.0892, 0.0854, 0.079, 0.0671, 0.0473, 0.001, 0.0,
+]
+_ABSORBED_INNER = [
+    0.0522, 0.0534, 0.0548, 0.0566, 0.058, 0.0587, 0.0587, 0.0585, 0.0579, 0.0568, 0.0558, 0.0544, 0.0521,
+    0.0495, 0.0457, 0.0413, 0.0372, 0.0335, 0.0291, 0.0254, 0.0205, 0.0128, 0.0043, 0.0, 0.0,
+]
+# fmt: on
 _DIFFUSE = (0.652331, 0.0796, 0.0585)
 
 # Columns of the grid.
