@@ -60,6 +60,7 @@ class Transport:
             raise BadAddress(url, "not the address of a service; expected something like http://127.0.0.1:8000")
         self.url = url.rstrip("/")
         self.config = config
+        self._reached = False
         self._session = requests.Session()
         self._session.headers["User-Agent"] = user_agent
 
@@ -68,16 +69,19 @@ class Transport:
 
         A connection that could not be made is tried again, with growing pauses: nothing was sent. One that broke later
         is tried again only when `repeatable`. A time-out never is: the service may still be at work on the first.
+        Until the service has answered once, nothing is tried again after `connect_timeout_s`: the address may be wrong.
 
         Raises:
             BoptestError: see `boptest_client.errors`.
         """
         endpoint = f"{method} {self.url}/{path}"
+        patient_until = math.inf if self._reached else time.monotonic() + self.config.connect_timeout_s
         for attempt in range(self.config.retries):
             try:
                 return self._once(method, path, endpoint, body)
             except ConnectError:
-                pass
+                if time.monotonic() >= patient_until:
+                    raise
             except ConnectionLost:
                 if not repeatable:
                     raise
@@ -108,6 +112,7 @@ class Transport:
             if _never_connected(error):
                 raise ConnectError(endpoint, f"cannot be reached ({root}); is the service running there?") from error
             raise ConnectionLost(endpoint, f"the connection broke ({root})") from error
+        self._reached = True
         if response.is_redirect:
             raise ProtocolError(endpoint, f"the service has moved to {response.headers['Location']}; use that address")
         try:

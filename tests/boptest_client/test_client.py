@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
+import time
 
 import pytest
 from boptest_server import NAME, Fault, running_service
@@ -236,6 +238,21 @@ def test_nobody_listening_is_a_connect_error():
         port = unused.getsockname()[1]
     with pytest.raises(ConnectError, match=f"127.0.0.1:{port}"):
         BoptestClient(f"http://127.0.0.1:{port}", NAME, config=QUICK)
+
+
+def test_an_address_that_swallows_connections_is_given_up_after_one_wait():
+    config = TransportConfig(connect_timeout_s=0.4, read_timeout_s=5.0, retries=9, backoff_s=0.0)
+    with socket.socket() as deaf, contextlib.ExitStack() as filling:
+        deaf.bind(("127.0.0.1", 0))
+        deaf.listen(0)
+        for _ in range(8):  # with its queue full, the system leaves further connections unanswered
+            waiting = filling.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(deaf.getsockname())
+        began_s = time.monotonic()
+        with pytest.raises(ConnectError, match="no connection within"):
+            BoptestClient(f"http://127.0.0.1:{deaf.getsockname()[1]}", NAME, config=config)
+        assert time.monotonic() - began_s < 2.0  # ten attempts would take four seconds
 
 
 def test_a_test_that_stays_queued_is_given_up_and_stopped(service):
