@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from houses import random_levels, weather
+from pydantic import ValidationError
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.two_stage import fit_two_stage
 from thermoforce_mpc.types import History
 
@@ -73,3 +77,19 @@ def test_what_it_cannot_use_is_refused():
     slow = replace(other, time_s=other.time_s * 2)
     with pytest.raises(DataError, match="resample"):
         fit_two_stage([other, slow])
+
+
+def test_identify_offers_it_as_a_method():
+    config = IdentificationConfig(method="two_stage")
+    model = identify([arx_run()], config=config)
+    assert model.operator.order == 1
+    np.testing.assert_allclose([model.operator.poles[0], model.operator.gains[0]], [A, G], rtol=1e-5)
+    np.testing.assert_allclose(model.free.weights[0, :3], [C, D, E], rtol=1e-5)
+    run = arx_run()
+    with pytest.raises(DataError, match="two_stage takes single runs"):
+        identify([run], [Pair(run, arx_run(u=1.0 - run.u))], config=config)
+
+
+def test_two_stages_of_another_order_are_refused():
+    with pytest.raises(ValidationError, match="two_stage is of order 1"):
+        IdentificationConfig(method="two_stage", order=3)

@@ -17,6 +17,9 @@ hour), room against structure (two to six hours), structure against outdoors (on
 class IdentificationConfig(StrictModel):
     """Options of an identification. The defaults identify a heated house from one to thirty days."""
 
+    method: Literal["joint", "two_stage"] = Field(
+        "joint", description="joint fit of free and forced part, or the paper's two stages (order 1, runs only)"
+    )
     order: Literal["auto", 1, 2, 3] = Field("auto", description="modes of the operator; auto: chosen on held-out data")
     actuator: Literal["auto", "identity", "heat"] = Field(
         "auto", description="what drives the modes: u itself, or the heat map of (u, T_out); auto: heat if measured"
@@ -60,6 +63,8 @@ class IdentificationConfig(StrictModel):
     def _consistent(self) -> IdentificationConfig:
         if len(self.disturbance_sd_K) != len(self.disturbance_hours):
             raise ValueError("disturbance_sd_K and disturbance_hours must have the same number of values")
+        if self.method == "two_stage" and self.order not in ("auto", 1):
+            raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
         taus = self.time_constants_h
         if taus is not None:
             if not 1 <= len(taus) <= 3 or min(taus) <= 0 or any(b <= a for a, b in pairwise(taus)):

@@ -28,6 +28,7 @@ from thermoforce_mpc.identification.joint import (
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, residuals, split_run, whole
 from thermoforce_mpc.identification.modes import ModePriors, mode_priors, to_operator
 from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
+from thermoforce_mpc.identification.two_stage import fit_two_stage
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
 from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.operator.parameters import OperatorParameters
@@ -114,6 +115,8 @@ def identify(
     check_steps(histories)
     sign = 1 if mode == "heating" else -1
     actuator, notes = _actuator(histories, config, sign)
+    if config.method == "two_stage":
+        return _two_stage(runs, pairs, names, config, actuator, sign, step_s, source, notes)
     cases = [_Case(run_episode(h, actuator, config), (h,), float(h.time_s[0])) for h in runs]
     cases += [_Case(pair_episode(p, actuator), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     splits = _splits(cases, config)
@@ -195,6 +198,38 @@ def _actuator(histories: Sequence[History], config: IdentificationConfig, sign: 
         slope=HEAT_SLOPE,
     )
     return ActuatorMap(heat=fit.load), [f"actuator map: heat, RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"]
+
+
+def _two_stage(
+    runs: Sequence[History],
+    pairs: Sequence[Pair],
+    names: Sequence[str],
+    config: IdentificationConfig,
+    actuator: ActuatorMap,
+    sign: int,
+    step_s: float | None,
+    source: str,
+    notes: Sequence[str],
+) -> ThermalModel:
+    """The paper's estimator as a thermal model: order 1, gain without modulation."""
+    if pairs:
+        raise DataError("method two_stage takes single runs; pairs need method joint")
+    fit = fit_two_stage(runs, actuator=actuator, sign=sign, u_off=config.u_off)
+    step_s = step_s or fit.step_s
+    return ThermalModel(
+        operator=fit.operator().resampled(step_s),
+        power=_power(runs, config),
+        free=fit.free_model().resampled(step_s),
+        card=ModelCard(
+            source=source,
+            data={name: data_hash(h) for name, h in _named(names, runs, pairs)},
+            ranges=_ranges(runs),
+            scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on},
+            uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},
+            config=config.model_dump(mode="json"),
+            notes=tuple(notes),
+        ),
+    )
 
 
 def _power(histories: Sequence[History], config: IdentificationConfig) -> PowerModel | None:
