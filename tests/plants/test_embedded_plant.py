@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, heat_pump, refrigerant
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, advance_together, heat_pump, refrigerant
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.types import DAY_S
@@ -73,6 +75,33 @@ def test_branches_of_a_snapshot_share_the_past_to_the_bit(plant):
     again = [plant.advance(0.0, 900).T_zone_C for _ in range(8)]
     assert a == again
     assert b[-1] > a[-1]
+
+
+def test_plants_stepped_together_are_plants_stepped_alone(weather):
+    levels = [0.0, 0.3, None, 1.0]
+
+    def run(executor) -> list:
+        plants = [EmbeddedPlant(weather) for _ in levels]
+        for plant in plants:
+            plant.reset(3 * DAY_S, DAY_S)
+        measured = [advance_together(plants, levels, 900, executor) for _ in range(8)]
+        return [measured, [plant.kpis() for plant in plants]]
+
+    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(4) as four:
+        assert run(one) == run(four)
+        alone = EmbeddedPlant(weather)
+        alone.reset(3 * DAY_S, DAY_S)
+        expected = [alone.advance(0.3, 900) for _ in range(8)]
+        assert [step[1] for step in run(four)[0]] == expected
+
+
+def test_together_wants_one_level_each_and_no_plant_twice(weather):
+    plant = EmbeddedPlant(weather)
+    with ThreadPoolExecutor(1) as executor:
+        with pytest.raises(InputError, match="2 levels for 1 plants"):
+            advance_together([plant], [0.0, 1.0], 900, executor)
+        with pytest.raises(InputError, match="given twice"):
+            advance_together([plant, plant], [0.0, 1.0], 900, executor)
 
 
 def test_more_heat_is_never_colder(plant):

@@ -50,7 +50,7 @@ def synthetic_spot(seed: int = 0) -> Tariff:
     # A few windy holiday nights, as every real year has.
     for start in rng.choice(8752, size=3, replace=False):
         prices[start : start + 5] -= rng.uniform(0.1, 0.3)
-    return _held(hour * HOUR_S, np.asarray(np.round(prices, 5), dtype=np.float64))
+    return held_prices(hour * HOUR_S, np.asarray(np.round(prices, 5), dtype=np.float64))
 
 
 def tariff_from_file(path: Path) -> Tariff:
@@ -75,11 +75,11 @@ def tariff_from_file(path: Path) -> Tariff:
         raise ConfigError(f"{path}: a time or price is not finite")
     if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{path}: times must rise and start at 0 s or before (first is {time_s[0]:g} s)")
-    return _held(time_s, price)
+    return held_prices(time_s, price)
 
 
-def _held(time_s: Array, price: Array) -> Tariff:
-    """Each price holds until the next; the year repeats."""
+def held_prices(time_s: Array, price: Array) -> Tariff:
+    """The tariff whose prices (per kWh) hold from each `time_s` (s since 1 January, rising) to the next, every year."""
 
     def tariff(at_s: Array) -> Array:
         index = np.searchsorted(time_s, np.mod(np.asarray(at_s, dtype=np.float64), 365 * DAY_S), side="right") - 1

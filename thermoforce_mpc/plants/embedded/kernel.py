@@ -99,7 +99,7 @@ def soil_heat_W(time_s: float) -> float:
     return mean - outside + inside
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)  # without the interpreter's lock several plants step at once
 def advance(
     nodes: np.ndarray,
     scalars: np.ndarray,
@@ -115,7 +115,7 @@ def advance(
     slab: int,
     record: np.ndarray,
 ) -> None:
-    """Advance `nodes` (n,) K and `scalars` (12,) in place by `n_steps` of 30 s; fill `record` (n_steps, 16).
+    """Advance `nodes` (n,) K and `scalars` (12,) in place by `n_steps` of 30 s; fill `record` (n_steps, 17).
 
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
     """
