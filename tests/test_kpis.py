@@ -1,12 +1,16 @@
-"""KPIs on cases one can work out by hand."""
+"""KPIs on cases one can work out by hand, and on a record of the real test case."""
 
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.kpis import compute_kpis, peak_power
+from thermoforce_mpc.plants.embedded.schedule import bounds_C
+from thermoforce_mpc.types import DAY_S
 
 TIME = np.arange(0, 7200 + 1, 30.0)
 
@@ -73,3 +77,31 @@ def test_series_that_do_not_fit_are_refused(time_s, power):
             time_s, power_W=power, T_operative_C=ones, lower_C=ones, upper_C=ones, co2_ppm=ones, co2_limit_ppm=1.0,
             price_per_kWh=ones, emission_kg_per_kWh=ones, area_m2=1.0,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("first_day", "ener", "cost_constant", "cost_dynamic", "pele", "tdis"),
+    [(16, 3.478024, 0.881679, 0.882847, 0.0189128, 8.38137), (21, 3.578110, 0.907051, 0.909285, 0.0189141, 8.61647)],
+)
+def test_a_recorded_trajectory_has_the_kpis_published_for_it(
+    shared, first_day, ener, cost_constant, cost_dynamic, pele, tdis
+):
+    real = pd.read_csv(shared / "boptest_hp" / "native_d7_28d.csv.gz")
+    time_s = np.arange(first_day * DAY_S, (first_day + 14) * DAY_S + 1, 30.0)
+    # Recorded at 15 min: temperatures at the end of each step, powers as means over it.
+    step_end = np.searchsorted(real.time, time_s)
+    power = (real.reaPHeaPum_y + real.reaPFan_y + real.reaPPumEmi_y).to_numpy()[step_end]
+    T = np.interp(time_s, real.time, real.reaTZon_y)
+    lower, upper = bounds_C(time_s)
+    for tariff, cost in ((tariffs.constant, cost_constant), (tariffs.dynamic, cost_dynamic)):
+        found = compute_kpis(
+            time_s, power_W=power, T_operative_C=T, lower_C=lower, upper_C=upper,
+            co2_ppm=np.interp(time_s, real.time, real.reaCO2RooAir_y), co2_limit_ppm=894.0,
+            price_per_kWh=tariff(time_s), emission_kg_per_kWh=np.full(time_s.shape, 0.167), area_m2=192.0,
+        )  # fmt: skip
+        assert found["ener_tot"] == pytest.approx(ener, rel=1e-3)
+        assert found["emis_tot"] == pytest.approx(0.167 * ener, rel=1e-3)
+        assert found["cost_tot"] == pytest.approx(cost, rel=1e-3)
+        assert found["pele_tot"] == pytest.approx(pele, rel=2e-3)
+        assert found["tdis_tot"] == pytest.approx(tdis, rel=1e-2)
+        assert found["idis_tot"] == 0.0
