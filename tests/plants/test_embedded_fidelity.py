@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from thermoforce_mpc.boundary.periods import heating_windows
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.types import DAY_S
 from thermoforce_mpc.weather import load_weather
@@ -45,6 +46,18 @@ def test_native_control_on_the_peak_window(plant):
     assert kpis["ener_tot"] == pytest.approx(3.478, rel=0.002)
     assert kpis["tdis_tot"] == pytest.approx(8.381, rel=0.02)
     assert kpis["pele_tot"] == pytest.approx(0.018913, rel=0.002)
+
+
+def test_the_windows_are_the_published_ones_in_whatever_form_the_weather_comes(plant, shared, tmp_path):
+    lines = (shared / "boptest_hp" / "Brussels.mos").read_text().splitlines()
+    other_form = tmp_path / "other.mos"
+    other_form.write_text("\r\n".join(line + "\t" if line[0].isdigit() else line for line in lines))
+    for name, start_day in (("peak_heat_day", 16), ("typical_heat_day", 108)):
+        assert EmbeddedPlant(load_weather(other_form)).period(name).start_s == start_day * DAY_S
+
+
+def test_the_rule_itself_finds_the_published_peak_day(plant):
+    assert heating_windows(plant._native_year())["peak_heat_day"].start_s == 16 * DAY_S
 
 
 def test_the_boundary_is_the_test_cases_own(plant, shared):

@@ -48,6 +48,14 @@ def test_a_mos_file_is_read_at_its_own_hours(tmp_path):
     assert "sha256" in weather.name
 
 
+def test_a_fingerprint_tells_values_not_files(tmp_path):
+    rows = [mos_row(h, T=h % 24) for h in range(8760)]
+    print_of = load_weather(write_mos(tmp_path / "a.mos", rows)).fingerprint
+    assert load_weather(write_mos(tmp_path / "b.mos", [row + "\t" for row in rows])).fingerprint == print_of
+    rows[5000] = mos_row(5000, T=5000 % 24 + 0.1)
+    assert load_weather(write_mos(tmp_path / "c.mos", rows)).fingerprint != print_of
+
+
 def test_hour_h_of_an_epw_file_is_h_oclock(tmp_path):
     weather = load_weather(write_epw(tmp_path / "w.epw"))
     assert weather.at("T_dry_C", np.array([HOUR_S, 5 * HOUR_S])) == pytest.approx([1, 5])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -75,6 +76,15 @@ class Weather:
                 )
             column.setflags(write=False)
             object.__setattr__(self, item.name, column)
+
+    @property
+    def fingerprint(self) -> str:
+        """Twelve hexadecimal digits that tell these values and this place from any other, whatever the file's form."""
+        digest = hashlib.sha256()
+        place = np.array([self.latitude_deg, self.longitude_deg, self.timezone_h])
+        for values in (place, *(getattr(self, name) for name in _LIMITS)):
+            digest.update((np.round(values, 6) + 0.0).astype("<f8").tobytes())  # adding zero turns -0.0 into 0.0
+        return digest.hexdigest()[:12]
 
     def at(self, column: str, time_s: Array) -> Array:
         """`column` at `time_s` (s since 1 January, periodic over the year), any shape, by smooth interpolation.

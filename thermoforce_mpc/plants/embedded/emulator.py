@@ -119,7 +119,7 @@ class EmbeddedPlant:
             day = float(name)
         except ValueError:
             if self._periods is None:
-                self._periods = published_windows(self.weather.name) or heating_windows(self._native_year())
+                self._periods = published_windows(self.weather.fingerprint) or heating_windows(self._native_year())
             if name not in self._periods:
                 raise InputError(f"period '{name}': expected {', '.join(self._periods)} or a start day") from None
             return self._periods[name]
