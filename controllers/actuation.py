@@ -2,18 +2,23 @@
 
 A heat pump with a large fixed loss while on is efficient off or near full speed. In `duty` mode the plan therefore
 decides a *share* of each step, power and heat are linear in it, and this layer turns the share into blocks that
-respect minimum on and off times and carries over what could not be realised. In `modulating` mode (the paper's
-setting) the level is held for the whole step, off or at least the machine's lowest sensible level.
+respect minimum on and off times across steps and carries over what could not be realised. In `modulating` mode (the
+paper's setting) the level is held for the whole step, off or at least the machine's lowest sensible level.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.testcase import StrictModel
 from thermoforce_mpc.types import Block
+
+# A share below this asks for the machine to be off.
+_OFF = 1e-3
 
 
 class ActuationConfig(StrictModel):
@@ -35,12 +40,13 @@ class ActuationConfig(StrictModel):
 
 
 class Actuation:
-    """Realises planned levels step after step; remembers the machine's state and the share still owed."""
+    """Realises planned levels step after step; remembers the machine's state, for how long, and the time still owed."""
 
     def __init__(self, config: ActuationConfig) -> None:
         self.config = config
         self._owed_s = 0.0
         self._on = False
+        self._held_s = math.inf
 
     @property
     def highest(self) -> float:
@@ -68,26 +74,31 @@ class Actuation:
         c = self.config
         share = min(max(u / c.level, 0.0), 1.0)
         # Nothing is owed to a plan that wants the machine off: an old remainder must not heat a warm house.
-        wanted_s = share * step_s + self._owed_s if share > 1e-3 else 0.0
-        on_s = self._feasible_on_time(wanted_s, step_s)
+        wanted_s = share * step_s + self._owed_s if share > _OFF else 0.0
+        stays_s = self._time_in_state(wanted_s, step_s)
+        on_s = stays_s if self._on else step_s - stays_s
         # More than one block can only be owed through minimum times; the cap keeps a long refusal from piling up.
         cap = max(c.block_s, c.min_on_s, c.min_off_s)
         self._owed_s = min(max(wanted_s - on_s, -cap), cap)
-        on, off = Block(c.level, on_s), Block(0.0, step_s - on_s)
-        # Continue in the state the machine is in: half as many starts.
-        ordered = (on, off) if self._on else (off, on)
-        blocks = tuple(block for block in ordered if block.duration_s > 0)
-        self._on = blocks[-1].u != 0.0
+        level, other = (c.level, 0.0) if self._on else (0.0, c.level)
+        blocks = tuple(Block(u, t) for u, t in ((level, stays_s), (other, step_s - stays_s)) if t > 0)
+        if stays_s < step_s:
+            self._on, self._held_s = not self._on, step_s - stays_s
+        else:
+            self._held_s += step_s
         return blocks
 
-    def _feasible_on_time(self, wanted_s: float, step_s: float) -> float:
-        """The time on nearest to `wanted_s` that is a whole number of blocks and respects the minimum times."""
+    def _time_in_state(self, wanted_s: float, step_s: float) -> float:
+        """How long the machine stays as it is before it switches, s: that which comes nearest to `wanted_s` on.
+
+        It switches at most once in a step, at a whole block, and not before its minimum time in this state has passed.
+        A stretch that begins in this step may be shorter than its minimum: the next step then goes on with it.
+        """
         c = self.config
-        candidates = {0.0, step_s}
-        n = int(step_s // c.block_s)
-        candidates |= {
-            k * c.block_s
-            for k in range(1, n + 1)
-            if k * c.block_s >= c.min_on_s and (step_s - k * c.block_s) >= c.min_off_s
-        }
-        return min(sorted(candidates), key=lambda on_s: abs(on_s - wanted_s))
+        left_s = max((c.min_on_s if self._on else c.min_off_s) - self._held_s, 0.0)
+        blocks = np.arange(0.0, step_s, c.block_s)
+        candidates = [*blocks[blocks >= left_s].tolist(), step_s]
+        if not self._on:
+            # Among equals the later start: what is not needed yet may turn out not to be needed.
+            candidates.reverse()
+        return min(candidates, key=lambda stays_s: abs((stays_s if self._on else step_s - stays_s) - wanted_s))

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from controllers.problem import MPCProblem, Solution
+from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution
 from thermoforce_mpc.operator.casadi_export import step_function
 from thermoforce_mpc.operator.features import N_FEATURES
 from thermoforce_mpc.operator.parameters import OperatorParameters
@@ -19,8 +19,8 @@ from thermoforce_mpc.types import Array
 
 # Statuses with which Ipopt claims an optimum; anything else is a failed solve, whatever it left in u.
 _ACCEPTED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
-# Largest violation of 0 ≤ u ≤ u_max that is Ipopt's bound relaxation rather than an error.
-_BOUND_TOLERANCE = 1e-6
+# Constraints on power are scaled to the size of the others.
+_PEAK_UNIT_W = 1000.0
 
 
 class IpoptConfig(StrictModel):
@@ -32,36 +32,42 @@ class IpoptConfig(StrictModel):
 
 
 class IpoptSolver:
-    """Solves `MPCProblem`s of one operator, horizon and kind; keeps the last solution as the next first guess."""
+    """Solves `MPCProblem`s of one operator and shape; keeps the last solution as the next first guess."""
 
-    def __init__(
-        self, operator: OperatorParameters, n_steps: int, u_max: float, lowest_level: float, config: IpoptConfig
-    ) -> None:
-        """Build the NLP for plans in [0, `u_max`] on a machine that switches below `lowest_level`."""
-        self.operator, self.n_steps = operator, n_steps
-        n, r = n_steps, operator.order
+    def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: IpoptConfig) -> None:
+        """Build the NLP once."""
+        self.operator, self.shape = operator, shape
+        n, r, m = shape.n_steps, operator.order, shape.n_moves
         # Without a kink inside the range, power and heat are linear in u and every derivative is constant.
-        linear = lowest_level >= u_max
+        linear = shape.lowest_level >= shape.u_max
         heat = operator.actuator.heat
-        linear_dynamics = heat is None or heat.lowest_level >= u_max
+        linear_dynamics = heat is None or heat.lowest_level >= shape.u_max
         step = step_function(operator)
-        u, F, slack = ca.SX.sym("u", n), ca.SX.sym("F", r, n), ca.SX.sym("slack", n)
+        v, F, slack, peak = ca.SX.sym("v", m), ca.SX.sym("F", r, n), ca.SX.sym("slack", n), ca.SX.sym("peak")
         F_now, features = ca.SX.sym("F_now", r), ca.SX.sym("features", n, N_FEATURES)
         T_free, lower, upper = ca.SX.sym("T_free", n), ca.SX.sym("lower", n), ca.SX.sym("upper", n)
         price_W, fixed, per_u = ca.SX.sym("price_W", n), ca.SX.sym("fixed", n), ca.SX.sym("per_u", n)
-        comfort, curvature = ca.SX.sym("comfort"), ca.SX.sym("curvature")
+        weights, terminal, reached = ca.SX.sym("weights", 3), ca.SX.sym("terminal", r), ca.SX.sym("reached")
 
+        u = ca.vertcat(*[v[j] for j in shape.move_of_step.tolist()])
         dynamics = []
         for k in range(n):
             before = F_now if k == 0 else F[:, k - 1]
             dynamics.append(F[:, k] - step(before, u[k], features[k, :].T))
         T = T_free + ca.sum1(F).T
-        on_share = u / lowest_level if linear else ca.fmin(u / lowest_level, 1.0)
+        on_share = u / shape.lowest_level if linear else ca.fmin(u / shape.lowest_level, 1.0)
         power = fixed * on_share + per_u * u
-        objective = ca.dot(price_W, power) + comfort * ca.sum1(slack) + curvature * ca.dot(u, u)
-        decisions = ca.veccat(u, F, slack)
-        parameters = ca.veccat(F_now, features, T_free, lower, upper, price_W, fixed, per_u, comfort, curvature)
-        constraints = ca.veccat(*dynamics, T + slack - lower, upper - T + slack)
+        objective = ca.dot(price_W, power) + weights[0] * ca.sum1(slack) + weights[1] * ca.dot(u, u)
+        objective -= ca.dot(terminal, F[:, n - 1])
+        decisions = [v, ca.vec(F), slack]
+        constraints = [*dynamics, T + slack - lower, upper - T + slack]
+        if shape.peak:
+            objective += weights[2] * peak
+            decisions.append(peak)
+            constraints.append((reached + peak - power) / _PEAK_UNIT_W)
+        parameters = ca.veccat(
+            F_now, features, T_free, lower, upper, price_W, fixed, per_u, weights, terminal, reached
+        )  # fmt: skip
         options: dict[str, Any] = {
             "print_time": False,
             "ipopt": {
@@ -71,23 +77,27 @@ class IpoptSolver:
                 "tol": config.tolerance,
                 "max_wall_time": config.max_seconds,
                 "jac_c_constant": "yes" if linear_dynamics else "no",
-                "jac_d_constant": "yes",
+                "jac_d_constant": "yes" if linear or not shape.peak else "no",
                 "hessian_constant": "yes" if linear and linear_dynamics else "no",
             },
         }
-        nlp = {"x": decisions, "p": parameters, "f": objective, "g": constraints}
+        nlp = {"x": ca.veccat(*decisions), "p": parameters, "f": objective, "g": ca.veccat(*constraints)}
         self._solver = ca.nlpsol("thermoforce_mpc", "ipopt", nlp, options)
-        self._lbg = np.concatenate([np.zeros(n * r), np.zeros(2 * n)])
-        self._ubg = np.concatenate([np.zeros(n * r), np.full(2 * n, np.inf)])
+        free, extra = np.full(n * r, np.inf), 1 if shape.peak else 0
+        self._lbx = np.concatenate([np.zeros(m), -free, np.zeros(n + extra)])
+        self._ubx = np.concatenate([np.full(m, shape.u_max), free, np.full(n + extra, np.inf)])
+        self._lbg = np.zeros(n * r + (2 + extra) * n)
+        self._ubg = np.concatenate([np.zeros(n * r), np.full((2 + extra) * n, np.inf)])
         # A kink makes the power concave in u and local optima possible. Its convex envelope on [0, u_max] is the
         # straight line, so the linear problem, which has one optimum, gives a first guess near the best one.
         on_off = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
-        self._relaxed = None if linear else IpoptSolver(on_off, n_steps, u_max, u_max, config)
+        straight = replace(shape, lowest_level=shape.u_max)
+        self._relaxed = None if linear else IpoptSolver(on_off, straight, config)
         self._guess: Array | None = None
 
     def solve(self, problem: MPCProblem) -> Solution:
         """Solve one instance. A failure is a value: `ok` is False and `problem` says why."""
-        guesses = [np.full(self.n_steps, 0.3 * problem.u_max) if self._guess is None else self._guess]
+        guesses = [np.full(problem.n_steps, 0.3 * problem.u_max) if self._guess is None else self._guess]
         if self._relaxed:
             relaxed = self._relaxed.solve(straightened(problem))
             guesses += [relaxed.u] if relaxed.ok else []
@@ -102,7 +112,8 @@ class IpoptSolver:
 
     def _solve_from(self, problem: MPCProblem, u_guess: Array) -> Solution:
         p = problem
-        n, r = self.n_steps, self.operator.order
+        if not p.finite():
+            return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         parameters = np.concatenate(
             [
                 p.forced_state_K,
@@ -113,42 +124,30 @@ class IpoptSolver:
                 p.price_per_W,
                 p.power_fixed_W,
                 p.power_per_u_W,
-                [p.comfort_price, p.weights.curvature],
+                [p.comfort_price, p.weights.curvature, p.weights.peak],
+                p.terminal_price_per_K,
+                [p.peak_so_far_W],
             ]
         )
-        if not np.isfinite(parameters).all():
-            return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         result = self._solver(
-            x0=self._complete(p, u_guess),
-            p=parameters,
-            lbx=np.concatenate([np.zeros(n), np.full(n * r, -np.inf), np.zeros(n)]),
-            ubx=np.concatenate([np.full(n, p.u_max), np.full(n * r + n, np.inf)]),
-            lbg=self._lbg,
-            ubg=self._ubg,
+            x0=self._complete(p, u_guess), p=parameters, lbx=self._lbx, ubx=self._ubx, lbg=self._lbg, ubg=self._ubg
         )
         stats = self._solver.stats()
         status, iterations = str(stats["return_status"]), int(stats["iter_count"])
-        u = np.asarray(result["x"], dtype=np.float64).ravel()[:n]
-        trouble = self._trouble(status, u, p.u_max)
-        if trouble:
-            return Solution(False, np.empty(0), status, iterations, trouble)
-        return Solution(True, np.clip(u, 0.0, p.u_max), status, iterations)
+        if status not in _ACCEPTED:
+            return Solution(False, np.empty(0), status, iterations, f"Ipopt ended with {status}")
+        moves = np.asarray(result["x"], dtype=np.float64).ravel()[: self.shape.n_moves]
+        u = moves[self.shape.move_of_step]
+        return checked_solution(p, self.operator, u, float(result["f"]), status, iterations)
 
     def _complete(self, problem: MPCProblem, u: Array) -> Array:
-        """A first guess for all variables that is consistent with `u`."""
+        """A first guess for all variables that is consistent with the first level of `u` in each move."""
+        moves = u[self.shape.first_steps]
+        u = moves[self.shape.move_of_step]
         F = forced_rollout(self.operator, problem.forced_state_K, u, problem.features)
         slack = problem.slack_K(problem.T_free_C + F.sum(axis=-1))
-        return np.concatenate([u, F.ravel(), slack])
-
-    @staticmethod
-    def _trouble(status: str, u: Array, u_max: float) -> str:
-        if status not in _ACCEPTED:
-            return f"Ipopt ended with {status}"
-        if not np.isfinite(u).all():
-            return f"Ipopt reported {status} but the solution is not finite"
-        if u.min() < -_BOUND_TOLERANCE or u.max() > u_max + _BOUND_TOLERANCE:
-            return f"Ipopt reported {status} but u leaves its bounds (from {u.min():.4g} to {u.max():.4g})"
-        return ""
+        peak = [max(float(problem.power_W(u).max()) - problem.peak_so_far_W, 0.0)] if self.shape.peak else []
+        return np.concatenate([moves, F.ravel(), slack, peak])
 
 
 def straightened(problem: MPCProblem) -> MPCProblem:

@@ -13,9 +13,11 @@ from controllers.actuation import Actuation, ActuationConfig
 from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.ladder import Ladder, LadderConfig
-from controllers.problem import MPCProblem, Solution, Weights
+from controllers.problem import MPCProblem, ProblemShape, Solution, Weights, blocked_moves
+from controllers.qp import QPConfig, QPSolver
 from controllers.search import CandidateSearch, SearchConfig
 from thermoforce_mpc.errors import DataError, ThermoForceError
+from thermoforce_mpc.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.testcase import StrictModel
 from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus
@@ -25,25 +27,53 @@ from thermoforce_mpc.world_model import ThermalModel, WorldModel
 class FreeResponseConfig(StrictModel):
     """Which free response the plan is built on."""
 
-    name: str = Field("chronos", description="name in the registry of free responses")
+    name: str = Field("residual", description="name in the registry of free responses")
     options: dict[str, Any] = Field(default_factory=dict, description="its options, for example backbone: shipped")
+
+
+class ObjectiveConfig(StrictModel):
+    """What a plan pays for beside energy at the tariff."""
+
+    comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
+    carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
+    peak_price_per_kW: float = Field(
+        0.0, ge=0, description="price of each kW by which the highest mean power of a step so far is exceeded"
+    )
+    terminal_value: float = Field(
+        0.0, ge=0, le=1, description="worth of heat left in the building at the end, as a share of what it costs then"
+    )
+    curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
+
+
+class MovesConfig(StrictModel):
+    """Move blocking: near moves are free, later ones are held."""
+
+    free_h: float = Field(12.0, gt=0, description="every step of the first hours is a move of its own, h")
+    hold_h: float = Field(1.0, gt=0, description="later moves are held for this long, h")
 
 
 class MPCConfig(StrictModel):
     """Options of the MPC."""
 
+    step_s: float | None = Field(
+        None, ge=300, le=14400, description="control step, s; by default the step of the model"
+    )
     horizon_h: float = Field(24.0, gt=0, le=168, description="prediction horizon, h")
-    comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
-    comfort_margin_K: float = Field(0.05, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
+    comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
     backoff_level: float = Field(
-        0.1, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
+        0.3, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
     )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
-    curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
-    solver: Literal["ipopt", "search"] = Field("ipopt", description="Ipopt over the exported operator, or candidates")
+    solver: Literal["auto", "qp", "ipopt", "search"] = Field(
+        "auto", description="auto: quadratic programme where the problem is one, else Ipopt; search: the paper's"
+    )
+    objective: ObjectiveConfig = ObjectiveConfig()
+    moves: MovesConfig = MovesConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
     actuation: ActuationConfig = ActuationConfig()
     ladder: LadderConfig = LadderConfig()
+    qp: QPConfig = QPConfig()
     ipopt: IpoptConfig = IpoptConfig()
     search: SearchConfig = SearchConfig()
 
@@ -86,7 +116,7 @@ class ThermoForceMPC:
         """Build the problem once.
 
         Args:
-            model: identified thermal model; its step is the control step.
+            model: identified thermal model, at any step.
             config: options.
             free_response: use this one instead of the one named in `config`.
             name: name in reports.
@@ -95,13 +125,14 @@ class ThermoForceMPC:
             ControllerConfigError: the horizon is shorter than a step, or the actuation does not fit the step.
             BackboneError, ConfigError: the free response cannot be built.
         """
-        self.model, self.config, self._name = model, config or MPCConfig(), name
+        self.config, self._name = config or MPCConfig(), name
         c = self.config
-        step_s = model.operator.step_s
+        step_s = c.step_s or model.operator.step_s
+        self.model = model = replace(model, operator=model.operator.resampled(step_s))
         self._n_steps = round(c.horizon_h * HOUR_S / step_s)
         if self._n_steps < 1:
             raise ControllerConfigError(
-                f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one step of the model"
+                f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one control step"
                 f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
             )
         if c.actuation.mode == "duty" and step_s < 2 * c.actuation.block_s:
@@ -116,7 +147,13 @@ class ThermoForceMPC:
         lowest = self._actuation.lowest_level
         self._operator = replace(model.operator, actuator=model.operator.actuator.at_lowest_level(lowest))
         self._power = model.power.load.at_lowest_level(lowest)
-        self.world = WorldModel(model, free_response or _build_free_response(c.free_response, model))
+        self.world = WorldModel(
+            model,
+            free_response or _build_free_response(c.free_response, model),
+            estimator=ForcedStateEstimator(model.operator, config=c.estimator),
+        )
+        self._peak_W = 0.0
+        self._first_s: float | None = None
         mode = "heating" if self._operator.sign > 0 else "cooling"
         self._ladder = Ladder(c.ladder, self.step_s, self._actuation.highest, mode)
         self._solver = self._build_solver()
@@ -128,7 +165,7 @@ class ThermoForceMPC:
 
     @property
     def step_s(self) -> float:
-        """How long a plan is followed: the step of the model, s."""
+        """How long a plan is followed, s."""
         return self.model.operator.step_s
 
     @property
@@ -139,6 +176,7 @@ class ThermoForceMPC:
     def plan(self, observation: Observation) -> Plan:
         """Decide for the next step. Never raises for a failed forecast or solve: the ladder acts and says why."""
         began = time.perf_counter()
+        self._observe_peak(observation)
         try:
             problem, forecast = self._problem(observation)
         except _SURVIVABLE as error:
@@ -154,7 +192,15 @@ class ThermoForceMPC:
         c, actuation = self.config, self._actuation
         if c.solver == "search":
             return CandidateSearch(self._operator, self._n_steps, c.search)
-        return IpoptSolver(self._operator, self._n_steps, actuation.highest, actuation.lowest_level, c.ipopt)
+        shape = ProblemShape(
+            blocked_moves(self._n_steps, self.step_s, c.moves.free_h, c.moves.hold_h),
+            actuation.highest,
+            actuation.lowest_level,
+            peak=c.objective.peak_price_per_kW > 0,
+        )
+        if c.solver == "qp" or (c.solver == "auto" and shape.linear_in_u(self._operator)):
+            return QPSolver(self._operator, shape, c.qp)
+        return IpoptSolver(self._operator, shape, c.ipopt)
 
     def _problem(self, observation: Observation) -> tuple[MPCProblem, FreeForecast]:
         """Forecast, and put all numbers of this instance together."""
@@ -166,6 +212,8 @@ class ThermoForceMPC:
         T_free = outlook.free.median_C
         if T_free.shape != (self._n_steps,) or not np.isfinite(T_free).all():
             raise DataError(f"free response '{self.world.free_response.name}' is not {self._n_steps} finite values")
+        aims = c.objective
+        price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1])
         below = np.clip(T_free - outlook.free.quantile_C(c.backoff_level), 0.0, c.backoff_most_K)
         above = np.clip(outlook.free.quantile_C(1.0 - c.backoff_level) - T_free, 0.0, c.backoff_most_K)
@@ -177,15 +225,37 @@ class ThermoForceMPC:
             T_free_C=T_free,
             lower_C=boundary.lower_C[1:] + np.minimum(c.comfort_margin_K + below, half),
             upper_C=boundary.upper_C[1:] - np.minimum(c.comfort_margin_K + above, half),
-            price_per_kWh=boundary.price_per_kWh[:-1],
+            price_per_kWh=price,
             power_fixed_W=fixed_W,
             power_per_u_W=per_u_W,
             step_s=self.step_s,
             u_max=self._actuation.highest,
             lowest_level=self._actuation.lowest_level,
-            weights=Weights(c.comfort_weight, c.curvature),
+            weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
+            terminal_price_per_K=self._terminal_price(outlook.features[-1], price[-1] * (fixed_W + per_u_W)[-1]),
+            peak_so_far_W=self._peak_W,
         )
         return problem, outlook.free
+
+    def _terminal_price(self, features: Array, cost_per_kW_h: float) -> Array:
+        """What a kelvin of each mode is worth at the end, (r,): only the slowest keeps its heat beyond the horizon.
+
+        At a terminal value of 1 a kelvin there is worth what it costs to make it in the last step.
+        """
+        operator = self._operator
+        price = np.zeros(operator.order)
+        drive = float(operator.drive(np.array([self._actuation.highest]), features[None])[0])
+        per_step = cost_per_kW_h / 1000.0 * self.step_s / HOUR_S
+        price[-1] = self.config.objective.terminal_value * per_step / (operator.gains[-1] * drive)
+        return price
+
+    def _observe_peak(self, observation: Observation) -> None:
+        """Keep the highest mean power of a step since this controller took over."""
+        if self._first_s is None:
+            self._first_s = observation.time_s
+        power = observation.history.power_W[-1:]
+        if power.size and observation.time_s > self._first_s and np.isfinite(power[0]):
+            self._peak_W = max(self._peak_W, float(power[0]))
 
     def _accept(
         self,

@@ -47,17 +47,26 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
 
 
 REGISTRY: dict[str, Entry] = {
-    "thermoforce_mpc": _mpc_entry("Ipopt over frozen forecaster and forced-response operator; on/off duty blocks"),
+    "thermoforce_mpc": _mpc_entry(
+        "weather-aware free response with a frozen forecaster, forced-response operator, on/off duty blocks, 15 min",
+        step_s=900.0,
+    ),
     "thermoforce_paper": _mpc_entry(
-        "the same in the paper's setting: level held over the step, frozen forecaster on T - F",
+        "the paper's setting: frozen forecaster on T - F, level held over the test case's step, Ipopt",
+        solver="ipopt",
         actuation={"mode": "modulating"},
         free_response={"name": "chronos"},
     ),
-    "rc_mpc": _mpc_entry("the same operator, free response of a linear RC model", free_response={"name": "rc"}),
+    "rc_mpc": _mpc_entry(
+        "the same as thermoforce_mpc with the free response of a linear RC model",
+        step_s=900.0,
+        free_response={"name": "rc"},
+    ),
     "candidate_search": _mpc_entry(
         "the paper's search over candidate trajectories, level held over the step",
         solver="search",
         actuation={"mode": "modulating"},
+        free_response={"name": "chronos"},
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",

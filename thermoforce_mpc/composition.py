@@ -70,7 +70,7 @@ class Learned:
 def validate_scenario(scenario: Scenario) -> TestCase:
     """Check everything that can be checked before work starts; returns the test case. Raises `ConfigError`."""
     testcase = load_testcase(scenario.testcase)
-    controller_config(scenario.controller.name, scenario.controller.options, testcase)
+    controller_config(scenario.controller.name, controller_options(scenario, scenario.controller.name), testcase)
     if find_entry(scenario.controller.name).needs_model:
         identification_settings(scenario, testcase)
     for name in scenario.baselines:
@@ -105,6 +105,14 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     level = spec.forecast_uncertainty
     error = None if level == "none" else ForecastError(level, seed)
     return EmbeddedPlant(weather, highly_dynamic=tariff, forecast_error=error)
+
+
+def controller_options(scenario: Scenario, name: str) -> dict[str, Any]:
+    """Options of the controller `name` in this scenario: its own, then the scenario's control step."""
+    options = scenario.controller.options if name == scenario.controller.name else {}
+    if scenario.step_s is None or not find_entry(name).needs_model:
+        return dict(options)
+    return merge({"step_s": scenario.step_s}, options)
 
 
 def scored_period(plant: Plant, name: str, days: float) -> Period:
@@ -174,8 +182,8 @@ def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[Pro
     from thermoforce_mpc.identification.probing import ProbingConfig
 
     spec = scenario.identification
-    acting = [(scenario.controller.name, scenario.controller.options), *((name, {}) for name in scenario.baselines)]
-    configs = [controller_config(name, options, testcase) for name, options in acting]
+    acting = [scenario.controller.name, *scenario.baselines]
+    configs = [controller_config(name, controller_options(scenario, name), testcase) for name in acting]
     actuations = [config.actuation for config in configs if hasattr(config, "actuation")]
     held = [actuation.lowest_level for actuation in actuations if actuation.mode == "modulating"]
     defaults: dict[str, Any] = {}
@@ -251,13 +259,19 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
             display.say(_headline(plant, period, scenario))
             learned = _learn(scenario, testcase, plant, period, display) if find_entry(name).needs_model else None
             model = learned.model if learned else None
-            controller = build_controller(name, scenario.controller.options, testcase, model)
+            controller = build_controller(name, controller_options(scenario, name), testcase, model)
             before = _weight_hash(controller)
             result = _follow(plant, controller, period, scenario, testcase, display, records)
             forecaster = _frozen(controller, before)
             baselines = {
                 other: _follow(
-                    plant, build_controller(other, {}, testcase, model), period, scenario, testcase, display, records
+                    plant,
+                    build_controller(other, controller_options(scenario, other), testcase, model),
+                    period,
+                    scenario,
+                    testcase,
+                    display,
+                    records,
                 )
                 for other in scenario.baselines
                 if other != name

@@ -47,7 +47,7 @@ class Scenario(StrictModel):
     plant: PlantSpec = PlantSpec()
     period: str = Field("peak_heat_day", description="peak_heat_day, typical_heat_day, or a start day such as 44")
     days: float = Field(14.0, gt=0, le=365, description="scored days")
-    step_s: float | None = Field(None, ge=300, le=14400, description="control step of model-based controllers, s")
+    step_s: float | None = Field(None, ge=300, le=14400, description="control step of all model-based controllers, s; by default their own")
     price: Price = Field("constant", description="tariff")
     controller: ControllerSpec = ControllerSpec()
     identification: ProbingSpec = ProbingSpec()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from thermoforce_mpc.operator.rollout import forced_rollout
 from thermoforce_mpc.power import PowerModel
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import DAY_S, Array, Boundary, FreeForecast, History, Observation
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.forced_state import ForcedStateEstimator
 
 InitialForce = Literal["steady", "zero"]
 
@@ -125,16 +128,23 @@ class WorldModel:
         free_response: forecaster of the control-free series.
         initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
             does (F_t0 = 0); with modes of days the difference takes days to fade.
+        estimator: follows the forced state of one run step by step; by default it is rolled out anew at each call.
     """
 
     def __init__(
-        self, model: ThermalModel, free_response: FreeResponse, *, initial_force: InitialForce = "steady"
+        self,
+        model: ThermalModel,
+        free_response: FreeResponse,
+        *,
+        initial_force: InitialForce = "steady",
+        estimator: ForcedStateEstimator | None = None,
     ) -> None:
         if initial_force not in ("steady", "zero"):
             raise DataError(f"initial_force is '{initial_force}', expected 'steady' or 'zero'")
         self._model = model
         self._free_response = free_response
         self._initial_force: InitialForce = initial_force
+        self._estimator = estimator
 
     @property
     def model(self) -> ThermalModel:
@@ -152,6 +162,8 @@ class WorldModel:
 
     def forced_history(self, history: History) -> Array:
         """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K."""
+        if self._estimator is not None:
+            return self._estimator.update(history)
         return forced_history(self._model.operator, history, initial_force=self._initial_force)
 
     def forced_state(self, history: History) -> Array:
@@ -175,6 +187,8 @@ class WorldModel:
         if measured.size == 0:
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         free = self._free_response.forecast(free_C, history, boundary)
+        if self._estimator is not None:
+            self._estimator.expect(float(boundary.time_s[1]), free)
         starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return Outlook(
@@ -200,20 +214,8 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
     if n == 0:
         return np.zeros((1, operator.order))
     operator = operator.resampled(history.step_s)
-    measured = np.isfinite(history.heat_W) & (operator.actuator.heat is not None)
-    u = np.where(measured & ~np.isfinite(history.u), 0.0, history.u)  # not needed there
-    for name, values in (("u", u), ("T_out_C", history.T_out_C), ("solar_W_m2", history.solar_W_m2)):
-        gaps = np.flatnonzero(~np.isfinite(values))
-        if gaps.size:
-            raise DataError(f"history: {name} is not finite at step {gaps[0]} of {n} ({gaps.size} such): fill it first")
-    # Averaging blocks of full level over a step rounds to a hair beyond 1.
-    outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
-    if outside.size:
-        raise DataError(f"history: u is {u[outside[0]]:g} at step {outside[0]}, expected values in [0, 1]")
-    u = np.clip(u, 0.0, 1.0)
+    heat = heat_drive(operator, history, 0, n)
     T_zone = _held(history.T_zone_C)
-    heat = operator.actuator(u, history.T_out_C[:-1])
-    heat = np.where(measured, operator.sign * history.heat_W / operator.actuator.reference_W, heat)
     features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
     forced = np.empty((n + 1, operator.order))
     forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
@@ -221,6 +223,32 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
         features[t, 0] = T_zone[t] - forced[t].sum()
         forced[t + 1] = operator.poles * forced[t] + operator.gains * operator.modulation(features[t]) * heat[t]
     return forced
+
+
+def heat_drive(operator: OperatorParameters, history: History, start: int, stop: int) -> Array:
+    """v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,): from measured heat where there is any.
+
+    Raises:
+        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
+    """
+    steps = slice(start, stop)
+    heat_W, u = history.heat_W[steps], history.u[steps]
+    T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
+    measured = np.isfinite(heat_W) & (operator.actuator.heat is not None)
+    u = np.where(measured & ~np.isfinite(u), 0.0, u)  # not needed there
+    for name, values in (("u", u), ("T_out_C", T_out), ("solar_W_m2", solar)):
+        gaps = np.flatnonzero(~np.isfinite(values))
+        if gaps.size:
+            raise DataError(
+                f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
+                "fill it first"
+            )
+    # Averaging blocks of full level over a step rounds to a hair beyond 1.
+    outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
+    if outside.size:
+        raise DataError(f"history: u is {u[outside[0]]:g} at step {start + outside[0]}, expected values in [0, 1]")
+    heat = operator.actuator(np.clip(u, 0.0, 1.0), T_out[:-1])
+    return np.where(measured, operator.sign * heat_W / operator.actuator.reference_W, heat)
 
 
 def _steady_start(operator: OperatorParameters, heat: Array, features: Array) -> Array:

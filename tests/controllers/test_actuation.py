@@ -16,18 +16,20 @@ def mean_level(blocks) -> float:
     return sum(b.u * b.duration_s for b in blocks) / sum(b.duration_s for b in blocks)
 
 
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=40), st.sampled_from([300.0, 900.0]))
-def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s):
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=40), st.sampled_from([300.0, 900.0]), st.sampled_from([900.0, HOUR])
+)
+def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, step_s):
     actuation = Actuation(ActuationConfig(block_s=block_s, min_on_s=900.0, min_off_s=900.0))
     states = []
     for u in levels:
-        blocks = actuation.realise(u, HOUR)
-        assert sum(b.duration_s for b in blocks) == pytest.approx(HOUR)
+        blocks = actuation.realise(u, step_s)
+        assert sum(b.duration_s for b in blocks) == pytest.approx(step_s)
         for block in blocks:
             assert block.u in (0.0, 1.0)
             assert block.duration_s % block_s == 0
             states += [block.u] * round(block.duration_s / block_s)
-    # Runs of one state, but for the last which the end of the test cuts.
+    # Runs of one state, but for the first (the machine had been off before) and the last, which the test cuts.
     runs, length = [], 1
     for before, now in itertools.pairwise(states):
         if now == before:
@@ -35,14 +37,14 @@ def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s):
         else:
             runs.append(length)
             length = 1
-    assert all(run * block_s >= 900.0 for run in runs)
+    assert all(run * block_s >= 900.0 for run in runs[1:])
 
 
 def test_shares_too_small_to_realise_are_owed_until_they_are_large_enough():
     actuation = Actuation(ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0))
-    given_s = [sum(b.duration_s for b in actuation.realise(0.05, HOUR) if b.u) for _ in range(40)]
+    given_s = [sum(b.duration_s for b in actuation.realise(0.03, HOUR) if b.u) for _ in range(40)]
     assert given_s[0] == 0.0
-    assert sum(given_s) == pytest.approx(40 * 0.05 * HOUR, abs=600.0)
+    assert sum(given_s) == pytest.approx(40 * 0.03 * HOUR, abs=600.0)
 
 
 def test_nothing_is_owed_to_a_plan_that_wants_the_machine_off():
@@ -61,6 +63,13 @@ def test_a_running_machine_keeps_running_at_the_start_of_the_next_step():
 def test_modulating_is_off_or_at_least_the_lowest_level(u, held):
     (block,) = Actuation(ActuationConfig(mode="modulating", lowest_level=0.3)).realise(u, HOUR)
     assert (block.u, block.duration_s) == (held, HOUR)
+
+
+def test_blocks_shorter_than_the_minimum_are_finished_in_the_next_step():
+    actuation = Actuation(ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0))
+    first, second = actuation.realise(1 / 3, 900.0), actuation.realise(0.0, 900.0)
+    assert [(b.u, b.duration_s) for b in first] == [(0.0, 600.0), (1.0, 300.0)]
+    assert [(b.u, b.duration_s) for b in second] == [(1.0, 300.0), (0.0, 600.0)], "on for its minimum, then off"
 
 
 def test_duty_at_a_partial_level_scales_the_share():

@@ -147,7 +147,7 @@ def test_a_silent_sensor_is_survived_without_inventing_a_temperature():
 
 
 def test_a_horizon_shorter_than_a_step_is_refused_with_advice():
-    with pytest.raises(ControllerConfigError, match=r"horizon_h: 0\.25 h is shorter than one step"):
+    with pytest.raises(ControllerConfigError, match=r"horizon_h: 0\.25 h is shorter than one control step"):
         controller(horizon_h=0.25)
 
 

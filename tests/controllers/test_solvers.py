@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.problem import MPCProblem, Weights
+from controllers.problem import MPCProblem, ProblemShape, Weights, every_step
 from controllers.search import CandidateSearch, SearchConfig
 from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
 
@@ -42,6 +42,7 @@ def random_problem(rng: np.random.Generator, order: int, lowest: float = 1.0, cu
         u_max=1.0,
         lowest_level=lowest,
         weights=Weights(5.0, curvature),
+        terminal_price_per_K=np.zeros(order),
     )
 
 
@@ -61,7 +62,7 @@ def linear_programme_optimum(problem: MPCProblem, operator: OperatorParameters) 
 def test_ipopt_finds_the_optimum_of_the_linear_programme(order):
     rng = np.random.default_rng(order)
     operator = random_operator(rng, order)
-    solver = IpoptSolver(operator, N, 1.0, 1.0, IpoptConfig())
+    solver = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     for _ in range(5):
         problem = random_problem(rng, order)
         solution = solver.solve(problem)
@@ -83,7 +84,7 @@ def test_the_numpy_objective_counts_the_fixed_part_while_on():
 def test_ipopt_is_never_worse_than_the_candidates_when_levels_are_held():
     rng = np.random.default_rng(3)
     operator = random_operator(rng, 2)
-    ipopt = IpoptSolver(operator, N, 1.0, 0.3, IpoptConfig())
+    ipopt = IpoptSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), IpoptConfig())
     search = CandidateSearch(operator, N, SearchConfig())
     for _ in range(5):
         problem = random_problem(rng, 2, lowest=0.3, curvature=1e-6)
@@ -98,7 +99,7 @@ def test_numbers_that_are_not_finite_are_a_failed_solve_not_an_action():
     operator = random_operator(rng, 1)
     problem = random_problem(rng, 1)
     broken = MPCProblem(**{**problem.__dict__, "T_free_C": np.full(N, np.nan)})
-    solver = IpoptSolver(operator, N, 1.0, 1.0, IpoptConfig())
+    solver = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     solution = solver.solve(broken)
     assert (solution.ok, solution.u.size) == (False, 0)
     assert "not finite" in solution.problem
@@ -108,7 +109,9 @@ def test_numbers_that_are_not_finite_are_a_failed_solve_not_an_action():
 def test_too_few_iterations_are_a_failed_solve():
     rng = np.random.default_rng(2)
     operator = random_operator(rng, 1)
-    solution = IpoptSolver(operator, N, 1.0, 1.0, IpoptConfig(max_iterations=1)).solve(random_problem(rng, 1))
+    solution = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig(max_iterations=1)).solve(
+        random_problem(rng, 1)
+    )
     assert not solution.ok
     assert solution.status == "Maximum_Iterations_Exceeded"
 

@@ -20,7 +20,7 @@ from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, 
 
 # From a room's air to a massive structure, h.
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
-_SHORTEST_HISTORY_S = DAY_S
+SHORTEST_HISTORY_S = DAY_S
 # Weights of the priors in units of one squared kelvin of misfit; the data have hundreds of them.
 _RIDGE_WEATHER = 0.1
 _RIDGE_WAVE = 1.0
@@ -51,7 +51,7 @@ def fit_linear_weather(free_C: Array, history: History, boundary: Boundary) -> L
         DataError: less than a day of history, weather that is not finite, or history and forecast of different steps.
     """
     step_s = boundary.step_s
-    if history.n_steps * step_s < _SHORTEST_HISTORY_S:
+    if history.n_steps * step_s < SHORTEST_HISTORY_S:
         raise DataError(f"linear weather model needs a day of history, got {history.n_steps * step_s / HOUR_S:g} h")
     if abs(history.step_s - step_s) > 1e-6:
         raise DataError(f"history at {history.step_s:g} s and forecast at {step_s:g} s differ in step")

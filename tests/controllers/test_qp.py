@@ -1,0 +1,155 @@
+"""The quadratic programme: the same optimum as Ipopt, a second solver behind the first, and no trust in a status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_solvers import N, linear_programme_optimum, random_operator, random_problem
+
+from controllers.errors import ControllerConfigError
+from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
+from controllers.qp import QPConfig, QPSolver, _Answer
+from thermoforce_mpc.operator.actuator import ActuatorMap, OnLoad
+
+SHAPES = {
+    "every step": ProblemShape(every_step(N)),
+    "blocked": ProblemShape(blocked_moves(N, 3600.0, 4.0, 3.0)),
+    "peak": ProblemShape(every_step(N), peak=True),
+}
+
+
+def full_problem(rng: np.random.Generator, order: int, *, peak: bool):
+    problem = random_problem(rng, order, curvature=1e-6)
+    weights = Weights(5.0, 1e-6, 2e-4 if peak else 0.0)
+    terminal = rng.uniform(0.0, 0.05, order)
+    return replace(problem, weights=weights, terminal_price_per_K=terminal, peak_so_far_W=1500.0)
+
+
+@pytest.mark.parametrize("backend", ["piqp", "clarabel"])
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_the_optimum_is_ipopts(shape, backend):
+    rng = np.random.default_rng(5)
+    operator = random_operator(rng, 3)
+    qp = QPSolver(operator, shape, QPConfig(backends=(backend,)))
+    ipopt = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10))
+    for _ in range(4):
+        problem = full_problem(rng, 3, peak=shape.peak)
+        ours, reference = qp.solve(problem), ipopt.solve(problem)
+        assert ours.ok, ours.problem
+        assert reference.ok, reference.problem
+        best = float(problem.cost(operator, reference.u))
+        assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+
+
+def test_it_finds_the_optimum_of_the_linear_programme():
+    rng = np.random.default_rng(11)
+    operator = random_operator(rng, 2)
+    solver = QPSolver(operator, ProblemShape(every_step(N)), QPConfig())
+    for _ in range(5):
+        problem = random_problem(rng, 2)
+        best = linear_programme_optimum(problem, operator)
+        assert float(problem.cost(operator, solver.solve(problem).u)) == pytest.approx(best, rel=1e-6)
+
+
+def test_steps_of_one_move_share_their_level():
+    rng = np.random.default_rng(6)
+    operator, shape = random_operator(rng, 1), SHAPES["blocked"]
+    u = QPSolver(operator, shape, QPConfig()).solve(full_problem(rng, 1, peak=False)).u
+    assert shape.move_of_step.tolist() == [0, 1, 2, 3, 4, 4, 4, 5, 5, 5, 6, 6]
+    for move in range(4, shape.n_moves):
+        assert np.ptp(u[shape.move_of_step == move]) == 0.0
+
+
+def test_a_priced_peak_is_lower():
+    rng = np.random.default_rng(7)
+    operator = random_operator(rng, 2)
+    problem = full_problem(rng, 2, peak=True)
+    free = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(replace(problem, weights=Weights(5.0, 1e-6)))
+    dear = QPSolver(operator, SHAPES["peak"], QPConfig()).solve(replace(problem, weights=Weights(5.0, 1e-6, 1.0)))
+    assert problem.power_W(dear.u).max() < problem.power_W(free.u).max() - 100.0
+
+
+def test_what_is_left_at_the_end_is_worth_something():
+    rng = np.random.default_rng(8)
+    operator = random_operator(rng, 2)
+    problem = random_problem(rng, 2, curvature=1e-6)
+    # Too warm already, so that heat is worth nothing within the horizon.
+    problem = replace(problem, T_free_C=np.full(N, 22.0), forced_state_K=np.zeros(2), upper_C=np.full(N, 30.0))
+    solver = QPSolver(operator, SHAPES["every step"], QPConfig())
+    spent = problem.power_W(solver.solve(problem).u).sum()
+    kept = replace(problem, terminal_price_per_K=np.array([0.0, 100.0]))
+    assert spent == pytest.approx(0.0, abs=1.0)
+    assert problem.power_W(solver.solve(kept).u).sum() > 1000.0
+
+
+def broken_solver(x, *, solved: bool = True):
+    return lambda programme: _Answer(solved, x(programme), "claims", 1)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (broken_solver(lambda q: np.full(q.linear.size, np.nan)), "not finite"),
+        (broken_solver(lambda q: np.full(q.linear.size, 2.0)), "leaves its bounds"),
+        # All off, with no slack: comfort is violated, and the objective says nothing of it.
+        (broken_solver(lambda q: np.zeros(q.linear.size)), "but its levels cost"),
+        (broken_solver(lambda q: np.zeros(q.linear.size), solved=False), "ended with claims"),
+    ],
+)
+def test_the_second_solver_acts_when_the_first_lies_or_fails(answer, reason):
+    rng = np.random.default_rng(9)
+    operator, shape = random_operator(rng, 2), SHAPES["every step"]
+    problem = random_problem(rng, 2, curvature=1e-6)
+    solver = QPSolver(operator, shape, QPConfig())
+    solver._solve_with["piqp"] = answer
+    solution = solver.solve(problem)
+    assert solution.ok
+    assert solution.status == "clarabel:Solved"
+    solver._solve_with["clarabel"] = answer
+    failed = solver.solve(problem)
+    assert (failed.ok, failed.u.size) == (False, 0)
+    assert failed.problem.count(reason) == 2, failed.problem
+
+
+def test_a_failed_solve_does_not_spoil_the_next():
+    rng = np.random.default_rng(10)
+    operator = random_operator(rng, 2)
+    problem = random_problem(rng, 2, curvature=1e-6)
+    solver = QPSolver(operator, SHAPES["every step"], QPConfig())
+    first = solver.solve(problem)
+    refused = solver.solve(replace(problem, price_per_kWh=np.full(N, np.nan)))
+    assert not refused.ok
+    assert "not finite" in refused.problem
+    np.testing.assert_array_equal(solver.solve(problem).u, first.u)
+
+
+def test_a_problem_that_is_not_convex_is_refused_with_advice():
+    operator = random_operator(np.random.default_rng(0), 1)
+    with pytest.raises(ControllerConfigError, match="use actuation mode duty, or solver: ipopt"):
+        QPSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), QPConfig())
+    heat = OnLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
+    with pytest.raises(ControllerConfigError, match="not convex"):
+        QPSolver(replace(operator, actuator=ActuatorMap(heat=heat)), ProblemShape(every_step(N)), QPConfig())
+
+
+def test_a_heat_map_of_an_on_off_machine_is_convex_and_scales_what_the_heat_adds():
+    rng = np.random.default_rng(12)
+    heat = OnLoad((1000.0, 20.0, 9000.0, 200.0), (-10.0, 20.0), lowest_level=1.0)
+    operator = replace(random_operator(rng, 2), actuator=ActuatorMap(heat=heat))
+    problem = random_problem(rng, 2, curvature=1e-6)
+    ours = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(problem)
+    reference = IpoptSolver(operator, SHAPES["every step"], IpoptConfig(tolerance=1e-10)).solve(problem)
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+
+
+def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():
+    rng = np.random.default_rng(13)
+    operator, problem = random_operator(rng, 1), random_problem(rng, 1)
+    u = np.full(N, 0.5)
+    cost = float(problem.cost(operator, u))
+    assert checked_solution(problem, operator, u, cost, "ok", 1).ok
+    assert not checked_solution(problem, operator, u, 0.9 * cost, "ok", 1).ok
