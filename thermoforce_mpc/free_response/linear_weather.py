@@ -12,7 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.checks import LEVELS, checked_free, quantiles_from_errors
@@ -70,9 +72,19 @@ def fit_linear_weather(free_C: Array, history: History, boundary: Boundary) -> L
     long_run[:modes] = _LONG_RUN_GAIN_WEIGHT
     A = np.vstack([columns[known], np.diag(np.sqrt(ridge)), long_run])
     b = np.concatenate([free_C[known], np.zeros(ridge.size), [_LONG_RUN_GAIN_WEIGHT]])
-    weights = lsq_linear(A, b, bounds=(lower, np.inf)).x
+    weights = _bounded_least_squares(A, b, lower)
     course = columns @ weights
     return LinearFit(course[: free_C.size], course[free_C.size :], weights)
+
+
+def _bounded_least_squares(A: Array, b: Array, lower: Array) -> Array:
+    """The weights ≥ `lower` with the least |A w − b|, by way of the normal equations: thousands of rows, few columns.
+
+    The ridge rows of A make them positive definite.
+    """
+    R = cholesky(A.T @ A)
+    z = solve_triangular(R, A.T @ b, trans="T")
+    return np.asarray(lsq_linear(R, z, bounds=(lower, np.inf)).x)
 
 
 class LinearWeather:
@@ -105,10 +117,11 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
     hour_angle = 2 * np.pi * time_s / DAY_S
     drives = np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1)
     mean = 0.5 * (drives[:-1] + drives[1:])
+    first = drives[0] * np.array([1.0, 0.0])
     states = np.empty((time_s.size, poles.size, 2))
-    states[0] = drives[0] * np.array([1.0, 0.0])
-    for t in range(time_s.size - 1):
-        states[t + 1] = poles[:, None] * states[t] + (1.0 - poles)[:, None] * mean[t]
+    states[0] = first
+    for mode, pole in enumerate(poles):
+        states[1:, mode] = lfilter([1.0 - pole], [1.0, -pole], mean, axis=0, zi=pole * first[None])[0]
     waves = [f(k * hour_angle) for k in (1, 2) for f in (np.cos, np.sin)]
     start = poles[None, :] ** np.arange(time_s.size)[:, None]
     columns = np.concatenate(
