@@ -63,8 +63,9 @@ class QPSolver:
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: QPConfig) -> None:
         if not shape.linear_in_u(operator):
             raise ControllerConfigError(
-                "solver qp: power or heat is not proportional to u in this actuation, so the problem is not convex; "
-                "use actuation mode duty, or solver: ipopt"
+                "solver qp: power or heat is not proportional to u in this actuation, or the gain depends on the "
+                "predicted temperature, so the problem is not convex; use actuation mode duty with a model of "
+                "features: free, or solver: ipopt"
             )
         self.operator, self.shape, self.config = operator, shape, config
         n, r, m = shape.n_steps, operator.order, shape.n_moves

@@ -10,7 +10,7 @@ from operators import HEAT_MAP, random_operator
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.rc import RcFreeResponse, RcParameters
-from thermoforce_mpc.operator import linear_operator
+from thermoforce_mpc.operator import forced_rollout, linear_operator, time_of_day
 from thermoforce_mpc.types import Boundary, FreeForecast, History, Observation
 from thermoforce_mpc.world_model import ThermalModel, WorldModel, forced_history
 
@@ -232,3 +232,17 @@ def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
         np.testing.assert_allclose(forced_history(operator, replace(base, heat_W=heat)), by_map, rtol=1e-9)
         more = forced_history(operator, replace(base, heat_W=1.5 * heat), initial_force="zero")
         assert sign * (more - forced_history(operator, base, initial_force="zero"))[-1, 0] > 0
+
+
+def test_total_features_see_the_measured_temperature_in_the_past():
+    operator = replace(random_operator(3, 2, scale=0.2, actuator=HEAT_MAP), feature_temperature="total")
+    history = make_history()
+    forced = forced_history(operator, history, initial_force="zero")
+    for t in range(history.n_steps):
+        x = np.array([history.T_zone_C[t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
+        drive = operator.modulation(x) * HEAT_MAP(history.u[t], history.T_out_C[t])
+        np.testing.assert_allclose(forced[t + 1], operator.poles * forced[t] + operator.gains * drive, atol=1e-12)
+    outlook = WorldModel(ThermalModel(operator), HoldLast()).outlook(Observation(history, make_boundary(history)))
+    fan = outlook.counterfactuals(np.array([0.0, 0.5, 1.0]))
+    one = forced_rollout(operator, outlook.forced_K, np.full(24, 0.5), outlook.features).sum(-1)
+    np.testing.assert_allclose(fan.forced_K[1], one, atol=1e-12)

@@ -160,6 +160,7 @@ def _document(model: ThermalModel, arrays_sha256: str) -> dict[str, Any]:
             "gamma": op.gamma,
             "sign": op.sign,
             "step_s": op.step_s,
+            "feature_temperature": op.feature_temperature,
             "actuator": dataclasses.asdict(op.actuator),
             "time_constants_h": op.time_constants_h,
             "steady_gains_K": op.steady_gains_K,
@@ -203,6 +204,8 @@ def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> Thermal
             gamma=float(op["gamma"]),
             sign=int(op["sign"]),
             step_s=float(op["step_s"]),
+            # Models from before there was a choice saw the free temperature.
+            feature_temperature=op.get("feature_temperature", "free"),
             actuator=ActuatorMap(
                 heat=None if heat is None else _load(heat), reference_C=float(op["actuator"]["reference_C"])
             ),

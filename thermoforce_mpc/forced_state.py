@@ -92,7 +92,7 @@ class ForcedStateEstimator:
         features = feature_matrix(
             np.array([free_C]), history.T_out_C[t : t + 1], history.solar_W_m2[t : t + 1], history.time_s[t : t + 1]
         )
-        added = operator.gains * operator.modulation(features) * heat
+        added = operator.gains * operator.modulation(operator.seen(features, before)) * heat
         forced = operator.poles * before + added
         if not self.config.correct:
             return np.asarray(forced)

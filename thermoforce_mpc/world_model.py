@@ -221,7 +221,7 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
     forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
     for t in range(n):
         features[t, 0] = T_zone[t] - forced[t].sum()
-        forced[t + 1] = operator.poles * forced[t] + operator.gains * operator.modulation(features[t]) * heat[t]
+        forced[t + 1] = operator.advance(forced[t], heat[t], features[t])
     return forced
 
 
@@ -259,7 +259,7 @@ def _steady_start(operator: OperatorParameters, heat: Array, features: Array) ->
     forced = operator.steady_gains_K * heat.mean()
     for _ in range(_START_ROUNDS):
         features[:, 0] = T_zone - forced.sum()
-        forced = operator.steady_gains_K * np.mean(operator.modulation(features) * heat)
+        forced = operator.steady_gains_K * np.mean(operator.modulation(operator.seen(features, forced)) * heat)
     return np.asarray(forced)
 
 

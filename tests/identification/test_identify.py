@@ -228,3 +228,42 @@ def test_time_constants_given_set_order_and_prior():
     assert config.orders() == (2,)
     model = identify([record(HOUSE, 2.0)], config=config)
     assert model.operator.order == 2
+
+
+def test_features_of_the_total_temperature_are_certified_or_refused():
+    house = replace(HOUSE, slope_per_K=0.06, machine_W=(0.0, 10000.0))
+    pairs = [make_pair(house, seed) for seed in range(4)]
+
+    def found(**options):
+        config = IdentificationConfig(order=1, actuator="identity", features="total", epochs=60, **options)
+        return identify(pairs=pairs, config=config)
+
+    model = found(gamma=0.3)
+    assert model.operator.feature_temperature == "total"
+    assert model.operator.sees_forced == bool(model.card.scores["modulation_kept"])
+    assert certificate(model.operator).certified
+    linear = identify(pairs=pairs, config=replace_config(LINEAR, features="total"))
+    assert not linear.operator.sees_forced
+
+
+def replace_config(config: IdentificationConfig, **changes) -> IdentificationConfig:
+    return config.model_copy(update=changes)
+
+
+def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
+    """Training does not usually end there, so the network is swapped for one that does."""
+    from thermoforce_mpc.identification import train as training
+
+    trained = training.train
+
+    def steep(*args, **kwargs):
+        result = trained(*args, **kwargs)
+        weights = np.zeros_like(result.operator.hidden_weight)
+        weights[:, 0] = 40.0
+        operator = replace(result.operator, hidden_weight=weights, output_weight=np.full(32, -10.0))
+        return replace(result, operator=operator, score=0.0)
+
+    monkeypatch.setattr(training, "train", steep)
+    config = IdentificationConfig(order=1, features="total", epochs=2)
+    with pytest.raises(DataError, match=r"not certified: the modulation sees .* per K"):
+        identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)

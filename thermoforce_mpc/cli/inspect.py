@@ -43,6 +43,12 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         f"Certificate: {'CERTIFIED' if proof.certified else 'NOT CERTIFIED'}; sign {proof.sign:+d}, "
         f"modulation within [{low:.3f}, {high:.3f}]"
     )
+    if proof.feature_temperature == "total":
+        least, most = proof.feedback_slope_per_K
+        say(
+            "  the modulation sees the predicted temperature; proven with its feedback v dm/dT within "
+            f"[{least:.4f}, {most:.4f}] per K, for the {len(proof.effect_low_K)} steps below"
+        )
     effects = Table(title="One full step of action changes the zone by, K (proven interval)", title_justify="left")
     effects.add_column("hours later", justify="right")
     effects.add_column("at least", justify="right")

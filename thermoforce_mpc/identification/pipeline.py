@@ -30,8 +30,9 @@ from thermoforce_mpc.identification.modes import ModePriors, mode_priors, to_ope
 from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
 from thermoforce_mpc.identification.two_stage import fit_two_stage
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
+from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
-from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.operator.parameters import FeatureTemperature, OperatorParameters
 from thermoforce_mpc.power import HEAT_SLOPE, POWER_SLOPE, PowerModel, fit_load
 from thermoforce_mpc.types import HOUR_S, Array, History
 from thermoforce_mpc.world_model import ModelCard, ThermalModel, forced_history
@@ -152,7 +153,7 @@ def identify(
             feature_scale=scale,
         )
 
-    operator = linear(final)
+    operator = replace(linear(final), feature_temperature=config.features)
     scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
     scores["explained_by_actuation"] = explained
@@ -160,8 +161,10 @@ def identify(
     if config.modulation == "neural":
         operator, neural = _modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural
+    operator = operator.resampled(step_s or base_step)
+    _prove(operator)
     return ThermalModel(
-        operator=operator.resampled(step_s or base_step),
+        operator=operator,
         power=_power(histories, config),
         free=final.free_model(step_s or base_step, config) if runs else None,
         card=ModelCard(
@@ -331,9 +334,9 @@ def _normalisation(histories: Sequence[History]) -> tuple[Array, Array]:
     return stacked.mean(axis=0), np.maximum(stacked.std(axis=0), _LEAST_SCALE)
 
 
-def _features(operator: OperatorParameters, history: History) -> Array:
-    """x_t of each step of a run, with T − F by the linear operator (F feeds no gradient: features exclude it)."""
-    forced = forced_history(operator, history).sum(axis=1)
+def _features(operator: OperatorParameters, history: History, temperature: FeatureTemperature) -> Array:
+    """x_t of each step of a run: T − F by the linear operator (F feeds no gradient), or T as it was measured."""
+    forced = forced_history(operator, history).sum(axis=1) if temperature == "free" else 0.0
     free = history.T_zone_C - forced
     steps = np.arange(free.size)
     known = np.isfinite(free)
@@ -354,7 +357,7 @@ def _modulate(
     from thermoforce_mpc.identification.train import TrainingEpisode, train
 
     base = linear(final)
-    features = [tuple(_features(base, h) for h in c.histories) for c in cases]
+    features = [tuple(_features(base, h, config.features) for h in c.histories) for c in cases]
     free = np.concatenate([x[:, 0] for xs in features for x in xs])
     mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
     mean[0], scale[0] = free.mean(), max(float(free.std()), float(_LEAST_SCALE[0]))
@@ -375,9 +378,18 @@ def _modulate(
         "modulation_kept": float(search.worth_it),
     }
     if not search.worth_it:
-        return started(final), scores
+        return replace(started(final), feature_temperature=config.features), scores
     everything = [whole(c.episode) for c in cases]
-    return train(started(final), episodes(final, everything), priors, config).operator, scores
+    # Trained on measured temperatures as features, so nothing recurs; in use the predicted one takes their place.
+    trained = train(started(final), episodes(final, everything), priors, config).operator
+    return replace(trained, feature_temperature=config.features), scores
+
+
+def _prove(operator: OperatorParameters) -> None:
+    """Refuse an operator whose effect has no proven sign: only `features: total` can lead to one."""
+    proof = certificate(operator)
+    if not proof.certified:
+        raise DataError(f"the identified operator is not certified: {'; '.join(proof.reasons)}")
 
 
 def _uncertainty(fit: JointFit) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap, OnLoad
 from thermoforce_mpc.operator.certificate import Certificate, certificate
 from thermoforce_mpc.operator.features import FEATURES, feature_matrix, time_of_day
+from thermoforce_mpc.operator.feedback import FeedbackBounds, feedback_bounds, modulation_slope
 from thermoforce_mpc.operator.parameters import GAMMA, HIDDEN, OperatorParameters, linear_operator
 from thermoforce_mpc.operator.rollout import forced_rollout, marginal_effect
 
@@ -13,12 +14,15 @@ __all__ = [
     "IDENTITY",
     "ActuatorMap",
     "Certificate",
+    "FeedbackBounds",
     "OnLoad",
     "OperatorParameters",
     "certificate",
     "feature_matrix",
+    "feedback_bounds",
     "forced_rollout",
     "linear_operator",
     "marginal_effect",
+    "modulation_slope",
     "time_of_day",
 ]

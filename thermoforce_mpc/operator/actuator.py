@@ -121,6 +121,12 @@ class ActuatorMap:
         low, high = self.heat.slope_bounds()
         return low / self.reference_W, high / self.reference_W
 
+    def largest(self) -> float:
+        """Largest v over u in [0, 1] and the outdoor range: full actuation at the end that delivers more."""
+        if self.heat is None:
+            return 1.0
+        return max(sum(float(part) for part in self.heat.parts(T)) for T in self.heat.T_out_range_C) / self.reference_W
+
     def at_lowest_level(self, lowest_level: float) -> ActuatorMap:
         """The same map for another actuation, see `OnLoad.at_lowest_level`."""
         return self if self.heat is None else replace(self, heat=self.heat.at_lowest_level(lowest_level))

@@ -7,7 +7,7 @@ from typing import TypeVar
 import casadi as ca
 
 from thermoforce_mpc.operator.actuator import ActuatorMap, OnLoad
-from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR
+from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.operator.parameters import OperatorParameters
 
 Expression = TypeVar("Expression", ca.SX, ca.MX)
@@ -40,9 +40,10 @@ def modulation_function(params: OperatorParameters) -> ca.Function:
 
 
 def step_function(params: OperatorParameters) -> ca.Function:
-    """`F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) → F_next (r,) K."""
+    """`F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
     F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
-    drive = modulation_function(params)(x) * actuator_expression(params.actuator, u, x[OUTDOOR])
+    seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.sees_forced else x
+    drive = modulation_function(params)(seen) * actuator_expression(params.actuator, u, x[OUTDOOR])
     F_next = ca.DM(params.poles) * F + ca.DM(params.gains) * drive
     return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
 

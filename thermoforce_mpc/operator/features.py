@@ -1,6 +1,7 @@
-"""The features x_t of the modulation (paper eq:mod): the state of zone and weather, never the control and never F.
+"""The features x_t of the modulation (paper eq:mod): the state of zone and weather, never the control.
 
-That `u` and `F` stay out is what makes the effect of an action exactly `a^k g m(x_t)` (paper eq:marginal).
+That `u` and `F` stay out is what makes the effect of an action exactly `a^k g m(x_t)` (paper eq:marginal). An operator
+whose `feature_temperature` is 'total' adds F to the first column itself, and has to be certified for it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ FEATURES: tuple[str, ...] = ("free_temperature_C", "outdoor_temperature_C", "sol
 """Order of the columns: T − F in °C, outdoor °C, global horizontal W/m², cos(2π(hour − 15)/24)."""
 
 N_FEATURES = len(FEATURES)
+ZONE = FEATURES.index("free_temperature_C")
 OUTDOOR = FEATURES.index("outdoor_temperature_C")
 
 _WARMEST_HOUR = 15.0

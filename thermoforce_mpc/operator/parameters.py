@@ -10,13 +10,16 @@ the fastest decay the impulse response only grows, so it never crosses zero, at 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from typing import Literal
 
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
-from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR
+from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.types import HOUR_S, Array
+
+FeatureTemperature = Literal["free", "total"]
 
 HIDDEN = 32
 GAMMA = 0.75
@@ -46,6 +49,9 @@ class OperatorParameters:
         step_s: length of the step the poles and gains belong to, s.
         pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2), not overlapping.
         actuator: v(u, T_out) in front of the modes.
+        feature_temperature: which zone temperature m(x) sees: 'free' is T − F (the paper's), 'total' is T itself, as
+            predicted. With 'total' past actions change the gain of later ones: see `operator.feedback` for what can
+            still be proven.
 
     Raises:
         DataError: a shape or value is not allowed; the message names the field.
@@ -64,6 +70,7 @@ class OperatorParameters:
     gamma: float = GAMMA
     sign: int = 1
     actuator: ActuatorMap = field(default=IDENTITY)
+    feature_temperature: FeatureTemperature = "free"
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -111,6 +118,10 @@ class OperatorParameters:
             raise DataError(f"operator: gamma is {self.gamma}, expected a value in [0, 1)")
         if not (self.feature_scale > 0).all():
             raise DataError(f"operator: feature_scale {self.feature_scale.tolist()} is not positive")
+        if self.feature_temperature not in ("free", "total"):
+            raise DataError(
+                f"operator: feature_temperature is '{self.feature_temperature}', expected 'free' or 'total'"
+            )
         if not self.step_s > 0:
             raise DataError(f"operator: step_s is {self.step_s}, expected a positive number of seconds")
 
@@ -150,14 +161,41 @@ class OperatorParameters:
         hidden = np.tanh(x @ self.hidden_weight.T + self.hidden_bias)
         return np.asarray(1.0 + self.gamma * np.tanh(hidden @ self.output_weight + self.output_bias))
 
+    @property
+    def sees_forced(self) -> bool:
+        """Whether the modulation depends on F: then a rollout is not linear in the drive."""
+        # A constant modulation sees nothing, whatever it is shown.
+        connected = (self.output_weight != 0.0) & (self.hidden_weight[:, ZONE] != 0.0)
+        return self.feature_temperature == "total" and self.gamma > 0.0 and bool(connected.any())
+
+    def seen(self, features: Array, forced_K: Array) -> Array:
+        """`features` (..., 4) with T − F in them, as the modulation sees them at the forced state `forced_K` (..., r).
+
+        Callers always give T − F: with `feature_temperature` 'total', F is added here and nowhere else.
+        """
+        features = np.asarray(features, dtype=np.float64)
+        if self.feature_temperature == "free":
+            return features
+        forced = np.asarray(forced_K, dtype=np.float64).sum(axis=-1)
+        lead = np.broadcast_shapes(features.shape[:-1], forced.shape)
+        features = np.array(np.broadcast_to(features, (*lead, N_FEATURES)))
+        features[..., ZONE] += forced
+        return features
+
     def drive(self, u: Array, features: Array) -> Array:
-        """m(x_t) · v(u_t, T_out,t), the scalar that enters every mode; `u` (..., N), `features` (..., N, 4)."""
+        """m(x_t) · v(u_t, T_out,t), the scalar that enters every mode; `u` (..., N), `features` (..., N, 4) as seen."""
         features = np.asarray(features, dtype=np.float64)
         return self.modulation(features) * self.actuator(u, features[..., OUTDOOR])
 
+    def advance(self, forced_K: Array, heat: Array, features: Array) -> Array:
+        """One step under v = `heat` (...): `forced_K` (..., r) K, `features` (..., 4) with T − F → (..., r) K."""
+        drive = self.modulation(self.seen(features, forced_K)) * heat
+        return np.asarray(self.poles * forced_K + self.gains * np.asarray(drive)[..., None])
+
     def step(self, forced_K: Array, u: Array, features: Array) -> Array:
-        """One step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) → (..., r) K."""
-        return np.asarray(self.poles * forced_K + self.gains * self.drive(u, features)[..., None])
+        """One step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) with T − F → (..., r) K."""
+        features = np.asarray(features, dtype=np.float64)
+        return self.advance(forced_K, self.actuator(u, features[..., OUTDOOR]), features)
 
     def resampled(self, step_s: float) -> OperatorParameters:
         """The same operator at another step: exact where v and m are constant over the longer of the two steps."""

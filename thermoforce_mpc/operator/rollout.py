@@ -18,7 +18,7 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
         params: the operator; its step is the step of `u`.
         F0: forced state now, shape (..., r), K.
         u: planned control, acting over each step, shape (..., N), in [0, 1].
-        features: x_t at the start of each step, shape (..., N, 4), physical units.
+        features: x_t at the start of each step, shape (..., N, 4), physical units; the zone's column is always T − F.
 
     Returns:
         Shape (..., N, r), K; the sum over the last axis is the forced response F.
@@ -35,6 +35,8 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
         raise DataError(f"forced rollout: F0 has shape {F0.shape}, expected (..., {params.order})")
     if not (np.isfinite(u).all() and np.isfinite(F0).all() and np.isfinite(features).all()):
         raise DataError("forced rollout: u, F0 and features must be finite")
+    if params.sees_forced:
+        return _stepwise(params, F0, u, features)
     drive = params.drive(u, features)
     lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
     drive = np.broadcast_to(drive, (*lead, drive.shape[-1]))
@@ -46,9 +48,29 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
     return np.stack(modes, axis=-1)
 
 
+def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
+    """The recursion step by step, all candidates at once: m(x) depends on where the actions have led."""
+    lead = np.broadcast_shapes(u.shape[:-1], features.shape[:-2], F0.shape[:-1])
+    n = u.shape[-1]
+    forced = np.empty((*lead, n, params.order))
+    state = np.broadcast_to(F0, (*lead, params.order))
+    for t in range(n):
+        state = params.step(state, u[..., t], features[..., t, :])
+        forced[..., t, :] = state
+    return forced
+
+
 def marginal_effect(params: OperatorParameters, features: Array, n_steps: int) -> Array:
     """∂F(t+k)/∂v(t) for k = 1 … `n_steps` at the features x_t (4,), shape (n_steps,), K (paper eq:marginal).
 
     The paper's a^k counts the steps after the action's own step has ended: lag k here is a^(k−1) g m(x_t).
+
+    Raises:
+        DataError: the modulation sees F, so that the effect depends on the whole plan.
     """
+    if params.sees_forced:
+        raise DataError(
+            "marginal effect: this operator's modulation sees the predicted temperature, so an action's effect depends "
+            "on the rest of the plan; use the difference of two rollouts, or the bounds of its certificate"
+        )
     return np.asarray(params.impulse(n_steps) * params.modulation(features))

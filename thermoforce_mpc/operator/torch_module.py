@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from thermoforce_mpc.operator.actuator import ActuatorMap
-from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR
-from thermoforce_mpc.operator.parameters import OperatorParameters, initial_weight
+from thermoforce_mpc.operator.features import N_FEATURES, OUTDOOR, ZONE
+from thermoforce_mpc.operator.parameters import FeatureTemperature, OperatorParameters, initial_weight
 from thermoforce_mpc.types import Array
 
 # How close to a bound a pole may start: its logit must stay finite for the gradient to live.
@@ -51,6 +51,7 @@ class ForcedResponseOperator(nn.Module):
         self.sign = params.sign
         self.step_s = params.step_s
         self.actuator: ActuatorMap = params.actuator
+        self.feature_temperature: FeatureTemperature = params.feature_temperature
 
     @property
     def poles(self) -> Tensor:
@@ -86,9 +87,27 @@ class ForcedResponseOperator(nn.Module):
         return (on * (c0 + c1 * T) + u * (c2 + c3 * T)) / self.actuator.reference_W
 
     def forward(self, F0: Tensor, u: Tensor, features: Tensor) -> Tensor:
-        """Forced state after each step, K: `F0` (..., r), `u` (..., N), `features` (..., N, 4) → (..., N, r)."""
+        """Forced state after each step, K: `F0` (..., r), `u` (..., N), `features` (..., N, 4) → (..., N, r).
+
+        The zone's column of `features` is T − F; with `feature_temperature` 'total', F is added step by step.
+        """
+        if self.feature_temperature == "total":
+            return self._stepwise(F0, self.heat(u, features[..., OUTDOOR]), features)
         drive = self.modulation(features) * self.heat(u, features[..., OUTDOOR])
         return self.respond(F0, drive)
+
+    def _stepwise(self, F0: Tensor, heat: Tensor, features: Tensor) -> Tensor:
+        """The recursion for a modulation that sees F."""
+        state, out = F0, []
+        for t in range(heat.shape[-1]):
+            total = features[..., t, ZONE] + state.sum(-1)
+            weather = features[..., t, ZONE + 1 :]
+            weather = weather.expand(*torch.broadcast_shapes(total.shape, weather.shape[:-1]), weather.shape[-1])
+            seen = torch.cat([total.expand(weather.shape[:-1])[..., None], weather], dim=-1)
+            drive = self.modulation(seen) * heat[..., t]
+            state = self.poles * state + self.gains * drive[..., None]
+            out.append(state)
+        return torch.stack(out, dim=-2)
 
     def respond(self, F0: Tensor, drive: Tensor) -> Tensor:
         """The modes' answer to a drive m·v (..., N), from `F0` (..., r): one product with a matrix of pole powers."""
@@ -122,4 +141,5 @@ class ForcedResponseOperator(nn.Module):
             step_s=self.step_s,
             pole_bounds=bounds,
             actuator=self.actuator,
+            feature_temperature=self.feature_temperature,
         )
