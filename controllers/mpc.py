@@ -58,10 +58,10 @@ class MPCConfig(StrictModel):
     step_s: float | None = Field(
         None, ge=300, le=14400, description="control step, s; by default the step of the model"
     )
-    horizon_h: float = Field(24.0, gt=0, le=168, description="prediction horizon, h")
+    horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
     comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
     backoff_level: float = Field(
-        0.3, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
+        0.2, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
     )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
     solver: Literal["auto", "qp", "ipopt", "search"] = Field(

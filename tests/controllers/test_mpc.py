@@ -19,7 +19,8 @@ from thermoforce_mpc.types import HOUR_S, Observation, PlanStatus
 
 
 def controller(free=None, **options) -> ThermoForceMPC:
-    return ThermoForceMPC(simple_model(), MPCConfig(**options), free_response=free or OutdoorResponse())
+    config = MPCConfig(**{"horizon_h": 24.0, **options})
+    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse())
 
 
 def observation(house: SimpleHouse | None = None) -> Observation:
@@ -55,7 +56,7 @@ def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
         load = replace(model.power.load, lowest_level=0.3)
         mpc = ThermoForceMPC(
             replace(model, power=replace(model.power, load=load)),
-            MPCConfig(solver=solver, actuation={"mode": mode}),
+            MPCConfig(solver=solver, actuation={"mode": mode}, horizon_h=24),
             free_response=OutdoorResponse(),
         )
     else:

@@ -74,16 +74,28 @@ def _selected(backbone: str = "shipped", context_steps: int = 512) -> FreeRespon
     return SelectedFreeResponse(candidates, first="chronos")
 
 
-def _calibrated(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+def _calibrated(method: str = "selected", backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
     from thermoforce_mpc.free_response.calibrated import CalibratedFreeResponse
 
-    return CalibratedFreeResponse(_selected(backbone, context_steps))
+    if method not in _WITH_BACKBONE:
+        raise ConfigError(
+            f"free response 'calibrated': method '{method}' is not one of {', '.join(_WITH_BACKBONE)}"
+            f"{suggestion(method, _WITH_BACKBONE)}"
+        )
+    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps))
 
 
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 
     return ChronosFreeResponse(backbone, context_steps)
+
+
+_WITH_BACKBONE: dict[str, Callable[[str, int], FreeResponse]] = {
+    "selected": _selected,
+    "residual": _residual,
+    "chronos": _chronos,
+}
 
 
 def _rc(*, model: ThermalModel | None) -> FreeResponse:
