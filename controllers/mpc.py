@@ -11,6 +11,7 @@ from pydantic import Field
 
 from controllers.actuation import Actuation, ActuationConfig
 from controllers.errors import ControllerConfigError
+from controllers.held_levels import HeldLevelsConfig, HeldLevelSolver
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.ladder import Ladder, LadderConfig
 from controllers.problem import MPCProblem, ProblemShape, Solution, Weights, blocked_moves
@@ -64,8 +65,10 @@ class MPCConfig(StrictModel):
         0.2, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
     )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
-    solver: Literal["auto", "qp", "ipopt", "search"] = Field(
-        "auto", description="auto: quadratic programme where the problem is one, else Ipopt; search: the paper's"
+    solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(
+        "auto",
+        description="qp: quadratic programme (duty); held_levels: one per first level (modulating); ipopt; search: the "
+        "paper's candidates; auto: the first of qp, held_levels and ipopt that fits the problem",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
     moves: MovesConfig = MovesConfig()
@@ -74,6 +77,7 @@ class MPCConfig(StrictModel):
     actuation: ActuationConfig = ActuationConfig()
     ladder: LadderConfig = LadderConfig()
     qp: QPConfig = QPConfig()
+    held_levels: HeldLevelsConfig = HeldLevelsConfig()
     ipopt: IpoptConfig = IpoptConfig()
     search: SearchConfig = SearchConfig()
 
@@ -198,8 +202,17 @@ class ThermoForceMPC:
             actuation.lowest_level,
             peak=c.objective.peak_price_per_kW > 0,
         )
-        if c.solver == "qp" or (c.solver == "auto" and shape.linear_in_u(self._operator)):
+        chosen = c.solver
+        if chosen == "auto":
+            convex = replace(shape, lowest_level=shape.u_max).linear_in_u(
+                replace(self._operator, actuator=self._operator.actuator.at_lowest_level(1.0))
+            )
+            duty = shape.linear_in_u(self._operator)
+            chosen = "qp" if duty else "held_levels" if convex and self._n_steps > 1 else "ipopt"
+        if chosen == "qp":
             return QPSolver(self._operator, shape, c.qp)
+        if chosen == "held_levels":
+            return HeldLevelSolver(self._operator, shape, c.held_levels, c.qp)
         return IpoptSolver(self._operator, shape, c.ipopt)
 
     def _problem(self, observation: Observation) -> tuple[MPCProblem, FreeForecast]:

@@ -51,6 +51,11 @@ REGISTRY: dict[str, Entry] = {
         "weather-aware free response with a frozen forecaster, forced-response operator, on/off duty blocks, 15 min",
         step_s=900.0,
     ),
+    "thermoforce_hourly": _mpc_entry(
+        "the same with a level held over an hour, off or at least 0.7 (below that a heat pump loses most)",
+        step_s=3600.0,
+        actuation={"mode": "modulating", "lowest_level": 0.7},
+    ),
     "thermoforce_paper": _mpc_entry(
         "the paper's setting: frozen forecaster on T - F, level held over the test case's step, Ipopt",
         solver="ipopt",

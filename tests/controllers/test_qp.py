@@ -128,7 +128,7 @@ def test_a_failed_solve_does_not_spoil_the_next():
 
 def test_a_problem_that_is_not_convex_is_refused_with_advice():
     operator = random_operator(np.random.default_rng(0), 1)
-    with pytest.raises(ControllerConfigError, match="use actuation mode duty .*or solver: ipopt"):
+    with pytest.raises(ControllerConfigError, match=r"use actuation mode duty .*or solver: ipopt"):
         QPSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), QPConfig())
     heat = OnLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match="not convex"):

@@ -1,0 +1,111 @@
+"""Plans for a machine whose level is held over a step and which is either off or at least at its lowest level.
+
+Off or a level is a choice no convex problem can make. Only the first step is acted on, so only there the choice has to
+be exact: each of a few levels is tried in it, with its own heat and power, and the rest of the horizon is the convex
+problem of a machine that switches, which is the cheapest way to bring a given heat and what later steps can come near
+to by being off or on as a whole. That is one quadratic programme per level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from controllers.ipopt import straightened
+from controllers.problem import MPCProblem, ProblemShape, Solution
+from controllers.qp import QPConfig, QPSolver
+from thermoforce_mpc.operator.actuator import ActuatorMap
+from thermoforce_mpc.operator.features import OUTDOOR
+from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import Array
+
+
+class HeldLevelsConfig(StrictModel):
+    """Which levels are tried in the first step."""
+
+    n_levels: int = Field(8, ge=2, le=50, description="levels from the lowest to the highest, besides off")
+
+
+class HeldLevelSolver:
+    """Solves `MPCProblem`s of one operator and shape by trying levels in the first step.
+
+    Raises:
+        ControllerConfigError: the horizon is a single step, or the rest of the problem is not convex either.
+    """
+
+    def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: HeldLevelsConfig, qp: QPConfig):
+        self.operator, self.shape = operator, shape
+        self._levels = np.concatenate([[0.0], np.linspace(shape.lowest_level, shape.u_max, config.n_levels)])
+        switching = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
+        later = shape.move_of_step[1:] - shape.move_of_step[1]
+        self._later = QPSolver(switching, replace(shape, move_of_step=later, lowest_level=shape.u_max), qp)
+
+    def solve(self, problem: MPCProblem) -> Solution:
+        """The cheapest first level with the best continuation. A failure is a value, as in every solver."""
+        if not problem.finite():
+            return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
+        best, least, failures, iterations = None, np.inf, [], 0
+        for level in self._levels:
+            later = straightened(after_first_step(problem, self.operator, float(level)))
+            solution = self._later.solve(later)
+            iterations += solution.iterations
+            if not solution.ok:
+                failures.append(f"u = {level:.2f}: {solution.problem}")
+                continue
+            cost = first_step_cost(problem, self.operator, float(level)) + later.cost(self._later.operator, solution.u)
+            if cost < least:
+                best, least = (float(level), solution), float(cost)
+        if best is None:
+            return Solution(False, np.empty(0), "no level", iterations, "; ".join(failures))
+        level, solution = best
+        T_out = problem.features[1:, OUTDOOR]
+        u = np.concatenate([[level], held_level(self.operator.actuator, solution.u, T_out, self.shape.u_max)])
+        return Solution(True, u, f"held level, {solution.status}", iterations)
+
+
+def after_first_step(problem: MPCProblem, operator: OperatorParameters, level: float) -> MPCProblem:
+    """The problem that remains when the first step was held at `level`."""
+    p = problem
+    return replace(
+        p,
+        forced_state_K=operator.step(p.forced_state_K, np.asarray(level), p.features[0]),
+        features=p.features[1:],
+        T_free_C=p.T_free_C[1:],
+        lower_C=p.lower_C[1:],
+        upper_C=p.upper_C[1:],
+        price_per_kWh=p.price_per_kWh[1:],
+        power_fixed_W=p.power_fixed_W[1:],
+        power_per_u_W=p.power_per_u_W[1:],
+        peak_so_far_W=max(p.peak_so_far_W, float(_first_power_W(p, level))),
+    )
+
+
+def first_step_cost(problem: MPCProblem, operator: OperatorParameters, level: float) -> float:
+    """What the first step costs at `level`: energy, discomfort at its end, and the peak it sets, currency."""
+    p = problem
+    power_W = _first_power_W(p, level)
+    T = p.T_free_C[0] + operator.step(p.forced_state_K, np.asarray(level), p.features[0]).sum()
+    slack = max(p.lower_C[0] - T, T - p.upper_C[0], 0.0)
+    peak = p.weights.peak * max(power_W - p.peak_so_far_W, 0.0)
+    return float(p.price_per_W[0] * power_W + p.comfort_price * slack + peak + p.weights.curvature * level**2)
+
+
+def held_level(actuator: ActuatorMap, share: Array, T_out_C: Array, u_max: float) -> Array:
+    """The level whose heat is that of running for `share` (N,) of the step at full level, shape (N,)."""
+    if actuator.heat is None:
+        return np.asarray(share, dtype=np.float64)
+    heat = actuator.heat
+    fixed_W, per_u_W = heat.parts(T_out_C)
+    wanted_W = np.asarray(share) * heat(np.ones_like(T_out_C), T_out_C)
+    lowest_W = fixed_W + per_u_W * heat.lowest_level
+    above = (wanted_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf)
+    below = wanted_W / (fixed_W / heat.lowest_level + per_u_W)
+    return np.clip(np.where(wanted_W >= lowest_W, above, below), 0.0, u_max)
+
+
+def _first_power_W(problem: MPCProblem, level: float) -> float:
+    on = min(level / problem.lowest_level, 1.0)
+    return float(problem.power_fixed_W[0] * on + problem.power_per_u_W[0] * level)
