@@ -178,6 +178,9 @@ def test_forecast_errors_are_seeded_and_leave_the_plant_alone(weather, level):
 
 def test_a_long_horizon_is_refused_under_uncertainty(weather):
     plant = EmbeddedPlant(weather, forecast_error=ForecastError("low", 1))
+    plant.reset(100 * DAY_S, 0)
+    plant.advance(0.0, 900.0)
+    assert plant.forecast(48 * 3600, 900.0).n_steps == 192, "48 h from now, whatever the minute"
     with pytest.raises(InputError, match="beyond 48 h"):
         plant.forecast(72 * 3600, 3600)
 

@@ -73,7 +73,8 @@ class ForecastError:
         """
         hour = math.floor(time_s[0] / HOUR_S)
         ahead_h = time_s / HOUR_S - hour
-        if ahead_h[-1] > MAX_HORIZON_H + 1e-9:
+        # Counted from now, as the service does; errors begin with the full hour and hold beyond their last one.
+        if (time_s[-1] - time_s[0]) / HOUR_S > MAX_HORIZON_H + 1e-9:
             raise InputError(f"forecast horizon beyond {MAX_HORIZON_H} h: not available with forecast uncertainty")
         rng = np.random.default_rng([self._seed, hour])
         at_hours = np.arange(MAX_HORIZON_H + 1)
