@@ -34,7 +34,8 @@ class IdentificationConfig(StrictModel):
     )
     gamma: float = Field(0.75, ge=0, lt=1, description="bound of the modulation, eq:mod")
     hidden: int = Field(32, ge=1, le=512, description="hidden units of the modulation")
-    epochs: int = Field(350, ge=1, le=5000, description="epochs of Adam")
+    optimiser: Literal["lbfgs", "adam"] = Field("lbfgs", description="how the modulation is trained")
+    epochs: int = Field(350, ge=1, le=5000, description="epochs of training, at most")
     learning_rate: float = Field(0.01, gt=0, description="learning rate of Adam")
     modulation_sd: float | None = Field(
         None, gt=0, description="prior: how far m(x) leaves 1; by default 0.15, and 0.05 behind a heat map"
@@ -59,7 +60,7 @@ class IdentificationConfig(StrictModel):
 
     sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")
     disturbance_sd_K: tuple[float, ...] = Field(
-        (0.02, 0.2, 1.0), description="what weather inputs leave unexplained, by time constant, K"
+        (0.02, 0.2, 2.0), description="what weather inputs leave unexplained, by time constant, K"
     )
     disturbance_hours: tuple[float, ...] = Field((0.5, 3.0, 50.0), description="these time constants, h")
 

@@ -69,6 +69,11 @@ class Episode:
     inputs: Array
 
     @property
+    def n_steps(self) -> int:
+        """Steps of the run or pair."""
+        return int(self.drives[0][1].size)
+
+    @property
     def is_pair(self) -> bool:
         """Whether this is a difference of two runs, in which the free part cancels."""
         return self.inputs.size == 0

@@ -24,6 +24,8 @@ _WEAK_GAIN_K = (2.0, 2.0)
 # A slab lets next to nothing through at once; without a delay mode in front, the first mode acts at once.
 _DELAYED_SLOPE_K_PER_H = (0.0, 0.1)
 _DIRECT_SLOPE_K_PER_H = (0.5, 0.7)
+# A gain that was found to be zero may still move by this much, K or K/h.
+_LEAST_GAIN_SD = 1e-3
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,19 @@ def mode_priors(
         gain_mean=np.array([mean for mean, _ in known]),
         gain_sd=np.array([sd for _, sd in known]),
         slowest_rate=rate,
+    )
+
+
+def centred_priors(priors: ModePriors, log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:
+    """Priors around what a fit found: `log_tau` (r,) and `gains` (r,) [slope K/h, G_2 … G_r K], held closely."""
+    gain_sd = np.maximum(relative_sd * np.abs(gains), _LEAST_GAIN_SD)
+    rate = float(gains[-1] / np.exp(log_tau[-1]))
+    return ModePriors(
+        log_tau=np.asarray(log_tau, dtype=np.float64),
+        log_tau_sd=relative_sd,
+        gain_mean=np.asarray(gains, dtype=np.float64),
+        gain_sd=gain_sd,
+        slowest_rate=(rate, max(relative_sd * rate, _LEAST_GAIN_SD)),
     )
 
 
