@@ -19,6 +19,7 @@ from controllers.qp import QPConfig, QPSolver
 from controllers.search import CandidateSearch, SearchConfig
 from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.forced_state import EstimatorConfig, ForcedStateEstimator
+from thermoforce_mpc.operator.features import ZONE
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.testcase import StrictModel
 from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus
@@ -286,6 +287,7 @@ class ThermoForceMPC:
             status=PlanStatus.SOLVED,
             why=_reason(problem, problem.T_free_C + forced_K, slack_K, forecast),
             u=u,
+            T_free_now_C=float(problem.features[0, ZONE]),
             T_free_C=problem.T_free_C,
             T_forced_K=forced_K,
             T_free_low_C=forecast.quantile_C(0.1),

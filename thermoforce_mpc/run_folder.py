@@ -68,6 +68,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
                 "solver_status": plan.solver_status,
                 "iterations": plan.iterations,
                 "u_planned": plan.u[0] if plan.u.size else None,
+                "T_free_now_C": plan.T_free_now_C if plan.u.size else None,
                 "T_free_next_C": plan.T_free_C[0] if plan.u.size else None,
                 "T_free_low_next_C": plan.T_free_low_C[0] if plan.u.size else None,
                 "T_free_high_next_C": plan.T_free_high_C[0] if plan.u.size else None,

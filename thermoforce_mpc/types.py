@@ -224,13 +224,14 @@ class Plan:
     planned `u`, predicted
     `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
     predicted `power_W`;
-    they are empty for rules. `why` is one sentence a person can read; `solver_status` is the solver's own word.
+    they are empty for rules. `T_free_now_C` is the control-free temperature the plan starts from. `why` is one sentence a person can read; `solver_status` is the solver's own word.
     """
 
     blocks: tuple[Block, ...]
     status: PlanStatus
     why: str
     u: Array = field(default_factory=lambda: np.empty(0))
+    T_free_now_C: float = float("nan")
     T_free_C: Array = field(default_factory=lambda: np.empty(0))
     T_forced_K: Array = field(default_factory=lambda: np.empty(0))
     T_free_low_C: Array = field(default_factory=lambda: np.empty(0))

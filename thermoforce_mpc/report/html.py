@@ -12,9 +12,10 @@ import pandas as pd
 from markupsafe import Markup
 
 from thermoforce_mpc.closed_loop import RunResult
-from thermoforce_mpc.report.forecast_check import forecast_errors
+from thermoforce_mpc.report.forecast_check import forecast_errors, free_forecast_scores
 from thermoforce_mpc.report.plots import actuation_plot, kpi_plot, temperature_plot
 from thermoforce_mpc.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.types import HOUR_S
 
 KPI_LABELS = {
     "cost_tot": ("Cost", "{currency}/m²"),
@@ -45,6 +46,7 @@ def write_report(
         actuation=Markup(actuation_plot(trajectory, currency)),
         comparison=Markup(kpi_plot(everyone, currency)),
         forecast=forecast_errors(result),
+        free_forecast=free_forecast_scores(result),
         events=events.to_dict("records"),
         ladder=result.ladder(),
         sentences=_sentences(steps),
@@ -76,5 +78,7 @@ def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> lis
 
 
 def _sentences(steps: pd.DataFrame) -> list[dict[Hashable, Any]]:
-    """The reasons of the first day's plans: what a reader needs to learn how the controller thinks."""
-    return steps.head(24)[["time_s", "T_zone_C", "u_planned", "why"]].to_dict("records")
+    """The reasons of the first day's plans, one an hour: what a reader needs to learn how the controller thinks."""
+    hour = ((steps.time_s - steps.time_s.iloc[0]) // HOUR_S).astype(int)
+    hourly = steps[~hour.duplicated()]
+    return hourly.head(24)[["time_s", "T_zone_C", "u_planned", "why"]].to_dict("records")
