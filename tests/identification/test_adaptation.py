@@ -1,0 +1,124 @@
+"""The operator follows a building that changes, and only where the data say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, random_levels, record
+
+from thermoforce_mpc.configuration import validate
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
+from thermoforce_mpc.operator import certificate
+
+HOUSE = House(machine_W=(0.0, 10000.0), slope_per_K=0.0)
+LINEAR = IdentificationConfig(order=3, modulation="linear")
+ON = AdaptationConfig(enabled=True)
+STEP_S = 3600.0
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["heat unknown", "heat measured"])
+def measured(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def model(measured):
+    return identify(
+        [record(HOUSE, 5.0, noise_K=0.01, heat_measured=measured)], config=LINEAR, floor_area_m2=190.0, step_s=STEP_S
+    )
+
+
+def _degrading(measured: bool, to: float = 0.8, days: float = 24.0, u=None):
+    """A run whose machine gives `to` of its heat after the first third."""
+    n = round(days * 24)
+    u = random_levels(n, 4, hold=4) if u is None else u
+    left = np.where(np.arange(n) < n // 3, 1.0, to)
+    run = record(HOUSE, days, STEP_S, seed=4, u=u * left, noise_K=0.01, heat_measured=measured)
+    return replace(run, u=u)
+
+
+def _effect(operator) -> float:
+    """What six hours of full actuation have done after a day, K."""
+    v = operator.actuator(np.ones(6), np.zeros(6))
+    return float(np.convolve(operator.impulse(24), v)[23])
+
+
+def test_a_machine_that_weakens_by_a_fifth_is_noticed(model, measured):
+    run = _degrading(measured)
+    adaptation = OnlineAdaptation(model, ON)
+    before = adaptation.update(run.tail(run.n_steps))  # all of it at once
+    fixed, adapted = _effect(model.operator), _effect(before.operator)
+    assert adapted / fixed == pytest.approx(0.8, abs=0.06)
+    third = [s for s in adaptation.steps if s.time_s <= run.time_s[run.n_steps // 3]]
+    assert third[-1].gain * third[-1].heat == pytest.approx(1.0, abs=0.06), "nothing had changed by then"
+    last = adaptation.steps[-1]
+    if measured:
+        assert last.heat == pytest.approx(0.8, abs=0.05)
+        assert last.gain == pytest.approx(1.0, abs=0.06), "the building is as it was"
+    else:
+        assert last.heat == 1.0
+    assert certificate(before.operator).certified
+    assert {s.outcome for s in adaptation.steps} == {"updated", "not informative"}
+
+
+def test_step_by_step_is_the_same_as_at_once(model, measured):
+    run = _degrading(measured, days=3.0)
+    whole, piecewise = OnlineAdaptation(model, ON), OnlineAdaptation(model, ON)
+    whole.update(run)
+    for n in range(1, run.n_steps + 1):
+        part = replace(
+            run,
+            **{k: getattr(run, k)[: n + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
+            **{k: getattr(run, k)[:n] for k in ("u", "power_W", "heat_W")},
+        )
+        piecewise.update(part)
+    assert [s.time_s for s in piecewise.steps] == [s.time_s for s in whole.steps]
+    for a, b in zip(piecewise.steps, whole.steps, strict=True):
+        assert (a.outcome, a.gain, a.heat) == (b.outcome, pytest.approx(b.gain, abs=0.01), pytest.approx(b.heat))
+
+
+def test_off_by_default(model, measured):
+    adaptation = OnlineAdaptation(model)
+    assert adaptation.update(_degrading(measured)) is model
+    assert adaptation.steps == ()
+
+
+def test_weeks_without_excitation_leave_everything_as_it_is(model, measured):
+    run = _degrading(measured, u=np.full(24 * 24, 0.35))
+    adaptation = OnlineAdaptation(model, ON)
+    operator = adaptation.update(run).operator
+    assert {s.outcome for s in adaptation.steps} == {"not informative"}
+    assert len({s.gain_sd for s in adaptation.steps}) == 1, "nothing is forgotten for want of data"
+    np.testing.assert_allclose(operator.poles, model.operator.poles, rtol=1e-12)
+    # Measured heat needs no excitation: it is compared with the map directly.
+    assert adaptation.steps[-1].heat == (pytest.approx(0.8, abs=0.05) if measured else 1.0)
+
+
+def test_bounds_are_kept_whatever_happens(model, measured):
+    config = AdaptationConfig(enabled=True, gain_bounds=(0.9, 1.1), forgetting_days=2.0, time_constant_sd=1.0)
+    adaptation = OnlineAdaptation(model, config)
+    operator = adaptation.update(_degrading(measured, to=0.1)).operator
+    assert min(s.gain for s in adaptation.steps) >= 0.9 - 1e-12
+    assert min(s.heat for s in adaptation.steps) >= 0.9 - 1e-12
+    low, high = model.operator.pole_bounds.T
+    assert np.all((operator.poles >= low) & (operator.poles <= high))
+    assert certificate(operator).certified
+
+
+def test_a_silent_sensor_is_not_learned_from(model, measured):
+    run = _degrading(measured, days=2.0)
+    adaptation = OnlineAdaptation(model, ON)
+    T = np.array(run.T_zone_C)
+    T[1:] = np.nan
+    adaptation.update(replace(run, T_zone_C=T))
+    assert {s.outcome for s in adaptation.steps} == {"not measured"}
+    np.testing.assert_array_equal(adaptation.model.operator.gains, model.operator.gains)
+
+
+def test_bounds_must_hold_the_identified_gain():
+    with pytest.raises(ConfigError, match="hold 1 between them"):
+        validate(AdaptationConfig, {"gain_bounds": [1.1, 1.5]}, "adaptation")
