@@ -28,7 +28,8 @@ if TYPE_CHECKING:  # the world model is loaded only when a controller needs it
     from thermoforce_mpc.identification.probing import ProbingConfig
     from thermoforce_mpc.world_model import ThermalModel
 
-_NAMED_PERIODS = ("peak_heat_day", "typical_heat_day")
+# BOPTEST's names; the plant knows which of them it has.
+_NAMED_PERIODS = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day")
 
 
 class StepFollower(Protocol):
@@ -79,7 +80,7 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     if scenario.plant.kind == "embedded" and not testcase.embedded:
         raise ConfigError(
             f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
-            "give the address of a BOPTEST service with --url"
+            "give the address of a BOPTEST service with --url, or the test case's FMU with --fmu"
         )
     return testcase
 
@@ -88,6 +89,7 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     """Build the plant of a scenario.
 
     Raises:
+        ConfigError: the FMU cannot be used, or the test case does not fit the plant.
         WeatherError: the weather file cannot be used.
         PlantError: the service does not answer.
     """
@@ -96,14 +98,19 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
 
         return BoptestPlant(spec.url, testcase, forecast_uncertainty=spec.forecast_uncertainty, seed=seed)
     from thermoforce_mpc.boundary.forecast_error import ForecastError
+
+    level = spec.forecast_uncertainty
+    error = None if level == "none" else ForecastError(level, seed)
+    if spec.path is not None:
+        from thermoforce_mpc.plants.fmu import FmuPlant
+
+        return FmuPlant(Path(spec.path), testcase, forecast_error=error)
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
     from thermoforce_mpc.weather import load_weather, synthetic_weather
 
     weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
     tariff = tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
-    level = spec.forecast_uncertainty
-    error = None if level == "none" else ForecastError(level, seed)
     return EmbeddedPlant(weather, highly_dynamic=tariff, forecast_error=error)
 
 

@@ -6,6 +6,9 @@ trapezoidal rule, per square metre of floor, peak as the highest mean over 15 mi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
@@ -13,6 +16,85 @@ from thermoforce_mpc.types import HOUR_S, Array
 
 _J_PER_KWH = 3.6e6
 _PEAK_WINDOW_S = 900.0
+# The peak KPI of each energy carrier that has one, by BOPTEST's names.
+PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPower": "pdih_tot"}
+
+
+@dataclass(frozen=True)
+class Supply:
+    """One energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
+
+    `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh.
+    """
+
+    carrier: str
+    power_W: Array
+    price_per_kWh: Array
+    emission_kg_per_kWh: Array
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A signal of one zone outside its bounds: `excess` (n,) is nonnegative, K or ppm."""
+
+    zone: str
+    excess: Array
+
+
+def excess(value: Array, lower: Array, upper: Array) -> Array:
+    """How far `value` lies outside the bounds, shape (n,), in its unit."""
+    return np.asarray(np.maximum(np.maximum(lower - value, value - upper), 0.0))
+
+
+def building_kpis(
+    time_s: Array,
+    *,
+    supplies: Sequence[Supply],
+    thermal: Sequence[Violation],
+    air_quality: Sequence[Violation],
+    area_m2: float,
+) -> dict[str, float]:
+    """KPIs of a building with any number of zones and energy carriers over samples at `time_s` (n,), s.
+
+    Energy, cost and emissions add up over carriers; discomfort is the mean over zones. A KPI that nothing was given for
+    (no zone with CO2, no gas) is left out.
+
+    Returns:
+        `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, and kW/m² of
+        `pele_tot`, `pgas_tot`, `pdih_tot`.
+
+    Raises:
+        DataError: arrays differ in length, time does not increase, or an array holds a value that is not finite.
+    """
+    if np.size(time_s) < 2 or not (np.diff(time_s) > 0).all():
+        raise DataError("KPIs: time must increase over at least two samples")
+    for supply in supplies:
+        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh"):
+            _check(getattr(supply, name), time_s, f"{name} of {supply.carrier}")
+    for violation in (*thermal, *air_quality):
+        _check(violation.excess, time_s, f"zone {violation.zone}")
+    hours = time_s / HOUR_S
+    totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
+    for supply in supplies:
+        kW = supply.power_W / 1e3 / area_m2
+        totals["ener_tot"] += float(np.trapezoid(kW, hours))
+        totals["cost_tot"] += float(np.trapezoid(kW * supply.price_per_kWh, hours))
+        totals["emis_tot"] += float(np.trapezoid(kW * supply.emission_kg_per_kWh, hours))
+    for name, zones in (("tdis_tot", thermal), ("idis_tot", air_quality)):
+        if zones:
+            totals[name] = float(np.mean([np.trapezoid(zone.excess, hours) for zone in zones]))
+    for supply in supplies:
+        if supply.carrier in PEAKS:
+            totals[PEAKS[supply.carrier]] = peak_power(time_s, supply.power_W) / 1e3 / area_m2
+    return totals
+
+
+def _check(values: Array, time_s: Array, name: str) -> None:
+    if np.shape(values) != np.shape(time_s):
+        raise DataError(f"KPIs: {name} has {np.size(values)} values for {np.size(time_s)} samples; it needs one each")
+    if not np.isfinite(values).all():
+        first = float(time_s[int(np.argmin(np.isfinite(values)))])
+        raise DataError(f"KPIs: {name} is not a finite number at {first:g} s")
 
 
 def compute_kpis(
@@ -28,7 +110,7 @@ def compute_kpis(
     emission_kg_per_kWh: Array,
     area_m2: float,
 ) -> dict[str, float]:
-    """KPIs of one zone over samples at `time_s` (n,), s; every other array has shape (n,).
+    """KPIs of one zone with electricity alone over samples at `time_s` (n,), s; every other array has shape (n,).
 
     Returns:
         `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, `pele_tot` kW/m².
@@ -39,19 +121,13 @@ def compute_kpis(
     arrays = (power_W, T_operative_C, lower_C, upper_C, co2_ppm, price_per_kWh, emission_kg_per_kWh)
     if any(np.shape(array) != np.shape(time_s) for array in arrays):
         raise DataError("KPIs: every series needs one value per time sample")
-    if np.size(time_s) < 2 or not (np.diff(time_s) > 0).all():
-        raise DataError("KPIs: time must increase over at least two samples")
-    hours = time_s / HOUR_S
-    kW = power_W / 1e3 / area_m2
-    violation = np.maximum(np.maximum(lower_C - T_operative_C, T_operative_C - upper_C), 0.0)
-    return {
-        "ener_tot": float(np.trapezoid(kW, hours)),
-        "cost_tot": float(np.trapezoid(kW * price_per_kWh, hours)),
-        "emis_tot": float(np.trapezoid(kW * emission_kg_per_kWh, hours)),
-        "tdis_tot": float(np.trapezoid(violation, hours)),
-        "idis_tot": float(np.trapezoid(np.maximum(co2_ppm - co2_limit_ppm, 0.0), hours)),
-        "pele_tot": peak_power(time_s, power_W) / 1e3 / area_m2,
-    }
+    return building_kpis(
+        time_s,
+        supplies=[Supply("ElectricPower", power_W, price_per_kWh, emission_kg_per_kWh)],
+        thermal=[Violation("1", excess(T_operative_C, lower_C, upper_C))],
+        air_quality=[Violation("1", np.maximum(co2_ppm - co2_limit_ppm, 0.0))],
+        area_m2=area_m2,
+    )
 
 
 def peak_power(time_s: Array, power_W: Array) -> float:

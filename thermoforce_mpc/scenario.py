@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.configuration import find_config, merge, read_yaml, validate
 from thermoforce_mpc.testcase import Price, StrictModel, TestCase
@@ -15,13 +15,22 @@ from thermoforce_mpc.testcase import Price, StrictModel, TestCase
 class PlantSpec(StrictModel):
     """Which plant is controlled."""
 
-    kind: Literal["embedded", "boptest"] = Field("embedded", description="embedded emulator, or a BOPTEST service")
+    kind: Literal["embedded", "boptest", "fmu"] = Field(
+        "embedded", description="embedded emulator, a BOPTEST service, or a BOPTEST test case's FMU"
+    )
+    path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)")
     url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
     weather: str = Field("synthetic", description="'synthetic', or a .mos / .epw file (kind: embedded)")
     forecast_uncertainty: Literal["none", "low", "medium", "high"] = Field(
         "none", description="BOPTEST's forecast uncertainty level for outdoor temperature and solar radiation"
     )
     prices_file: str | None = Field(None, description="CSV with your own highly dynamic tariff (kind: embedded)")
+
+    @model_validator(mode="after")
+    def _has_its_file(self) -> PlantSpec:
+        if (self.kind == "fmu") != (self.path is not None):
+            raise ValueError("kind 'fmu' and path go together: give both, or neither (--fmu FILE gives both)")
+        return self
 
 
 class ProbingSpec(StrictModel):
@@ -47,7 +56,9 @@ class Scenario(StrictModel):
     plant: PlantSpec = PlantSpec()
     period: str = Field("peak_heat_day", description="peak_heat_day, typical_heat_day, or a start day such as 44")
     days: float = Field(14.0, gt=0, le=365, description="scored days")
-    step_s: float | None = Field(None, ge=300, le=14400, description="control step of all model-based controllers, s; by default their own")
+    step_s: float | None = Field(
+        None, ge=300, le=14400, description="control step of all model-based controllers, s; by default their own"
+    )
     price: Price = Field("constant", description="tariff")
     controller: ControllerSpec = ControllerSpec()
     identification: ProbingSpec = ProbingSpec()

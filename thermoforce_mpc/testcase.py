@@ -24,16 +24,32 @@ class Actuator(StrictModel):
     maximum: float = Field(1.0, description="value at u = 1, in `unit`")
     unit: str = Field("1", description="unit of the value at the wire")
     kind: Literal["level", "setpoint"] = Field("level", description="a machine's level, or the set-point of a loop")
+    held: dict[str, float] = Field(
+        default_factory=dict,
+        description="other overwrite points held at a value (unit of the wire) while u acts; native otherwise",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Actuator:
         if not self.minimum < self.maximum:
             raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        if self.point in self.held:
+            raise ValueError(f"held: '{self.point}' is the actuator itself")
         return self
 
     def value(self, u: float) -> float:
         """The value at the wire for `u` in [0, 1], in `unit`."""
         return self.minimum + u * (self.maximum - self.minimum)
+
+    def inputs(self, u: float | None) -> dict[str, float]:
+        """Inputs at the wire for `u` in [0, 1], or None for native control.
+
+        Everything is said in so many words: a point that is not mentioned keeps the value it had.
+        """
+        if u is None:
+            return {f"{name}_activate": 0.0 for name in (self.point, *self.held)}
+        values = {self.point: self.value(u), **self.held}
+        return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
 
     def level(self, value: float) -> float:
         """The u in [0, 1] that gives `value` at the wire (clipped)."""

@@ -28,7 +28,7 @@ _PUBLISHED = {"7856f6e4b8b7": {"peak_heat_day": 23, "typical_heat_day": 115}}
 def published_windows(fingerprint: str) -> dict[str, Period] | None:
     """The windows BOPTEST publishes for its own weather (Brussels), or None for any other weather."""
     days = _PUBLISHED.get(fingerprint)
-    return None if days is None else {name: _window(name, day) for name, day in days.items()}
+    return None if days is None else {name: centred_window(name, day) for name, day in days.items()}
 
 
 def heating_windows(power_W: Array) -> dict[str, Period]:
@@ -43,8 +43,9 @@ def heating_windows(power_W: Array) -> dict[str, Period]:
     median = float(np.median(highest[highest > _HEATING_W])) if (highest > _HEATING_W).any() else 0.0
     not_above = available[highest[available] <= median]
     typical = int(not_above[np.argmax(highest[not_above])])
-    return {name: _window(name, day) for name, day in (("peak_heat_day", peak), ("typical_heat_day", typical))}
+    return {name: centred_window(name, day) for name, day in (("peak_heat_day", peak), ("typical_heat_day", typical))}
 
 
-def _window(name: str, day: int) -> Period:
+def centred_window(name: str, day: int) -> Period:
+    """The two weeks around a day of the year, counted from 0, as BOPTEST's scenarios have them."""
     return Period(name, (day - _HALF_WINDOW_D) * DAY_S)

@@ -24,6 +24,7 @@ def scenario_options(function: Function) -> Function:
             click.option("--days", type=float, help="Scored days.  [default: 14]"),
             click.option("--price", metavar="TARIFF", help="constant, dynamic or highly_dynamic."),
             click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
+            click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
             click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
@@ -54,6 +55,10 @@ def scenario_from(options: dict[str, Any]) -> Scenario:
     plant: dict[str, Any] = {}
     if options.get("url") is not None:
         plant |= {"kind": "boptest", "url": options["url"]}
+    if options.get("fmu") is not None:
+        if options.get("url") is not None:
+            raise click.UsageError("--url and --fmu are two plants: give one of them")
+        plant |= {"kind": "fmu", "path": options["fmu"]}
     if options.get("weather") is not None:
         plant["weather"] = options["weather"]
     if plant:

@@ -34,6 +34,7 @@ def command(**options: Any) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump
       tf-mpc run --testcase bestest_hydronic_heat_pump --period typical_heat_day --weather Brussels.mos
       tf-mpc run --testcase bestest_hydronic_heat_pump --url http://127.0.0.1:8000
+      tf-mpc run --testcase bestest_hydronic_heat_pump --fmu wrapped.fmu
       tf-mpc run --config configs/scenarios/peak.yaml --set controller.options.horizon_h=36
     """
     scenario = scenario_from(options)

@@ -23,6 +23,7 @@ from boptest_client import (
 )
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest_points import check_points
+from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.testcase import PRICES, TestCase
 from thermoforce_mpc.types import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
 
@@ -90,7 +91,8 @@ class BoptestPlant:
         self._client = self._select()
         try:
             with _failures():
-                check_points(testcase, self._client)
+                client = self._client
+                check_points(testcase, client.inputs(), client.measurements(), client.forecast_points())
                 self._version = self._client.version()
         except BaseException:
             self.close()
@@ -171,16 +173,12 @@ class BoptestPlant:
                 f"from day {self._now_s / DAY_S:g} runs past it; score at most 14 days of a named window"
             )
         actuator = self.testcase.actuator
-        # Said in so many words: what is not mentioned keeps the value it had.
-        inputs = {f"{actuator.point}_activate": 0.0}
-        if u is not None:
-            inputs = {f"{actuator.point}_u": actuator.value(u), f"{actuator.point}_activate": 1.0}
         before_s = self._now_s
         with _failures():
             if duration_s != self._step_s:
                 self._client.set_step(duration_s)
                 self._step_s = duration_s
-            points = self._client.advance(inputs)
+            points = self._client.advance(actuator.inputs(u))
             if not points:
                 raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
             if "time" not in points:
@@ -196,8 +194,8 @@ class BoptestPlant:
         return self._measurement(
             points,
             u=float(self._levels(record, edges)[0]),
-            power_W=float(_means(record, self.testcase.measurements.electric_power, edges)[0]),
-            heat_W=float(_means(record, self.testcase.measurements.heat, edges)[0]),
+            power_W=float(interval_means(record, self.testcase.measurements.electric_power, edges)[0]),
+            heat_W=float(interval_means(record, self.testcase.measurements.heat, edges)[0]),
         )
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
@@ -254,8 +252,8 @@ class BoptestPlant:
             T_out_C=T_out - _KELVIN,
             solar_W_m2=solar,
             u=self._levels(record, edges),
-            power_W=_means(record, m.electric_power, edges),
-            heat_W=_means(record, m.heat, edges),
+            power_W=interval_means(record, m.electric_power, edges),
+            heat_W=interval_means(record, m.heat, edges),
         )
 
     def kpis(self) -> dict[str, float]:
@@ -352,7 +350,7 @@ class BoptestPlant:
         wire = record[f"{actuator.point}_u"]
         span = actuator.maximum - actuator.minimum
         u = np.clip((wire - actuator.minimum) / span, 0.0, 1.0)
-        return _means({"time": record["time"], "u": u}, ["u"], edges)
+        return interval_means({"time": record["time"], "u": u}, ["u"], edges)
 
     def _read_kpis(self) -> dict[str, float]:
         return {name: value for name, value in self._client.kpi().items() if value is not None}
@@ -365,17 +363,3 @@ def _failures() -> Iterator[None]:
         yield
     except BoptestError as error:
         raise PlantError(f"BOPTEST service: {error}") from error
-
-
-def _means(record: Mapping[str, Array], points: Sequence[str], edges: Array) -> Array:
-    """Time means of the sum of `points` between `edges` (n + 1,), shape (n,); NaN where there are no points.
-
-    Each sample stands for the time since the one before it: at a switch, the sample at the start of an interval still
-    belongs to the action before.
-    """
-    if not points or edges.size < 2:
-        return np.full(edges.size - 1, math.nan)
-    time_s = record["time"]
-    total = np.sum([record[name] for name in points], axis=0)
-    integral = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * total[1:])])
-    return np.asarray(np.diff(np.interp(edges, time_s, integral)) / np.diff(edges))

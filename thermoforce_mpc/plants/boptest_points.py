@@ -1,11 +1,11 @@
-"""Whether a test case file fits a service: every point must exist there, in the unit and within the limits expected."""
+"""Whether a test case file fits a plant: every point must exist there, in the unit and within the limits expected."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from boptest_client import BoptestClient, Point
+from boptest_client import Point
 from thermoforce_mpc.configuration import suggestion
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.testcase import TestCase
@@ -22,15 +22,19 @@ class _Wanted(NamedTuple):
     unit: str | None = None
 
 
-def check_points(testcase: TestCase, client: BoptestClient) -> None:
-    """Compare a test case file with what the service says about its points.
+def check_points(
+    testcase: TestCase,
+    inputs: Mapping[str, Point],
+    measured: Mapping[str, Point],
+    forecast: Mapping[str, Point],
+    plant: str = "the service",
+) -> None:
+    """Compare a test case file with the points that `plant` offers.
 
     Raises:
-        ConfigError: lists every key that names an unknown point or one in another unit, and an actuator whose span the
-            service would silently clip.
-        BoptestError: the service failed.
+        ConfigError: lists every key that names an unknown point or one in another unit, and a value that the plant
+            would silently clip.
     """
-    inputs, measured, forecast = client.inputs(), client.measurements(), client.forecast_points()
     actuator, m, f = testcase.actuator, testcase.measurements, testcase.forecast
     wanted = [
         _Wanted("actuator.point", f"{actuator.point}_u", inputs, actuator.unit),
@@ -48,28 +52,31 @@ def check_points(testcase: TestCase, client: BoptestClient) -> None:
         *(_Wanted(f"forecast.price.{key}", name, forecast) for key, name in f.price.items()),
         _Wanted("forecast.emission", f.emission, forecast),
     ]
-    wrong = [problem for item in wanted if (problem := _problem(item))]
-    level = inputs.get(f"{actuator.point}_u")
-    if level is not None:
-        wrong += _clipped("actuator.minimum", actuator.minimum, level) + _clipped(
-            "actuator.maximum", actuator.maximum, level
-        )
+    for name in actuator.held:
+        wanted += [_Wanted(f"actuator.held.{name}", f"{name}_{end}", inputs) for end in ("u", "activate")]
+    wrong = [problem for item in wanted if (problem := _problem(item, plant))]
+    values = [("minimum", actuator.point, actuator.minimum), ("maximum", actuator.point, actuator.maximum)]
+    values += [(f"held.{name}", name, value) for name, value in actuator.held.items()]
+    for key, name, value in values:
+        point = inputs.get(f"{name}_u")
+        if point is not None:
+            wrong += _clipped(f"actuator.{key}", value, point, plant)
     if wrong:
-        raise ConfigError(f"test case '{testcase.name}' does not fit the service:\n  " + "\n  ".join(wrong))
+        raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
 
 
-def _problem(wanted: _Wanted) -> str:
+def _problem(wanted: _Wanted, plant: str) -> str:
     point = wanted.offered.get(wanted.point)
     if point is None:
-        return f"{wanted.key}: the service has no point '{wanted.point}'{suggestion(wanted.point, wanted.offered)}"
+        return f"{wanted.key}: {plant} has no point '{wanted.point}'{suggestion(wanted.point, wanted.offered)}"
     if wanted.unit is not None and point.unit is not None and point.unit != wanted.unit:
-        return f"{wanted.key}: '{wanted.point}' is in {point.unit} at the service, expected {wanted.unit}"
+        return f"{wanted.key}: '{wanted.point}' is in {point.unit} at {plant}, expected {wanted.unit}"
     return ""
 
 
-def _clipped(key: str, value: float, point: Point) -> list[str]:
+def _clipped(key: str, value: float, point: Point, plant: str) -> list[str]:
     low = point.minimum if point.minimum is not None else value
     high = point.maximum if point.maximum is not None else value
     if low <= value <= high:
         return []
-    return [f"{key}: {value:g} lies outside the limits of '{point.name}' at the service, {low:g} to {high:g}"]
+    return [f"{key}: {value:g} lies outside the limits of '{point.name}' at {plant}, {low:g} to {high:g}"]

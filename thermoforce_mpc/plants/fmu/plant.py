@@ -1,0 +1,285 @@
+"""A BOPTEST test case run from its FMU: the same physics as the service, without the service. Kelvin ends here."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from boptest_client import Point
+from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
+from thermoforce_mpc.boundary.periods import centred_window
+from thermoforce_mpc.errors import ConfigError, InputError
+from thermoforce_mpc.plants.boptest_points import check_points
+from thermoforce_mpc.plants.fmu.archive import read_archive
+from thermoforce_mpc.plants.fmu.messages import Job, Stretch
+from thermoforce_mpc.plants.fmu.process import WorkerProcess
+from thermoforce_mpc.plants.fmu.scores import Scores
+from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.testcase import PRICES, Price, TestCase
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+
+_KELVIN = 273.15
+_LONGEST_STEP_S = 365 * DAY_S
+
+
+class FmuPlant:
+    """One test case in one FMU, run by FMPy in a process of its own.
+
+    ```python
+    with FmuPlant(Path("wrapped.fmu"), testcase) as plant:
+        window = plant.period("peak_heat_day")
+        plant.reset(window.start_s, window.warmup_s)
+        measurement = plant.advance(u=0.5, duration_s=900)
+    ```
+
+    Results are sampled every 30 s, as BOPTEST samples them. Boundary data, KPI signals and scenario days come from the
+    FMU's resources.
+    """
+
+    def __init__(self, path: Path, testcase: TestCase, *, forecast_error: ForecastError | None = None) -> None:
+        """Read the FMU and check that it has every point of `testcase`, in the unit expected. Nothing is run yet.
+
+        Args:
+            forecast_error: errors of the weather forecast; by default the forecast is perfect.
+
+        Raises:
+            ConfigError: the file is no usable FMU, or `testcase` does not fit it.
+        """
+        self.testcase = testcase
+        self._forecast_error = forecast_error
+        self._archive = archive = read_archive(path)
+        forecast = {name: Point(name, archive.boundary.unit(name), "", None, None) for name in archive.boundary.series}
+        inputs, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
+        check_points(testcase, inputs, outputs, forecast, f"the FMU {path}")
+        self._echo = f"{testcase.actuator.point}_y"
+        if self._echo not in archive.outputs:
+            raise ConfigError(f"the FMU {path} has no output '{self._echo}': the level that acts cannot be recorded")
+        self._scores = Scores(archive, testcase)
+        m = testcase.measurements
+        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, self._echo, *m.electric_power, *m.heat]
+        self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
+        self._price: Price = "constant"
+        self._worker: WorkerProcess | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
+        try:
+            with zipfile.ZipFile(path) as file:
+                file.extractall(Path(self._folder.name) / "fmu")
+            (Path(self._folder.name) / "work").mkdir()
+        except BaseException:
+            self._folder.cleanup()
+            raise
+
+    @property
+    def info(self) -> PlantInfo:
+        """Which file this is."""
+        archive = self._archive
+        return PlantInfo(
+            kind="fmu",
+            testcase=archive.name,
+            description=f"FMU {archive.path}, made by {archive.tool}",
+            weather="the test case's own weather",
+            version=archive.sha256[:12],
+            details={"path": str(archive.path), "sha256": archive.sha256},
+        )
+
+    def period(self, name: str) -> Period:
+        """The scored window of the FMU's scenario `name`, or of a start day.
+
+        Raises:
+            InputError: neither a scenario in the FMU's days.json nor a day of the year.
+        """
+        try:
+            day = float(name)
+        except ValueError:
+            days = self._archive.days
+            if name not in days:
+                raise InputError(
+                    f"period '{name}': expected {', '.join(days) or 'nothing else'} or a start day"
+                ) from None
+            return centred_window(name, days[name])
+        if not 0.0 <= day < 365.0:
+            raise InputError(f"period '{name}': a start day lies between 0 and 365")
+        return Period(f"day {day:g}", day * DAY_S)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """Start at `start_s` after `warmup_s` of the FMU's own control (cut at the beginning of the year).
+
+        Raises:
+            InputError: a time is not a finite nonnegative number, or the tariff is unknown.
+            WeatherError: `start_s` lies beyond the FMU's boundary data.
+            PlantError: the FMU cannot be loaded or failed.
+        """
+        for label, value in (("start", start_s), ("warm-up", warmup_s)):
+            if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
+                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
+        known = next((name for name in PRICES if name == price), None)
+        if known is None:
+            raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
+        self._archive.boundary.at(self.testcase.forecast.outdoor_temperature, np.array([start_s]))
+        self._price = known
+        self._stop()
+        self._start_s = float(start_s)
+        self._now_s = max(self._start_s - warmup_s, 0.0)
+        archive = self._archive
+        folder = Path(self._folder.name)
+        job = Job(
+            folder=str(folder / "fmu"),
+            guid=archive.guid,
+            model_identifier=archive.model_identifier,
+            tolerance=archive.tolerance,
+            inputs={name: (signal.reference, signal.kind) for name, signal in archive.inputs.items()},
+            outputs={name: (signal.reference, signal.kind) for name, signal in archive.outputs.items()},
+            recorded=self._kept,
+        )
+        self._worker = WorkerProcess(job, folder / "work")
+        stretch = self._worker.start(self._now_s)
+        self._stretches = [stretch]
+        if self._start_s > self._now_s:
+            stretch = self._run({}, self._start_s - self._now_s)
+        return self._measurement(stretch.final)
+
+    def advance(self, u: float | None, duration_s: float) -> Measurement:
+        """Hold `u` in [0, 1] (None: the FMU's own control) for `duration_s`.
+
+        Raises:
+            InputError: `u` or `duration_s` is not a number the plant can take, or the plant was not reset.
+            PlantError: the FMU failed.
+        """
+        number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
+        if not number:
+            raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
+        if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < _LONGEST_STEP_S):
+            raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
+        before_s = self._now_s if self._worker else 0.0
+        stretch = self._run(self.testcase.actuator.inputs(None if u is None else float(u)), float(duration_s))
+        edges = np.array([before_s, self._now_s])
+        previous = self._stretches[-2]
+        record = self._columns(
+            np.concatenate([previous.time_s[-1:], stretch.time_s]), np.vstack([previous.rows[-1:], stretch.rows])
+        )
+        m = self.testcase.measurements
+        return self._measurement(
+            stretch.final,
+            u=float(interval_means(record, ["u"], edges)[0]),
+            power_W=float(interval_means(record, m.electric_power, edges)[0]),
+            heat_W=float(interval_means(record, m.heat, edges)[0]),
+        )
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+            WeatherError: the horizon reaches beyond the FMU's boundary data.
+        """
+        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
+            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
+        f, at = self.testcase.forecast, self._archive.boundary.at
+        steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
+        time_s: Array = self._now_s + steps * interval_s
+        T_out, solar = at(f.outdoor_temperature, time_s) - _KELVIN, at(f.solar, time_s)
+        if self._forecast_error:
+            hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
+            T_out, solar = self._forecast_error.apply(time_s, T_out, at(f.solar, hours), solar)
+        return Boundary(
+            time_s=time_s,
+            T_out_C=T_out,
+            solar_W_m2=solar,
+            occupancy=at(f.occupancy, time_s),
+            lower_C=at(f.lower, time_s) - _KELVIN,
+            upper_C=at(f.upper, time_s) - _KELVIN,
+            price_per_kWh=at(f.price[self._price], time_s),
+            emission_kg_per_kWh=at(f.emission, time_s),
+        )
+
+    def past(self, step_s: float) -> History:
+        """Everything since the start of the warm-up at `step_s`; older remainders are cut.
+
+        Raises:
+            InputError: `step_s` is not positive, or the plant was not reset.
+        """
+        if not (math.isfinite(step_s) and step_s > 0):
+            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        record = self._record()
+        m = self.testcase.measurements
+        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
+        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
+        T_zone, T_out, solar = (
+            np.interp(edges, record["time"], record[name])
+            for name in (m.zone_temperature, m.outdoor_temperature, m.solar)
+        )
+        return History(
+            time_s=edges,
+            T_zone_C=T_zone - _KELVIN,
+            T_out_C=T_out - _KELVIN,
+            solar_W_m2=solar,
+            u=interval_means(record, ["u"], edges),
+            power_W=interval_means(record, m.electric_power, edges),
+            heat_W=interval_means(record, m.heat, edges),
+        )
+
+    def kpis(self) -> dict[str, float]:
+        """BOPTEST's KPIs since the end of the warm-up, computed from the 30-s record; raises as `past` does."""
+        return self._scores.kpis(self._record(), self._start_s, self._price)
+
+    def close(self) -> None:
+        """End the FMU's process and remove what was unpacked; safe to call twice."""
+        self._stop()
+        self._folder.cleanup()
+
+    def __enter__(self) -> FmuPlant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _stop(self) -> None:
+        if self._worker is not None:
+            self._worker.close()
+            self._worker = None
+
+    def _run(self, inputs: Mapping[str, float], duration_s: float) -> Stretch:
+        if self._worker is None:
+            raise InputError("the plant has not been started: call reset() first")
+        stretch = self._worker.advance(inputs, duration_s)
+        self._stretches.append(stretch)
+        self._now_s = float(stretch.time_s[-1])
+        return stretch
+
+    def _record(self) -> dict[str, Array]:
+        if self._worker is None:
+            raise InputError("the plant has not been started: call reset() first")
+        return self._columns(
+            np.concatenate([stretch.time_s for stretch in self._stretches]),
+            np.vstack([stretch.rows for stretch in self._stretches]),
+        )
+
+    def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
+        """Recorded signals by name, with 'time' and the level 'u' in [0, 1] that acted, whoever decided it."""
+        record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
+        actuator = self.testcase.actuator
+        u = (record[self._echo] - actuator.minimum) / (actuator.maximum - actuator.minimum)
+        return record | {"u": np.clip(u, 0.0, 1.0)}
+
+    def _measurement(
+        self, final: Mapping[str, float], u: float = math.nan, power_W: float = math.nan, heat_W: float = math.nan
+    ) -> Measurement:
+        m = self.testcase.measurements
+        return Measurement(
+            time_s=self._now_s,
+            T_zone_C=final[m.zone_temperature] - _KELVIN,
+            T_out_C=final[m.outdoor_temperature] - _KELVIN,
+            solar_W_m2=final[m.solar],
+            u=u,
+            power_W=power_W,
+            heat_W=heat_W,
+            points=dict(final),
+        )

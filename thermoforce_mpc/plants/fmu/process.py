@@ -1,0 +1,99 @@
+"""The other end of `worker`: starts its process, asks, and turns its end into an error that can be read."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import thermoforce_mpc
+from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.fmu.messages import Job, Stretch
+from thermoforce_mpc.types import DAY_S
+
+_SAID_BYTES = 2000
+_PATIENCE_S = 5.0
+
+
+class WorkerProcess:
+    """One run of one FMU. Ends with its process, which is never used for a second run."""
+
+    def __init__(self, job: Job, work_folder: Path) -> None:
+        """Start the process; `work_folder` is where the FMU may leave files."""
+        self._job = job
+        self._now_s = 0.0
+        self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        root = str(Path(thermoforce_mpc.__file__).parents[1])
+        path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "thermoforce_mpc.plants.fmu.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._said,
+            cwd=work_folder,
+            env={**os.environ, "PYTHONPATH": path},
+        )
+
+    def start(self, start_s: float) -> Stretch:
+        """Load and initialise the FMU at `start_s`; raises `PlantError`."""
+        self._now_s = start_s
+        return self._ask("be loaded", ("start", self._job, start_s))
+
+    def advance(self, inputs: Mapping[str, float], duration_s: float) -> Stretch:
+        """Set inputs by name and simulate; raises `PlantError`."""
+        stretch = self._ask("simulate", ("advance", dict(inputs), duration_s))
+        self._now_s = float(stretch.time_s[-1])
+        return stretch
+
+    def close(self) -> None:
+        """End the process; safe to call twice."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+        try:
+            self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._said.close()
+
+    def _ask(self, doing: str, request: tuple[Any, ...]) -> Stretch:
+        if self._process.stdin is None or self._process.stdin.closed or self._process.stdout is None:
+            raise PlantError("the FMU was closed; reset the plant to start it again")
+        try:
+            pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
+            answer = pickle.load(self._process.stdout)  # from our own process, over its own pipe
+        except (EOFError, OSError, pickle.UnpicklingError) as error:
+            message = f"the FMU's process {self._end()} at day {self._now_s / DAY_S:g}{self._last_words()}"
+            self.close()
+            raise PlantError(message) from error
+        if isinstance(answer, Stretch):
+            return answer
+        raise PlantError(f"the FMU could not {doing} at day {self._now_s / DAY_S:g}: {answer}{self._last_words()}")
+
+    def _end(self) -> str:
+        try:
+            code = self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            return "stopped answering"
+        if code < 0:
+            with contextlib.suppress(ValueError):
+                return f"was ended by signal {signal.Signals(-code).name}"
+        return f"ended with code {code}"
+
+    def _last_words(self) -> str:
+        """The last of what the FMU and its process printed."""
+        size = os.fstat(self._said.fileno()).st_size
+        said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
+        text = said.decode(errors="replace").strip()
+        return f"; its last words:\n{text}" if text else ""

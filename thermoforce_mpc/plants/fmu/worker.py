@@ -1,0 +1,107 @@
+"""The process that runs one FMU: `python -m thermoforce_mpc.plants.fmu.worker`, spoken to over its standard streams.
+
+An FMU is machine code of others: it may print, crash, or keep state between two runs of one process. So it gets a
+process of its own, and a new one for every start. Messages are pickled tuples; `WorkerProcess` is the other end.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from thermoforce_mpc.plants.fmu.messages import SAMPLE_S, Job, Stretch
+from thermoforce_mpc.types import Array
+
+
+class _Slave:
+    """One instance of the FMU, by the names of its signals."""
+
+    def __init__(self, job: Job, start_s: float) -> None:
+        from fmpy.fmi2 import FMU2Slave
+
+        self._job = job
+        self._fmu = FMU2Slave(guid=job.guid, modelIdentifier=job.model_identifier, unzipDirectory=job.folder)
+        self._fmu.instantiate()
+        self._fmu.setupExperiment(tolerance=job.tolerance, startTime=start_s)
+        self._fmu.enterInitializationMode()
+        self._fmu.exitInitializationMode()
+        self._now_s = start_s
+        self._recorded = [job.outputs[name] for name in job.recorded]
+
+    def start(self) -> Stretch:
+        return Stretch(np.array([self._now_s]), np.array([self._read(self._recorded)]), self._final())
+
+    def advance(self, inputs: Mapping[str, float], duration_s: float) -> Stretch:
+        for name, value in inputs.items():
+            self._write(*self._job.inputs[name], value)
+        n = max(int(duration_s / SAMPLE_S + 1e-9), 1)
+        time_s: Array = self._now_s + np.arange(1.0, n + 1.0) * (duration_s / n)
+        rows = np.empty((n, len(self._recorded)))
+        for i, reached_s in enumerate(time_s):
+            self._fmu.doStep(self._now_s, float(reached_s) - self._now_s)
+            self._now_s = float(reached_s)
+            rows[i] = self._read(self._recorded)
+        return Stretch(time_s, rows, self._final())
+
+    def _final(self) -> dict[str, float]:
+        outputs = self._job.outputs
+        return dict(zip(outputs, self._read(list(outputs.values())), strict=True))
+
+    def _read(self, signals: Sequence[tuple[int, str]]) -> list[float]:
+        """Values in the order of `signals`, one call for each FMI type among them."""
+        values = [0.0] * len(signals)
+        for kind in ("Real", "Integer", "Boolean"):
+            places = [i for i, signal in enumerate(signals) if signal[1] == kind]
+            if places:
+                read = getattr(self._fmu, f"get{kind}")([signals[i][0] for i in places])
+                for place, value in zip(places, read, strict=True):
+                    values[place] = float(value)
+        return values
+
+    def _write(self, reference: int, kind: str, value: float) -> None:
+        if kind == "Real":
+            self._fmu.setReal([reference], [value])
+        elif kind == "Boolean":
+            self._fmu.setBoolean([reference], [bool(value)])
+        else:
+            self._fmu.setInteger([reference], [round(value)])
+
+
+def main() -> None:
+    """Answer requests until the other end goes away."""
+    # What the FMU prints must not reach the channel: it keeps standard output's place, sent to standard error.
+    channel = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    requests = sys.stdin.buffer
+    slave: _Slave | None = None
+    while (request := _receive(requests)) is not None:
+        try:
+            if request[0] == "start":
+                slave = _Slave(request[1], request[2])
+                answer: Any = slave.start()
+            elif slave is not None:
+                answer = slave.advance(request[1], request[2])
+            else:
+                raise RuntimeError("asked to advance before it was started")
+        except Exception as error:  # whatever the FMU or FMPy raises is the other end's to report
+            answer = f"{type(error).__name__}: {error}"
+        pickle.dump(answer, channel, protocol=pickle.HIGHEST_PROTOCOL)
+        channel.flush()
+
+
+def _receive(requests: BinaryIO) -> Any:
+    try:
+        return pickle.load(requests)
+    except EOFError:
+        return None
+
+
+if __name__ == "__main__":
+    main()
+    # Unloading libraries of others at exit is where they crash; there is nothing left to save.
+    os._exit(0)
