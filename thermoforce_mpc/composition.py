@@ -203,8 +203,14 @@ def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[Pro
     return probing, config
 
 
-def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period, display: Display) -> Learned:
-    """Load the model of the scenario, or probe and identify one."""
+def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period) -> ThermalModel:
+    """The model of a scenario: the saved one it names, at the scenario's step, or one identified before `period`.
+
+    Raises:
+        ArtifactError: the saved model cannot be used.
+        DataError: the record cannot identify.
+        PlantError: the plant failed.
+    """
     from thermoforce_mpc.artifact import load_model
 
     spec = scenario.identification
@@ -213,14 +219,23 @@ def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period,
         model = load_model(Path(spec.model))
         if model.operator.step_s != step_s:
             model = replace(model, operator=model.operator.resampled(step_s))
+        return model
+    probing, config = identification_settings(scenario, testcase)
+    return identify_on(
+        plant, before=period, days=spec.days, testcase=testcase, step_s=step_s, seed=scenario.seed,
+        probing=probing, config=config,
+    )  # fmt: skip
+
+
+def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period, display: Display) -> Learned:
+    """Load the model of the scenario, or probe and identify one, and say what came of it."""
+    spec = scenario.identification
+    if spec.model is not None:
+        model = model_for(scenario, testcase, plant, period)
         display.say(f"Model: {spec.model} ({model.card.source})")
     else:
-        probing, config = identification_settings(scenario, testcase)
         with display.working(f"Probing for {spec.days:g} days and identifying"):
-            model = identify_on(
-                plant, before=period, days=spec.days, testcase=testcase, step_s=step_s, seed=scenario.seed,
-                probing=probing, config=config,
-            )  # fmt: skip
+            model = model_for(scenario, testcase, plant, period)
         display.say(f"Identified from {model.card.source}")
     operator = model.operator
     hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
