@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from thermoforce_mpc.types import Array
 
 Price = Literal["constant", "dynamic", "highly_dynamic"]
 PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
@@ -17,11 +20,16 @@ class StrictModel(BaseModel):
 
 
 class Actuator(StrictModel):
-    """How u in [0, 1] reaches the plant: `<point>_u` = minimum + u · (maximum − minimum), `<point>_activate` = 1."""
+    """How u in [0, 1] reaches the plant: `<point>_u` runs from `minimum` to `maximum`, `<point>_activate` = 1.
+
+    u is always the effort, heating or cooling. Where less is more, as with the set-point of a cooled room, `rising` is
+    false: then `<point>_u` = maximum − u · (maximum − minimum).
+    """
 
     point: str = Field(description="overwrite point of the test case, without the `_u` ending")
-    minimum: float = Field(0.0, description="value at u = 0, in `unit`")
-    maximum: float = Field(1.0, description="value at u = 1, in `unit`")
+    minimum: float = Field(0.0, description="lowest value, in `unit`; the one at u = 0 where `rising`")
+    maximum: float = Field(1.0, description="highest value, in `unit`; the one at u = 1 where `rising`")
+    rising: bool = Field(True, description="whether the value rises with u; false for the set-point of a cooled room")
     unit: str = Field("1", description="unit of the value at the wire")
     kind: Literal["level", "setpoint"] = Field("level", description="a machine's level, or the set-point of a loop")
     held: dict[str, float] = Field(
@@ -39,7 +47,8 @@ class Actuator(StrictModel):
 
     def value(self, u: float) -> float:
         """The value at the wire for `u` in [0, 1], in `unit`."""
-        return self.minimum + u * (self.maximum - self.minimum)
+        share = u if self.rising else 1.0 - u
+        return self.minimum + share * (self.maximum - self.minimum)
 
     def inputs(self, u: float | None) -> dict[str, float]:
         """Inputs at the wire for `u` in [0, 1], or None for native control.
@@ -51,9 +60,10 @@ class Actuator(StrictModel):
         values = {self.point: self.value(u), **self.held}
         return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
 
-    def level(self, value: float) -> float:
-        """The u in [0, 1] that gives `value` at the wire (clipped)."""
-        return min(max((value - self.minimum) / (self.maximum - self.minimum), 0.0), 1.0)
+    def level(self, value: float | Array) -> Array:
+        """The u in [0, 1] that gives `value` (any shape, in `unit`), clipped."""
+        share = (np.asarray(value) - self.minimum) / (self.maximum - self.minimum)
+        return np.clip(share if self.rising else 1.0 - share, 0.0, 1.0)
 
 
 class Measurements(StrictModel):
@@ -62,7 +72,9 @@ class Measurements(StrictModel):
     zone_temperature: str
     outdoor_temperature: str
     solar: str = Field(description="global horizontal irradiance")
-    electric_power: tuple[str, ...] = Field(min_length=1, description="points whose sum is the total electric power")
+    electric_power: tuple[str, ...] = Field(
+        min_length=1, description="points whose sum is the power that is paid for at `forecast.price`: electric, or gas"
+    )
     heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat; empty if not measured")
 
 

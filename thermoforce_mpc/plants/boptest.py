@@ -347,9 +347,7 @@ class BoptestPlant:
     def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
         """Mean u in [0, 1] between the edges; the service records what acted, whoever decided it."""
         actuator = self.testcase.actuator
-        wire = record[f"{actuator.point}_u"]
-        span = actuator.maximum - actuator.minimum
-        u = np.clip((wire - actuator.minimum) / span, 0.0, 1.0)
+        u = actuator.level(record[f"{actuator.point}_u"])
         return interval_means({"time": record["time"], "u": u}, ["u"], edges)
 
     def _read_kpis(self) -> dict[str, float]:

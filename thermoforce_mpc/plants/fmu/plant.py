@@ -265,9 +265,7 @@ class FmuPlant:
     def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
         """Recorded signals by name, with 'time' and the level 'u' in [0, 1] that acted, whoever decided it."""
         record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
-        actuator = self.testcase.actuator
-        u = (record[self._echo] - actuator.minimum) / (actuator.maximum - actuator.minimum)
-        return record | {"u": np.clip(u, 0.0, 1.0)}
+        return record | {"u": self.testcase.actuator.level(record[self._echo])}
 
     def _measurement(
         self, final: Mapping[str, float], u: float = math.nan, power_W: float = math.nan, heat_W: float = math.nan
