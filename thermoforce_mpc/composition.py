@@ -21,7 +21,7 @@ from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.run_folder import create_run_folder, write_partial, write_results
 from thermoforce_mpc.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.testcase import TestCase
-from thermoforce_mpc.types import DAY_S, Period
+from thermoforce_mpc.types import DAY_S, History, Period
 
 if TYPE_CHECKING:  # the world model is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
@@ -146,6 +146,7 @@ def identify_on(
     probing: ProbingConfig | None = None,
     config: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
+    on_record: Callable[[History], None] | None = None,
 ) -> ThermalModel:
     """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
 
@@ -154,6 +155,8 @@ def identify_on(
     Args:
         testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
         step_s: step of the model; by default the test case's.
+        on_step: told the share of the probing done.
+        on_record: given the record before anything is identified from it.
 
     Raises:
         DataError: the record cannot identify; the message has numbers and advice.
@@ -166,7 +169,11 @@ def identify_on(
     start_s = before.start_s - before.warmup_s - days * DAY_S
     if start_s < 0:
         start_s = 365 * DAY_S - days * DAY_S
-    record = probe(plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, on_step=on_step)
+    record = probe(
+        plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, identification=config, on_step=on_step
+    )
+    if on_record:
+        on_record(record)
     info = plant.info
     first = start_s / DAY_S
     return identify(

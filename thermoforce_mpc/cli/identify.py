@@ -21,6 +21,7 @@ from thermoforce_mpc.composition import (
 )
 from thermoforce_mpc.configuration import merge
 from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.types import History
 
 
 @click.command(short_help="Probe a building for a few days and save what was learned.")
@@ -31,6 +32,9 @@ from thermoforce_mpc.errors import ArtifactError
 @click.option("--overwrite", is_flag=True, help="Replace a model that is there already.")
 def command(**options: Any) -> None:
     """Probe a building for a few days, identify what our actions do to it, show it and save it as a model folder.
+
+    The probing chooses its actions for what can be learned from them, and keeps the zone near its comfort band. The
+    folder also gets a picture of the fit and of the step response with its uncertainty.
 
     The probing days end where the warm-up of --period begins. Use the model with `tf-mpc run --model FOLDER`.
 
@@ -49,6 +53,7 @@ def command(**options: Any) -> None:
     testcase = validate_scenario(scenario)
     probing, config = identification_settings(scenario, testcase)
     display = RunDisplay()
+    records: list[History] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
@@ -62,6 +67,11 @@ def command(**options: Any) -> None:
                 seed=scenario.seed,
                 probing=probing,
                 config=config,
+                on_record=records.append,
             )
     save_model(out, model, overwrite=options["overwrite"])
     show_model(str(out), model, display.console)
+    from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification
+
+    plot_identification(out / PLOT_NAME, model, records[0])
+    display.say(f"Fit and step response with its band: {out / PLOT_NAME}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -12,6 +13,7 @@ from thermoforce_mpc.artifact import load_model
 from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.world_model import ThermalModel
 
+_SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
 
 
@@ -32,12 +34,14 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     say = console.print
     say(f"{name}: order {operator.order}, {operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h")
     say(f"made from: {card.source}")
-    modes = Table(title="Modes of the forced response", title_justify="left")
+    modes = Table(title="Modes of the forced response (± one standard deviation)", title_justify="left")
     for heading in ("mode", "time constant, h", "steady gain, K"):
         modes.add_column(heading, justify="right")
     for i, (tau, gain) in enumerate(zip(operator.time_constants_h, operator.steady_gains_K, strict=True), start=1):
-        modes.add_row(str(i), f"{tau:.2f}", f"{gain:.2f}")
+        tau_sd, gain_sd = (card.uncertainty.get(f"{name}_{i}_sd_{unit}") for name, unit in _SDS)
+        modes.add_row(str(i), f"{tau:.2f}{_give_or_take(tau_sd)}", f"{gain:.2f}{_give_or_take(gain_sd)}")
     say(modes)
+    _show_step_response(card.uncertainty, operator.sign, console)
     low, high = proof.modulation_bounds
     say(
         f"Certificate: {'CERTIFIED' if proof.certified else 'NOT CERTIFIED'}; sign {proof.sign:+d}, "
@@ -64,7 +68,8 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
             f"Power: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; "
             f"RMSE {thermal.power.rmse_W:.0f} W, R2 {thermal.power.r2:.4f}"
         )
-    for title, numbers in (("Scores", card.scores), ("Uncertainty", card.uncertainty)):
+    rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}
+    for title, numbers in (("Scores", card.scores), ("Uncertainty", rest)):
         if numbers:
             say(f"{title}: " + ", ".join(f"{key} {value:.4g}" for key, value in numbers.items()))
     for name, (least, most) in card.ranges.items():
@@ -73,3 +78,22 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         say(f"  data {name}: sha256 {digest[:16]}")
     for note in card.notes:
         say(f"  note: {note}")
+
+
+def _give_or_take(sd: float | None) -> str:
+    return "" if sd is None else f" ± {sd:.2f}"
+
+
+def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Console) -> None:
+    """The answer to full actuation as the linear fit has it, where the card says how sure it is."""
+    found = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
+    if not found:
+        return
+    table = Table(title="Full action, held, changes the zone by, K (90 % band)", title_justify="left")
+    for heading in ("hours later", "expected", "from", "to"):
+        table.add_column(heading, justify="right")
+    for hours in found:
+        name = f"step_response_{hours}h"
+        mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
+        table.add_row(str(hours), f"{mean:.2f}", f"{mean - 1.645 * sd:.2f}", f"{mean + 1.645 * sd:.2f}")
+    console.print(table)

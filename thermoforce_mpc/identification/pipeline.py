@@ -19,6 +19,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import (
     Episode,
     JointFit,
+    calibrated,
     fit_joint,
     follows_action,
     forced_columns,
@@ -29,6 +30,7 @@ from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, resi
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
 from thermoforce_mpc.identification.two_stage import fit_two_stage
+from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
 from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
@@ -49,9 +51,8 @@ _LEAST_JUDGED = 24
 _LEAST_EXPLAINED = 0.1
 # Held-out hours below which nothing is said about a network: a quarter of a day decides by chance.
 _LEAST_JUDGED_H = 12.0
-# While the network is trained on runs, disturbances are this many times as large as the linear fit found them (but no
-# smaller than a share of what was assumed), and gains and time constants are held to within this relative deviation.
-_ROOM, _LEAST_DISTURBED, _LINEAR_HELD_SD = 2.5, 0.1, 0.02
+# While the network is trained on runs, gains and time constants are held to within this relative deviation.
+_LINEAR_HELD_SD = 0.02
 # Narrowest spread that features are normalised by: °C, °C, W/m², 1.
 _LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
 # Share of the steps in which heat or power must have been measured to be used.
@@ -177,7 +178,7 @@ def identify(
             data={name: data_hash(h) for name, h in _named(names, runs, pairs)},
             ranges=_ranges(histories),
             scores=scores,
-            uncertainty=_uncertainty(final),
+            uncertainty=uncertainty(final, operator.step_s),
             config=config.model_dump(mode="json"),
             notes=tuple(notes),
         ),
@@ -371,10 +372,9 @@ def _modulate(
         return replace(linear(fit), feature_mean=mean, feature_scale=scale)
 
     def episodes(fit: JointFit, chosen: Sequence[Split]) -> list[TrainingEpisode]:
-        calibrated = [_calibrated(c.episode, fit) for c in cases]
         return [
             TrainingEpisode(e, x, residuals(e, fit.log_tau), s)
-            for e, x, s in zip(calibrated, features, chosen, strict=True)
+            for e, x, s in zip(calibrated([c.episode for c in cases], fit.misfit), features, chosen, strict=True)
         ]
 
     def known(fit: JointFit) -> ModePriors:
@@ -404,30 +404,11 @@ def _hours(episode: Episode, rows: NDArray[np.intp]) -> float:
     return rows.size * (episode.n_steps / max(1, episode.rows.size)) * episode.step_s / HOUR_S
 
 
-def _calibrated(episode: Episode, fit: JointFit) -> Episode:
-    """A run with disturbances of about the size that was found, rather than as large as a cautious fit assumes."""
-    if episode.is_pair:
-        return episode
-    return replace(episode, factor=episode.factor * float(np.clip(_ROOM * fit.misfit, _LEAST_DISTURBED, 1.0)))
-
-
 def _prove(operator: OperatorParameters) -> None:
     """Refuse an operator whose effect has no proven sign: only `features: total` can lead to one."""
     proof = certificate(operator)
     if not proof.certified:
         raise DataError(f"the identified operator is not certified: {'; '.join(proof.reasons)}")
-
-
-def _uncertainty(fit: JointFit) -> dict[str, float]:
-    """Estimates of the linear fit and their posterior standard deviations, under disturbances as large as assumed."""
-    out = {}
-    for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), fit.log_tau_sd, strict=True), start=1):
-        out[f"time_constant_{i}_h"] = float(tau)
-        out[f"time_constant_{i}_sd_h"] = float(tau * sd)
-    names = ["starting_slope_K_per_h", *(f"steady_gain_{i}_K" for i in range(2, fit.gains.size + 1))]
-    for name, value, sd in zip(names, fit.gains, fit.gains_sd, strict=True):
-        out[name], out[name.replace("_K", "_sd_K", 1)] = float(value), float(sd)
-    return out
 
 
 def _ranges(histories: Sequence[History]) -> dict[str, tuple[float, float]]:

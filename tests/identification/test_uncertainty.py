@@ -1,0 +1,73 @@
+"""What the identification says about its own certainty holds, and is shown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from houses import House, record
+
+from thermoforce_mpc.artifact import load_model, save_model
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.report import plot_identification, rollouts
+
+HOUSE = House()
+LINEAR = IdentificationConfig(order=3, modulation="linear")
+
+
+@pytest.fixture(scope="module")
+def models():
+    return [identify([record(HOUSE, 3.0, seed=s, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0) for s in range(8)]
+
+
+def test_bands_hold_the_truth(models):
+    truth = HOUSE.effect_K(np.ones(48), 3600.0)
+    inside, widths = [], []
+    for model in models:
+        known = model.card.uncertainty
+        for hours in (1, 4, 12, 24):
+            sd = known[f"step_response_{hours}h_sd_K"]
+            inside.append(abs(known[f"step_response_{hours}h_K"] - truth[hours]) <= 2 * sd)
+            widths.append(sd / truth[hours])
+    assert np.mean(inside) >= 0.85
+    assert np.median(widths) < 0.25, "a band that says nothing holds everything"
+
+
+def test_more_days_make_narrower_bands():
+    def sd(days: float) -> float:
+        model = identify([record(HOUSE, days, seed=3, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
+        return model.card.uncertainty["step_response_24h_sd_K"]
+
+    assert sd(9.0) < 0.8 * sd(1.5)
+
+
+def test_poles_and_gains_are_reported_at_the_models_step(models):
+    operator, known = models[0].operator, models[0].card.uncertainty
+    for i in range(3):
+        assert known[f"pole_{i + 1}"] == pytest.approx(operator.poles[i])
+        assert known[f"gain_{i + 1}_K"] == pytest.approx(operator.gains[i])
+        assert 0 < known[f"pole_{i + 1}_sd"] < 1
+        assert known[f"gain_{i + 1}_sd_K"] > 0
+
+
+def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
+    record_ = record(HOUSE, 3.0, seed=0, noise_K=0.01)
+    found = rollouts(models[0], record_)
+    assert found.rmse_K < 0.6
+    assert np.isnan(found.predicted_C[:48]).all()
+    assert np.isfinite(found.predicted_C[49:]).all()
+    for name in ("a.png", "b.png"):
+        plot_identification(tmp_path / name, models[0], record_)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):
+    folder = save_model(tmp_path / "model", models[0])
+    assert load_model(folder).card.uncertainty == dict(models[0].card.uncertainty)
+    shown = CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False).output
+    known = models[0].card.uncertainty
+    assert f"{known['step_response_24h_K']:.2f}" in shown
+    assert f"{known['step_response_24h_K'] + 1.645 * known['step_response_24h_sd_K']:.2f}" in shown
+    assert f"± {known['time_constant_3_sd_h']:.2f}" in shown

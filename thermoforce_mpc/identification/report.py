@@ -1,0 +1,100 @@
+"""What an identification learned, to look at: rollouts over the record it came from, and the answer to an action."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermoforce_mpc.free_response.rc import RcFreeResponse
+from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Observation
+from thermoforce_mpc.world_model import ThermalModel, WorldModel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PLOT_NAME = "identification.png"
+# Rollouts over the record: the first begins after this long, and each is this long, h.
+_ROLLOUT_H = 12.0
+# A band of ± this many standard deviations holds 90 % of a normal distribution.
+_BAND = 1.645
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Predictions of a record in pieces: `predicted_C` (n + 1,) °C, NaN before the first, and their RMSE, K."""
+
+    predicted_C: Array
+    rmse_K: float
+
+
+def rollouts(model: ThermalModel, record: History, hours: float = _ROLLOUT_H) -> Rollouts | None:
+    """Predict a record in pieces of `hours`, each from what was known before it, with the weather as it came.
+
+    None where the model has no linear free part (it was identified from pairs alone) or the record is too short.
+    """
+    n = max(1, round(hours * HOUR_S / record.step_s))
+    if model.free is None or record.n_steps < 2 * n:
+        return None
+    world = WorldModel(model, RcFreeResponse(model.free))
+    predicted = np.full(record.n_steps + 1, np.nan)
+    for start in range(n, record.n_steps, n):
+        stop = min(start + n, record.n_steps)
+        nothing = np.zeros(stop - start + 1)
+        ahead = Boundary(
+            *(getattr(record, name)[start : stop + 1] for name in ("time_s", "T_out_C", "solar_W_m2")),
+            *(nothing for _ in range(5)),
+        )
+        past = History(
+            **{k: getattr(record, k)[: start + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
+            **{k: getattr(record, k)[:start] for k in ("u", "power_W", "heat_W")},
+        )
+        outlook = world.outlook(Observation(past, ahead))
+        predicted[start + 1 : stop + 1] = outlook.predict(record.u[start:stop]).total_C
+    error = predicted - record.T_zone_C
+    return Rollouts(predicted, float(np.sqrt(np.nanmean(error**2))))
+
+
+def plot_identification(path: Path, model: ThermalModel, record: History) -> None:
+    """Write the figure: record and rollouts, actions, and the step response of the linear fit with its 90 % band."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 1, 3])
+    days = record.time_s / DAY_S
+    top.plot(days, record.T_zone_C, color="black", linewidth=1.2, label="measured")
+    found = rollouts(model, record)
+    if found is not None:
+        label = f"rollouts of {_ROLLOUT_H:g} h, RMSE {found.rmse_K:.2f} K"
+        top.plot(days, found.predicted_C, color="tab:red", linewidth=1.2, label=label)
+    top.set_ylabel("zone temperature, °C")
+    top.legend(loc="best", frameon=False)
+    middle.stairs(record.u, days, color="tab:blue", fill=True, alpha=0.5)
+    middle.set_ylabel("u")
+    middle.set_ylim(0, 1.05)
+    middle.set_xlabel("day of the year")
+    _plot_answer(bottom, model)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
+
+
+def _plot_answer(axes: Axes, model: ThermalModel) -> None:
+    operator, known = model.operator, model.card.uncertainty
+    steps = round(STEP_RESPONSE_H[-1] * HOUR_S / operator.step_s)
+    hours = np.arange(steps + 1) * operator.step_s / HOUR_S
+    answer = np.concatenate([[0.0], np.cumsum(operator.impulse(steps))])
+    axes.plot(hours, answer, color="tab:red", label="full actuation from hour 0, at m = 1")
+    names = [f"step_response_{h}h" for h in STEP_RESPONSE_H]
+    if all(f"{name}_sd_K" in known for name in names):
+        mean = operator.sign * np.array([0.0, *(known[f"{name}_K"] for name in names)])
+        sd = np.array([0.0, *(known[f"{name}_sd_K"] for name in names)])
+        at = np.array([0.0, *STEP_RESPONSE_H])
+        axes.fill_between(
+            at, mean - _BAND * sd, mean + _BAND * sd, color="tab:red", alpha=0.2, linewidth=0, label="90 % band"
+        )
+        axes.plot(at, mean, "o", color="tab:red", markersize=3)
+    axes.set_xlabel("hours")
+    axes.set_ylabel("change of the zone temperature, K")
+    axes.legend(loc="best", frameon=False)

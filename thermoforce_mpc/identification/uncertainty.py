@@ -1,0 +1,85 @@
+"""How sure the linear fit is of what matters: poles, gains and the answer to an action, with their correlation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.identification.joint import JointFit
+from thermoforce_mpc.identification.modes import unit_responses
+from thermoforce_mpc.types import HOUR_S, Array
+
+# Hours after the start of a step of full actuation at which its answer is stored with its standard deviation.
+STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
+# Step of derivatives with respect to ln τ and, relative, to gains.
+_DERIVATIVE_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """What full actuation held from hour 0 adds, `mean_K` and standard deviation `sd_K` (n,) K at `hours` (n,) h."""
+
+    hours: Array
+    mean_K: Array
+    sd_K: Array
+
+
+def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
+    """Step response of the linear fit (m = 1, v = 1) over `hours` h; its band is of first order in the errors."""
+    n = max(1, round(hours * HOUR_S / step_s))
+    r = fit.log_tau.size
+
+    def response(parameters: Array) -> Array:
+        return np.asarray(unit_responses(parameters[:r], step_s, np.ones(n)) @ parameters[r:])
+
+    jacobian = _jacobian(response, np.concatenate([fit.log_tau, fit.gains]))
+    variance = np.einsum("ti,ij,tj->t", jacobian, fit.covariance, jacobian)
+    mean = response(np.concatenate([fit.log_tau, fit.gains]))
+    return StepResponse(
+        np.asarray(np.arange(n + 1) * step_s / HOUR_S, dtype=np.float64), mean, np.sqrt(np.maximum(variance, 0.0))
+    )
+
+
+def uncertainty(fit: JointFit, step_s: float) -> dict[str, float]:
+    """Estimates of the linear fit and their posterior standard deviations by name, poles and gains at `step_s`.
+
+    Under disturbances of about the size that was found, see `joint.calibrated`.
+    """
+    r = fit.log_tau.size
+    parameters = np.concatenate([fit.log_tau, fit.gains])
+
+    def poles_and_gains(p: Array) -> Array:
+        tau, gains = np.exp(p[:r]), p[r:]
+        a = np.exp(-step_s / HOUR_S / tau)
+        steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
+        return np.concatenate([a, steady * (1.0 - a)])
+
+    jacobian = _jacobian(poles_and_gains, parameters)
+    derived = np.sqrt(np.maximum(np.einsum("ti,ij,tj->t", jacobian, fit.covariance, jacobian), 0.0))
+    direct = np.sqrt(np.diag(fit.covariance))
+    out: dict[str, float] = {}
+    for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), direct[:r], strict=True), start=1):
+        out |= {f"time_constant_{i}_h": float(tau), f"time_constant_{i}_sd_h": float(tau * sd)}
+    names = ["starting_slope_K_per_h", *(f"steady_gain_{i}_K" for i in range(2, r + 1))]
+    for name, value, sd in zip(names, fit.gains, direct[r:], strict=True):
+        out |= {name: float(value), name.replace("_K", "_sd_K", 1): float(sd)}
+    names = [*(f"pole_{i}" for i in range(1, r + 1)), *(f"gain_{i}_K" for i in range(1, r + 1))]
+    for name, value, sd in zip(names, poles_and_gains(parameters), derived, strict=True):
+        out |= {name: float(value), (name.replace("_K", "_sd_K") if "_K" in name else f"{name}_sd"): float(sd)}
+    answer = step_response(fit, STEP_RESPONSE_H[-1], HOUR_S)
+    for hours in STEP_RESPONSE_H:
+        out |= {f"step_response_{hours}h_K": float(answer.mean_K[hours])}
+        out |= {f"step_response_{hours}h_sd_K": float(answer.sd_K[hours])}
+    return out
+
+
+def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
+    """Central differences, shape (outputs, parameters)."""
+    columns = []
+    for i in range(at.size):
+        step = np.zeros(at.size)
+        step[i] = _DERIVATIVE_STEP * max(1.0, abs(float(at[i])))
+        columns.append((function(at + step) - function(at - step)) / (2.0 * step[i]))
+    return np.stack(columns, axis=1)
