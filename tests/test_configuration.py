@@ -35,7 +35,10 @@ def test_broken_yaml_is_refused_with_file_and_reason(tmp_path, text, message):
     [
         ("testcase: x\nperiods: 3\n", r"periods: unknown key, did you mean 'period'\?; known here: .*price"),
         ("testcase: x\nplant: {kid: boptest}\n", r"plant\.kid: unknown key, did you mean 'kind'"),
-        ("testcase: x\nplant: {kind: real}\n", r"plant\.kind: Input should be 'embedded', 'boptest' or 'fmu' \(got 'real'\)"),
+        (
+            "testcase: x\nplant: {kind: real}\n",
+            r"plant\.kind: Input should be 'embedded', 'boptest' or 'fmu' \(got 'real'\)",
+        ),
         ("testcase: x\ndays: .nan\n", r"days: .*\(got nan\)"),
         ("testcase: x\nprice: free\n", r"price: Input should be 'constant', 'dynamic' or 'highly_dynamic'"),
         ("period: 44\n", r"testcase: missing"),
