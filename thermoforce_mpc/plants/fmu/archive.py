@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -101,12 +102,16 @@ def _describe(path: Path, file: zipfile.ZipFile) -> Any:
     if "modelDescription.xml" not in file.namelist():
         raise ConfigError(f"{path}: not an FMU (the zip file holds no modelDescription.xml)")
     try:
+        version = ElementTree.fromstring(file.read("modelDescription.xml")).get("fmiVersion")
+    except ElementTree.ParseError as error:
+        raise ConfigError(f"{path}: modelDescription.xml cannot be read ({error})") from error
+    if version != "2.0":
+        raise ConfigError(f"{path}: FMI version {version}; BOPTEST's test cases are FMI 2.0")
+    try:
         # Not held to the schema: tools differ in details that do not matter here.
         description = read_model_description(io.BytesIO(_content(file)), validate=False)
     except Exception as error:  # the parser raises what its libraries raise
-        raise ConfigError(f"{path}: modelDescription.xml cannot be read ({error})") from error
-    if description.fmiVersion != "2.0":
-        raise ConfigError(f"{path}: FMI version {description.fmiVersion}; BOPTEST's test cases are FMI 2.0")
+        raise ConfigError(f"{path}: modelDescription.xml cannot be used ({error})") from error
     if description.coSimulation is None:
         raise ConfigError(f"{path}: a model-exchange FMU; co-simulation is needed (BOPTEST compiles with target='cs')")
     return description

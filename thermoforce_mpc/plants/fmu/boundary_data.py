@@ -116,7 +116,7 @@ def read_table(content: bytes, source: str) -> dict[str, Series]:
         values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=np.float64)
         if not np.isfinite(values).all():
             row = int(np.argmin(np.isfinite(values)))
-            raise ConfigError(f"{source}: column '{name}', data row {row + 1}: {frame[name].iloc[row]!r} is no number")
+            raise ConfigError(f"{source}: column '{name}', data row {row + 1}: '{frame[name].iloc[row]}' is no number")
         columns[name] = values
     time_s = columns.pop("time")
     if time_s.size < 2 or not (np.diff(time_s) > 0).all():

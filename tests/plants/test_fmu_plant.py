@@ -1,0 +1,257 @@
+"""A test case from its FMU must tell the same story as the emulator inside that FMU, and say plainly what is wrong."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("fmpy")
+pytest.importorskip("pythonfmu")
+from fmu_files import CONFIG, DAYS, KPIS, build_house, rewritten
+
+from thermoforce_mpc.boundary.forecast_error import ForecastError
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError, WeatherError
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.fmu import FmuPlant
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario import Scenario, load_testcase
+from thermoforce_mpc.types import DAY_S, HOUR_S
+from thermoforce_mpc.weather import synthetic_weather
+
+TESTCASE = load_testcase("bestest_hydronic_heat_pump")
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return build_house(tmp_path_factory.mktemp("fmu"))
+
+
+@pytest.fixture(scope="module")
+def inside():
+    return EmbeddedPlant(synthetic_weather())
+
+
+def test_it_measures_forecasts_and_scores_as_the_emulator_inside(file, inside):
+    with FmuPlant(file, TESTCASE) as plant:
+        assert isinstance(plant, Plant)
+        assert plant.info.kind == "fmu"
+        for p in (plant, inside):
+            p.reset(20 * DAY_S, DAY_S, "dynamic")
+        assert plant.kpis() == dict.fromkeys(inside.kpis(), 0.0), "nothing counts before the warm-up is over"
+        for u, duration in ((0.5, 900.0), (1.0, 3600.0), (0.0, 600.0), (None, 2100.0)):
+            a, b = plant.advance(u, duration), inside.advance(u, duration)
+            assert a.time_s == b.time_s
+            for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u", "power_W", "heat_W"):
+                assert getattr(a, name) == pytest.approx(getattr(b, name), abs=1e-9), name
+        assert a.points["reaTZon_y"] == pytest.approx(a.T_zone_C + 273.15)
+        for name, value in inside.kpis().items():
+            assert plant.kpis()[name] == pytest.approx(value, rel=1e-9), name
+        assert plant.kpis()["ener_tot"] > 0
+        a, b = plant.past(HOUR_S), inside.past(HOUR_S)
+        assert a.n_steps == 26
+        for name in a.__dataclass_fields__:
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-9, atol=1e-6, err_msg=name)
+        a, b = plant.forecast(DAY_S, HOUR_S), inside.forecast(DAY_S, HOUR_S)
+        for name in a.__dataclass_fields__:
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-9, err_msg=name)
+
+
+def test_two_plants_live_side_by_side_and_the_same_run_gives_the_same_bytes(file):
+    with FmuPlant(file, TESTCASE) as one, FmuPlant(file, TESTCASE) as other:
+        one.reset(30 * DAY_S, 0.0)
+        other.reset(30 * DAY_S, 0.0)
+        for _ in range(3):
+            warm, cold = one.advance(1.0, 3600.0), other.advance(0.0, 3600.0)
+        assert warm.heat_W > 1000.0 > cold.heat_W
+        assert warm.T_zone_C > cold.T_zone_C
+        other.reset(30 * DAY_S, 0.0)
+        for _ in range(3):
+            again = other.advance(1.0, 3600.0)
+        assert again == warm, "a reset leaves nothing of the run before"
+
+
+def test_windows_are_those_of_the_fmu(file):
+    with FmuPlant(file, TESTCASE) as plant:
+        assert plant.period("peak_heat_day").start_s == (DAYS["peak_heat_day"] - 7) * DAY_S
+        assert plant.period("44").start_s == 44 * DAY_S
+        with pytest.raises(InputError, match="expected peak_heat_day, typical_heat_day or a start day"):
+            plant.period("peak_cool_day")
+        with pytest.raises(InputError, match="between 0 and 365"):
+            plant.period("400")
+
+
+def test_forecast_errors_leave_the_truth_alone(file):
+    with FmuPlant(file, TESTCASE, forecast_error=ForecastError("high", 3)) as plant:
+        plant.reset(30 * DAY_S, 0.0)
+        seen = plant.forecast(DAY_S, HOUR_S)
+        truth = synthetic_weather().at("T_dry_C", seen.time_s)
+        assert np.abs(seen.T_out_C - truth).max() > 0.1
+        assert plant.advance(None, HOUR_S).T_out_C == pytest.approx(truth[1], abs=1e-6)
+
+
+def test_a_crash_is_an_error_and_not_our_end(file, monkeypatch):
+    monkeypatch.setenv("FMU_HOUSE_CRASHES_ON_DAY", "30.02")
+    with FmuPlant(file, TESTCASE) as plant:
+        plant.reset(30 * DAY_S, 0.0)
+        with pytest.raises(PlantError, match=r"ended by signal SIGSEGV at day 30(.|\n)*may print whatever"):
+            plant.advance(0.5, HOUR_S)
+        with pytest.raises(PlantError, match="reset the plant"):
+            plant.advance(0.5, HOUR_S)
+        monkeypatch.delenv("FMU_HOUSE_CRASHES_ON_DAY")
+        plant.reset(30 * DAY_S, 0.0)
+        assert plant.advance(0.5, HOUR_S).time_s == 30 * DAY_S + HOUR_S
+
+
+def test_a_step_the_fmu_refuses_is_an_error_with_its_day(file, monkeypatch):
+    monkeypatch.setenv("FMU_HOUSE_FAILS_ON_DAY", "30.02")
+    with FmuPlant(file, TESTCASE) as plant:
+        plant.reset(30 * DAY_S, 0.0)
+        with pytest.raises(PlantError, match=r"could not simulate at day 30: .*DoStep"):
+            plant.advance(0.5, HOUR_S)
+
+
+@pytest.mark.parametrize("level", [float("nan"), 1.5, -0.1, "high"])
+def test_a_level_that_is_no_level_is_refused(file, level):
+    with FmuPlant(file, TESTCASE) as plant, pytest.raises(InputError, match="number from 0 to 1"):
+        plant.advance(level, 900.0)
+
+
+@pytest.mark.parametrize("step", [0.0, -30.0, float("nan"), 366 * DAY_S, "an hour"])
+def test_a_step_that_is_no_step_is_refused(file, step):
+    with FmuPlant(file, TESTCASE) as plant, pytest.raises(InputError, match="positive number, less than a year"):
+        plant.advance(0.5, step)
+
+
+def test_what_needs_a_start_says_so(file):
+    with FmuPlant(file, TESTCASE) as plant:
+        for ask in (lambda: plant.advance(0.5, 900.0), plant.kpis, lambda: plant.past(900.0)):
+            with pytest.raises(InputError, match="call reset"):
+                ask()
+
+
+def test_a_start_beyond_the_data_is_refused(file):
+    with FmuPlant(file, TESTCASE) as plant:
+        with pytest.raises(WeatherError, match=r"weather.csv: 'TDryBul' covers days 0 to 365"):
+            plant.reset(366 * DAY_S, 0.0)
+        with pytest.raises(InputError, match="unknown tariff"):
+            plant.reset(DAY_S, 0.0, "cheap")
+        with pytest.raises(InputError, match="finite, nonnegative"):
+            plant.reset(float("nan"), 0.0)
+
+
+WRONG_FILES = {
+    "cut": (lambda data: data[: len(data) // 2], "not an FMU"),
+    "text": (lambda data: b"model wrapped\nend wrapped;\n", "not an FMU"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_FILES)
+def test_a_file_that_is_no_fmu(file, tmp_path, case):
+    damage, message = WRONG_FILES[case]
+    wrong = tmp_path / "wrong.fmu"
+    wrong.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(ConfigError, match=message):
+        FmuPlant(wrong, TESTCASE)
+
+
+def test_a_missing_file_and_a_zip_that_is_no_fmu(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        FmuPlant(tmp_path / "none.fmu", TESTCASE)
+    with zipfile.ZipFile(tmp_path / "zip.fmu", "w") as archive:
+        archive.writestr("readme.txt", "nothing here")
+    with pytest.raises(ConfigError, match=r"no modelDescription\.xml"):
+        FmuPlant(tmp_path / "zip.fmu", TESTCASE)
+
+
+def _version_3(root):
+    root.set("fmiVersion", "3.0")
+
+
+def _model_exchange(root):
+    root.find("CoSimulation").tag = "ModelExchange"
+
+
+def _kelvin_lost(root):
+    for variable in root.iter("ScalarVariable"):
+        if variable.get("name") == "reaTZon_y":
+            variable.find("Real").set("unit", "degC")
+
+
+def _zone_lost(root):
+    for variable in root.iter("ScalarVariable"):
+        if variable.get("name") == "reaTZon_y":
+            variable.set("name", "reaTRoo_y")
+
+
+@pytest.mark.parametrize(
+    ("describe", "message"),
+    [
+        (_version_3, r"FMI version 3\.0"),
+        (_model_exchange, "co-simulation is needed"),
+        (_kelvin_lost, "'reaTZon_y' is in degC"),
+        (_zone_lost, r"measurements\.zone_temperature: the FMU .* has no point 'reaTZon_y'.*reaTRoo_y"),
+    ],
+)
+def test_a_description_that_does_not_fit(file, tmp_path, describe, message):
+    with pytest.raises(ConfigError, match=message):
+        FmuPlant(rewritten(file, tmp_path / "other.fmu", {}, describe), TESTCASE)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"resources/kpis.json": "{"}, r"kpis\.json is not JSON"),
+        ({"resources/kpis.json": json.dumps(KPIS | {"GasPower": ["reaPGas_y"]})}, "does not have: reaPGas_y"),
+        ({"resources/kpis.json": json.dumps(KPIS | {"ElectricPower": "reaPFan_y"})}, "expected a list of outputs"),
+        ({"resources/days.json": '{"peak_heat_day": 400}'}, "expected a day from 0 to 364"),
+        ({"resources/config.json": json.dumps(CONFIG | {"area": 48.0})}, "another building"),
+        ({"resources/emissions.csv": None}, "forecast.emission: the FMU .* has no point"),
+        ({"resources/emissions.csv": "time,EmissionsElectricPower\n0,0.1\n900,\n"}, r"data row 2: 'nan' is no number"),
+        ({"resources/emissions.csv": "time,EmissionsElectricPower\n900,0.1\n0,0.1\n"}, "'time' must rise"),
+        ({"resources/again.csv": "time,TDryBul\n0,280\n900,280\n"}, "already in"),
+    ],
+)
+def test_resources_that_cannot_be_used(file, tmp_path, changed, message):
+    with pytest.raises(ConfigError, match=message):
+        FmuPlant(rewritten(file, tmp_path / "other.fmu", changed), TESTCASE)
+
+
+def test_binaries_of_another_platform(file, tmp_path):
+    with zipfile.ZipFile(file) as archive:
+        shared = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith(".dll")]
+    other = rewritten(file, tmp_path / "other.fmu", dict.fromkeys(shared))
+    with pytest.raises(ConfigError, match=r"no binaries for this machine .* runs on: win64"):
+        FmuPlant(other, TESTCASE)
+
+
+def test_without_kpis_json_the_test_case_file_says_what_counts(file, inside, tmp_path):
+    with FmuPlant(rewritten(file, tmp_path / "bare.fmu", {"resources/kpis.json": None}), TESTCASE) as plant:
+        for p in (plant, inside):
+            p.reset(20 * DAY_S, 0.0)
+            p.advance(1.0, HOUR_S)
+        expected = inside.kpis()
+        del expected["idis_tot"]  # the test case file names no CO2 sensor
+        assert plant.kpis() == pytest.approx(expected)
+
+
+def test_the_cli_runs_it(file, tmp_path):
+    command = ["run", "--testcase", TESTCASE.name, "--fmu", str(file), "--period", "30", "--days", "0.25"]
+    options = ["--controller", "thermostat", "--baselines", "", "--out", str(tmp_path / "run")]
+    result = CliRunner().invoke(cli, [*command, *options, "--quiet"], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert "wrapped.fmu" in json.dumps(manifest)
+    result = CliRunner().invoke(cli, [*command, "--url", "http://127.0.0.1:1"])
+    assert "two plants" in result.output
+
+
+def test_kind_and_path_go_together():
+    with pytest.raises(ValueError, match="go together"):
+        Scenario.model_validate({"testcase": "x", "plant": {"kind": "fmu"}})
+    with pytest.raises(ValueError, match="go together"):
+        Scenario.model_validate({"testcase": "x", "plant": {"path": "wrapped.fmu"}})
