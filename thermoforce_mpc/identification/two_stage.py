@@ -23,6 +23,8 @@ from thermoforce_mpc.types import HOUR_S, Array, History
 # Steps needed in each stage before four and one numbers mean anything.
 MIN_OFF_STEPS = 24
 MIN_ON_STEPS = 6
+# Units in which the four columns of the first stage are of one size.
+SCALE = np.array([1.0, 1.0, 1e-3, 1.0])
 # Constant gains of a house, ground and people, K per hour (the box of e).
 _CONSTANT_K_PER_H = 3.0
 
@@ -104,13 +106,9 @@ def fit_two_stage(
             f"{int(on.sum())} on (need {MIN_ON_STEPS}): record stretches of both, or use the joint estimator"
         )
 
-    # Written as T(t+1) − T(t) = c (T_out − T) + d I + e − (1 − a − c) T, the box is plain: 0 ≤ c ≤ 1 − a.
-    low_loss, high_loss = (1.0 - np.exp(-step_s / HOUR_S / tau) for tau in reversed(time_constant_h))
     design = np.stack([-T[off], T_out[off], solar[off], np.ones(int(off.sum()))], axis=1)
-    scale = np.array([1.0, 1.0, 1e-3, 1.0])
-    constant = _CONSTANT_K_PER_H * step_s / HOUR_S
-    bounds = (np.array([low_loss, 0.0, 0.0, -constant]), np.array([high_loss, high_loss, np.inf, constant]))
-    solution = lsq_linear(design * scale, rise[off], bounds=(bounds[0] / scale, bounds[1] / scale)).x * scale
+    low, high = first_stage_bounds(step_s, time_constant_h)
+    solution = lsq_linear(design * SCALE, rise[off], bounds=(low / SCALE, high / SCALE)).x * SCALE
     loss, c, d, e = (float(value) for value in solution)
     noise = float(np.sum((design @ solution - rise[off]) ** 2) / max(1, off.sum() - 4))
     a_sd = float(np.sqrt(noise * np.linalg.pinv(design.T @ design)[0, 0]))
@@ -136,6 +134,13 @@ def fit_two_stage(
         sign=sign,
         actuator=actuator,
     )
+
+
+def first_stage_bounds(step_s: float, time_constant_h: tuple[float, float]) -> tuple[Array, Array]:
+    """Box of (1 − a, c, d, e): in T(t+1) − T(t) = c T_out + d I + e − (1 − a) T it is plain, 0 ≤ c ≤ 1 − a at most."""
+    low_loss, high_loss = (1.0 - np.exp(-step_s / HOUR_S / tau) for tau in reversed(time_constant_h))
+    constant = _CONSTANT_K_PER_H * step_s / HOUR_S
+    return np.array([low_loss, 0.0, 0.0, -constant]), np.array([high_loss, high_loss, np.inf, constant])
 
 
 def _columns(run: History) -> tuple[Array, Array, Array, Array, Array]:
