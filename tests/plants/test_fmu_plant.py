@@ -115,6 +115,14 @@ def test_a_step_the_fmu_refuses_is_an_error_with_its_day(file, monkeypatch):
             plant.advance(0.5, HOUR_S)
 
 
+def test_a_forecast_over_new_year_repeats_the_year(file):
+    with FmuPlant(file, TESTCASE) as plant:
+        plant.reset(364.5 * DAY_S, 0.0)
+        seen = plant.forecast(DAY_S, HOUR_S)
+        truth = synthetic_weather().at("T_dry_C", np.array([364.75, 0.25]) * DAY_S)
+        np.testing.assert_allclose(seen.T_out_C[[6, 18]], truth, atol=1e-9)
+
+
 @pytest.mark.parametrize("level", [float("nan"), 1.5, -0.1, "high"])
 def test_a_level_that_is_no_level_is_refused(file, level):
     with FmuPlant(file, TESTCASE) as plant, pytest.raises(InputError, match="number from 0 to 1"):
@@ -134,9 +142,16 @@ def test_what_needs_a_start_says_so(file):
                 ask()
 
 
-def test_a_start_beyond_the_data_is_refused(file):
+def test_a_start_beyond_the_data_is_refused(file, tmp_path):
+    short = "time,TDryBul,HGloHor\n" + "".join(f"{hour * 3600},280.0,0.0\n" for hour in range(48))
+    with FmuPlant(rewritten(file, tmp_path / "short.fmu", {"resources/weather.csv": short}), TESTCASE) as plant:
+        with pytest.raises(WeatherError, match=r"weather.csv: 'TDryBul' covers days 0 to 2, asked for days 3 to 3"):
+            plant.reset(3 * DAY_S, 0.0)
+        plant.reset(1.5 * DAY_S, 0.0)
+        with pytest.raises(WeatherError, match="covers days 0 to 2"):
+            plant.forecast(DAY_S, HOUR_S)
     with FmuPlant(file, TESTCASE) as plant:
-        with pytest.raises(WeatherError, match=r"weather.csv: 'TDryBul' covers days 0 to 365"):
+        with pytest.raises(InputError, match="beyond the year"):
             plant.reset(366 * DAY_S, 0.0)
         with pytest.raises(InputError, match="unknown tariff"):
             plant.reset(DAY_S, 0.0, "cheap")

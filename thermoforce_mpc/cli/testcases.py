@@ -14,7 +14,7 @@ def command() -> None:
     click.echo("Test cases (--testcase NAME):")
     for name, path in named_configs("testcases").items():
         testcase = load_testcase(name)
-        plants = "embedded emulator or BOPTEST service" if testcase.embedded else "BOPTEST service (--url)"
+        plants = f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():

@@ -40,6 +40,7 @@ _WEATHER = frozenset(
         "winSpe",
     ]
 )
+YEAR_S = 365 * DAY_S
 _UNITS = {"TDryBul": "K", "TDewPoi": "K", "TWetBul": "K", "TBlaSky": "K", "HGloHor": "W/m2", "HDirNor": "W/m2"}
 _UNITS |= {"HDifHor": "W/m2", "HHorIR": "W/m2"}
 
@@ -73,6 +74,9 @@ class BoundaryData:
     def at(self, name: str, time_s: Array) -> Array:
         """The series `name` at times (n,), s since 1 January: weather interpolated, all else held.
 
+        A series that covers the year repeats after it, as BOPTEST's do: its last value is that of midnight, the next
+        one that of the new year.
+
         Raises:
             ConfigError: there is no such series.
             WeatherError: a time lies outside what the file covers.
@@ -81,9 +85,12 @@ class BoundaryData:
             raise ConfigError(f"the FMU's resources have no series '{name}'; known: {', '.join(sorted(self.series))}")
         one = self.series[name]
         time_s = np.asarray(time_s, dtype=np.float64)
-        if time_s.size and (time_s.min() < one.time_s[0] - 1e-6 or time_s.max() > _covered_until(one) + 1e-6):
+        until_s = _covered_until(one)
+        if until_s >= YEAR_S:
+            time_s = np.where(time_s > YEAR_S, np.mod(time_s, YEAR_S), time_s)
+        if time_s.size and (time_s.min() < one.time_s[0] - 1e-6 or time_s.max() > until_s + 1e-6):
             raise WeatherError(
-                f"{one.source}: '{name}' covers days {one.time_s[0] / DAY_S:g} to {_covered_until(one) / DAY_S:g}, "
+                f"{one.source}: '{name}' covers days {one.time_s[0] / DAY_S:g} to {until_s / DAY_S:g}, "
                 f"asked for days {time_s.min() / DAY_S:g} to {time_s.max() / DAY_S:g}; choose an earlier window"
             )
         if name in _WEATHER:

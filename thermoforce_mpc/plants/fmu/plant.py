@@ -17,6 +17,7 @@ from thermoforce_mpc.boundary.periods import centred_window
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.boptest_points import check_points
 from thermoforce_mpc.plants.fmu.archive import read_archive
+from thermoforce_mpc.plants.fmu.boundary_data import YEAR_S
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
@@ -25,7 +26,6 @@ from thermoforce_mpc.testcase import PRICES, Price, TestCase
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 
 _KELVIN = 273.15
-_LONGEST_STEP_S = 365 * DAY_S
 
 
 class FmuPlant:
@@ -111,7 +111,7 @@ class FmuPlant:
         """Start at `start_s` after `warmup_s` of the FMU's own control (cut at the beginning of the year).
 
         Raises:
-            InputError: a time is not a finite nonnegative number, or the tariff is unknown.
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
             WeatherError: `start_s` lies beyond the FMU's boundary data.
             PlantError: the FMU cannot be loaded or failed.
         """
@@ -121,6 +121,8 @@ class FmuPlant:
         known = next((name for name in PRICES if name == price), None)
         if known is None:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
+        if start_s >= YEAR_S:
+            raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
         self._archive.boundary.at(self.testcase.forecast.outdoor_temperature, np.array([start_s]))
         self._price = known
         self._stop()
@@ -154,7 +156,7 @@ class FmuPlant:
         number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
         if not number:
             raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
-        if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < _LONGEST_STEP_S):
+        if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < YEAR_S):
             raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
         before_s = self._now_s if self._worker else 0.0
         stretch = self._run(self.testcase.actuator.inputs(None if u is None else float(u)), float(duration_s))

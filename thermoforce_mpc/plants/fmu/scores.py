@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.kpis import PEAKS, Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.fmu.archive import FmuArchive
-from thermoforce_mpc.testcase import Price, TestCase
+from thermoforce_mpc.testcase import ForecastPoints, Price, TestCase
 from thermoforce_mpc.types import Array
 
 _ELECTRIC = "ElectricPower"
@@ -29,13 +29,17 @@ class Scores:
             ConfigError: a signal or series is missing, or the floor areas of FMU and test case file differ.
         """
         self._boundary = archive.boundary
-        self._testcase = testcase
+        self._area_m2 = testcase.floor_area_m2
         if archive.area_m2 is not None and abs(archive.area_m2 - testcase.floor_area_m2) > 0.01 * archive.area_m2:
             raise ConfigError(
                 f"test case '{testcase.name}' has {testcase.floor_area_m2:g} m2 of floor, "
                 f"the FMU {archive.path} has {archive.area_m2:g} m2: this is another building"
             )
         m = testcase.measurements
+        self._prices, self._emissions = testcase.forecast.price, testcase.forecast.emission
+        if archive.kpi_signals:  # BOPTEST bills each carrier at its own price, whatever a controller plans with
+            names = ForecastPoints()
+            self._prices, self._emissions = names.price, names.emission
         listed = archive.kpi_signals or {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
         self._carriers = {name: signals for name, signals in listed.items() if name in _CARRIERS}
         self._thermal = _zones(listed, _THERMAL)
@@ -93,14 +97,14 @@ class Scores:
             supplies=supplies,
             thermal=thermal,
             air_quality=air_quality,
-            area_m2=self._testcase.floor_area_m2,
+            area_m2=self._area_m2,
         )
 
     def _price(self, carrier: str, price: Price) -> str:
-        return self._testcase.forecast.price[price] if carrier == _ELECTRIC else f"Price{carrier}"
+        return self._prices[price] if carrier == _ELECTRIC else f"Price{carrier}"
 
     def _emission(self, carrier: str) -> str:
-        return self._testcase.forecast.emission if carrier == _ELECTRIC else f"Emissions{carrier}"
+        return self._emissions if carrier == _ELECTRIC else f"Emissions{carrier}"
 
 
 def _zones(listed: Mapping[str, tuple[str, ...]], categories: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
