@@ -108,23 +108,33 @@ def fit_two_stage_many(
 def _stacked(runs: Sequence[History], actuators: Sequence[ActuatorMap]) -> tuple[Array, NDArray[np.bool_]]:
     """T, its rise, mean weather, u and drive (6, buildings, steps), zeros where not both ends were measured; where."""
     n = max(run.n_steps for run in runs)
-    out = np.zeros((6, len(runs), n))
-    kept = np.zeros((len(runs), n), dtype=bool)
+    sampled = np.full((3, len(runs), n + 1), np.nan)
+    u = np.zeros((len(runs), n))
     for i, run in enumerate(runs):
-        m, T = run.n_steps, run.T_zone_C
-        both = np.isfinite(T[:-1]) & np.isfinite(T[1:])
-        kept[i, :m] = both
-        out[0, i, :m], out[1, i, :m] = T[:-1], np.diff(T)
-        out[2, i, :m], out[3, i, :m] = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
-        out[4, i, :m] = run.u
+        m = run.n_steps
+        sampled[0, i, : m + 1] = run.T_zone_C
+        sampled[1, i, : m + 1] = run.T_out_C
+        sampled[2, i, : m + 1] = run.solar_W_m2
+        u[i, :m] = run.u
+    T, weather = sampled[0], sampled[1:]
+    kept = np.isfinite(T[:, :-1]) & np.isfinite(T[:, 1:])
+    T_out, solar = 0.5 * (weather[..., :-1] + weather[..., 1:])
+    drive = u.copy()
     for i, actuator in enumerate(actuators):
-        out[5, i] = out[4, i] if actuator.heat is None else actuator(out[4, i], out[2, i])
-    return np.where(kept, out, 0.0), kept
+        if actuator.heat is not None:
+            drive[i] = actuator(u[i], T_out[i])
+    return np.where(kept, np.stack([T[:, :-1], np.diff(T), T_out, solar, u, drive]), 0.0), kept
 
 
 def _boxed(normal: Array, moment: Array, low: Array, high: Array) -> Array:
     """Minimisers (b, p) of x'Nx − 2m'x in a box, `normal` (b, p, p), `moment` (b, p): the best of all active sets."""
     b, p = moment.shape
+    best: Array = np.asarray(np.linalg.solve(normal, moment[..., None])[..., 0], dtype=np.float64)
+    outside = np.flatnonzero(((best < low) | (best > high)).any(axis=1))
+    if outside.size < b:  # most buildings are inside: only the others need the search
+        if outside.size:
+            best[outside] = _boxed(normal[outside], moment[outside], low, high)
+        return best
     best, value = np.zeros((b, p)), np.full(b, np.inf)
     room = _ROUNDING * np.maximum(np.abs(np.where(np.isfinite(low), low, 0)), np.where(np.isfinite(high), high, 0))
     for where in product((0, 1, 2), repeat=p):  # free, at the lower bound, at the upper bound
