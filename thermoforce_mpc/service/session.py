@@ -1,7 +1,7 @@
 """One test: an embedded plant with a step, a scenario and overwritten inputs, driven by requests.
 
 Every public method is one endpoint: it takes the request's values as they came and returns `Reply(message, payload)`,
-or raises `Refusal`. Semantics follow the BOPTEST documentation; times are on the emulator's 30-s grid.
+or raises `Refusal`. Semantics follow the BOPTEST documentation; steps are multiples of the emulator's 30 s.
 """
 
 from __future__ import annotations
@@ -198,14 +198,12 @@ class Session:
         return Reply("The key performance indicators.", dict(sorted((kpis | extra).items())))
 
     def _start(self, start_s: float, warmup_s: float, end_s: float) -> Reply:
-        on_grid_s = round(start_s / STEP_S) * STEP_S
         with _refusing():
-            self._plant.reset(on_grid_s, warmup_s, self._scenario["electricity_price"])
-        self._start_s, self._end_s = on_grid_s, end_s
+            self._plant.reset(start_s, warmup_s, self._scenario["electricity_price"])
+        self._start_s, self._end_s = start_s, end_s
         self._overwrites, self._active, self._switches = {}, {}, []
         self._waits_s, self._answered_s = [], None
-        note = "" if on_grid_s == start_s else f" (the nearest multiple of {STEP_S:g} s)"
-        return Reply(f"The test was initialized to {on_grid_s:g} s{note}.", self._state())
+        return Reply(f"The test was initialized to {start_s:g} s.", self._state())
 
     def _surround(self) -> None:
         s = self._scenario

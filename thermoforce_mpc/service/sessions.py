@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.session import Session
 
+_LONE = "the one test of clients that know no test ids"
+
 
 class UnknownTestid(Exception):
     """No such test: stopped, dropped when idle, or never was."""
@@ -36,11 +38,21 @@ class Sessions:
         """Start a test; returns its id. Raises `Refusal` (503) when all are taken."""
         with self._lock:
             self._drop_idle()
-            if len(self._entries) >= self._most:
-                raise Refusal(503, f"All {self._most} tests of this service are in use; stop one, or try again later.")
             testid = str(uuid.uuid4())
-            self._entries[testid] = _Entry(self._make(), time.monotonic())
+            self._entries[testid] = self._new_entry()
             return testid
+
+    def lone(self) -> str:
+        """The test of clients that know no test ids: made when first asked for, then kept, however idle.
+
+        Such a client would not notice that its test was dropped and another begun. Raises `Refusal` (503) when all
+        are taken.
+        """
+        with self._lock:
+            self._drop_idle()
+            if _LONE not in self._entries:
+                self._entries[_LONE] = self._new_entry()
+            return _LONE
 
     def stop(self, testid: str) -> None:
         """End a test. Raises `UnknownTestid`."""
@@ -63,8 +75,13 @@ class Sessions:
             finally:
                 entry.used_s = time.monotonic()
 
+    def _new_entry(self) -> _Entry:
+        if len(self._entries) >= self._most:
+            raise Refusal(503, f"All {self._most} tests of this service are in use; stop one, or try again later.")
+        return _Entry(self._make(), time.monotonic())
+
     def _drop_idle(self) -> None:
         until_s = time.monotonic() - self._idle_s
         for testid, entry in list(self._entries.items()):
-            if entry.used_s < until_s and not entry.lock.locked():
+            if testid != _LONE and entry.used_s < until_s and not entry.lock.locked():
                 del self._entries[testid]

@@ -128,7 +128,7 @@ class EmbeddedPlant:
         return Period(f"day {day:g}", day * DAY_S)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control (cut at the beginning of the year).
+        """Start at `start_s` after `warmup_s` of native control, in whole steps of 30 s, cut at the beginning of the year.
 
         Raises:
             InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
@@ -146,7 +146,8 @@ class EmbeddedPlant:
         self._scalars[kernel.T_EVAPORATOR] = 278.15
         self._scalars[kernel.CO2_PPM] = 400.0
         self._start_s = float(start_s)
-        self._begin_s = self._now_s = max(self._whole_steps(start_s - warmup_s), 0.0)
+        # Samples lie whole steps from the start, wherever that is, so that a test starts at the second asked for.
+        self._begin_s = self._now_s = start_s - self._whole_steps(min(warmup_s, start_s))
         self._record: list[Array] = []
         self._first = self._still()
         if self._start_s > self._now_s:
