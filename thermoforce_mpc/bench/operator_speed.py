@@ -1,4 +1,4 @@
-"""How long identification and use of an operator take, as ratios within one run of the bench."""
+"""How long a rollout of the operator takes, as ratios within one run of the bench."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from thermoforce_mpc.identification.train import causal_convolution, impulse_response
 from thermoforce_mpc.operator import OperatorParameters, forced_rollout, linear_operator
 from thermoforce_mpc.operator.casadi_export import rollout_function
 from thermoforce_mpc.operator.torch_module import ForcedResponseOperator
@@ -34,7 +33,8 @@ class Comparison:
         return self.plain_s / self.fast_s
 
 
-def _random_operator(order: int, seed: int) -> OperatorParameters:
+def random_operator(order: int, seed: int) -> OperatorParameters:
+    """An operator of this order with random weights, as in a house."""
     rng = np.random.default_rng(seed)
     poles, gains = np.array([0.14, 0.74, 0.98])[-order:], np.array([0.1, 0.5, 0.4])[-order:]
     base = linear_operator(poles, gains, step_s=3600.0)
@@ -47,7 +47,8 @@ def _random_operator(order: int, seed: int) -> OperatorParameters:
     )
 
 
-def _median_s(work: Callable[[], object], repeats: int) -> float:
+def median_s(work: Callable[[], object], repeats: int) -> float:
+    """Median duration of `repeats` calls after one to warm up, s."""
     work()
     times = []
     for _ in range(repeats):
@@ -55,43 +56,6 @@ def _median_s(work: Callable[[], object], repeats: int) -> float:
         work()
         times.append(perf_counter() - start)
     return float(np.median(times))
-
-
-def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Comparison:
-    """One epoch (loss and gradient) by convolution against a loop over the steps of all rollouts at once."""
-    rng = np.random.default_rng(0)
-    operator = ForcedResponseOperator(_random_operator(3, 1))
-    features = torch.tensor(rng.normal(size=(rollouts, n_steps, 4)))
-    heat = torch.tensor(rng.uniform(size=(rollouts, n_steps)))
-    target = torch.tensor(rng.normal(size=(rollouts, n_steps)))
-    n_fft = 1 << (2 * n_steps).bit_length()
-
-    def fast() -> torch.Tensor:
-        forced = causal_convolution(impulse_response(operator, n_steps), operator.modulation(features) * heat, n_fft)
-        return ((forced - target) ** 2).mean()
-
-    def loop() -> torch.Tensor:
-        state = torch.zeros(rollouts, 3, dtype=torch.float64)
-        total = torch.zeros((), dtype=torch.float64)
-        for t in range(n_steps):
-            drive = operator.modulation(features[:, t]) * heat[:, t]
-            state = operator.poles * state + operator.gains * drive[:, None]
-            total = total + ((state.sum(-1) - target[:, t]) ** 2).sum()
-        return total / target.numel()
-
-    def epoch(loss: Callable[[], torch.Tensor]) -> Callable[[], object]:
-        def run() -> None:
-            operator.zero_grad()
-            loss().backward()
-
-        return run
-
-    _must_agree("training loss", fast().detach().numpy(), loop().detach().numpy())
-    return Comparison(
-        f"epoch of training, {rollouts} rollouts of {n_steps} steps",
-        _median_s(epoch(loop), max(3, repeats // 3)),
-        _median_s(epoch(fast), repeats),
-    )
 
 
 def _casadi_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> tuple[Any, Array]:
@@ -120,7 +84,7 @@ class _Bound:
 def compare_rollout(n_steps: int, repeats: int = 200) -> tuple[Comparison, Comparison]:
     """One rollout: CasADi and numpy against the torch module called step by step, as the paper's rollout is printed."""
     rng = np.random.default_rng(0)
-    params = _random_operator(3, 2)
+    params = random_operator(3, 2)
     operator = ForcedResponseOperator(params)
     F0, u, x = rng.normal(size=3), rng.uniform(size=n_steps), rng.normal(size=(n_steps, 4))
     evaluate, modes = _casadi_rollout(params, F0, u, x)
@@ -135,13 +99,13 @@ def compare_rollout(n_steps: int, repeats: int = 200) -> tuple[Comparison, Compa
             return torch.stack(out).numpy()
 
     evaluate()
-    _must_agree("CasADi rollout", modes, step_by_step())
-    _must_agree("numpy rollout", forced_rollout(params, F0, u, x), step_by_step())
-    plain = _median_s(step_by_step, max(5, repeats // 10))
+    must_agree("CasADi rollout", modes, step_by_step())
+    must_agree("numpy rollout", forced_rollout(params, F0, u, x), step_by_step())
+    plain = median_s(step_by_step, max(5, repeats // 10))
     return (
-        Comparison(f"rollout of {n_steps} steps, CasADi", plain, _median_s(evaluate, repeats)),
+        Comparison(f"rollout of {n_steps} steps, CasADi", plain, median_s(evaluate, repeats)),
         Comparison(
-            f"rollout of {n_steps} steps, numpy", plain, _median_s(lambda: forced_rollout(params, F0, u, x), repeats)
+            f"rollout of {n_steps} steps, numpy", plain, median_s(lambda: forced_rollout(params, F0, u, x), repeats)
         ),
     )
 
@@ -149,7 +113,7 @@ def compare_rollout(n_steps: int, repeats: int = 200) -> tuple[Comparison, Compa
 def compare_module_call(n_steps: int, repeats: int = 200) -> Comparison:
     """One rollout: CasADi against one call of the torch module over the whole horizon."""
     rng = np.random.default_rng(0)
-    params = _random_operator(3, 2)
+    params = random_operator(3, 2)
     operator = ForcedResponseOperator(params)
     arrays = rng.normal(size=3), rng.uniform(size=n_steps), rng.normal(size=(n_steps, 4))
     tensors = [torch.tensor(value) for value in arrays]
@@ -160,15 +124,16 @@ def compare_module_call(n_steps: int, repeats: int = 200) -> Comparison:
             return operator(*tensors)
 
     evaluate()
-    _must_agree("CasADi rollout", modes, module().numpy())
+    must_agree("CasADi rollout", modes, module().numpy())
     return Comparison(
         f"rollout of {n_steps} steps, CasADi against one module call",
-        _median_s(module, repeats),
-        _median_s(evaluate, repeats),
+        median_s(module, repeats),
+        median_s(evaluate, repeats),
     )
 
 
-def _must_agree(what: str, a: Array, b: Array) -> None:
+def must_agree(what: str, a: Array, b: Array) -> None:
+    """Refuse to compare the speed of two things that are not the same; raises `ArithmeticError`."""
     difference = float(np.abs(a - b).max())
     if not difference <= _SAME_K:
         raise ArithmeticError(f"{what}: the fast and the plain computation differ by {difference:g}")
