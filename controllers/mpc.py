@@ -29,7 +29,7 @@ from thermoforce_mpc.world_model import ThermalModel, WorldModel
 class FreeResponseConfig(StrictModel):
     """Which free response the plan is built on."""
 
-    name: str = Field("residual", description="name in the registry of free responses")
+    name: str = Field("calibrated", description="name in the registry of free responses")
     options: dict[str, Any] = Field(default_factory=dict, description="its options, for example backbone: shipped")
 
 

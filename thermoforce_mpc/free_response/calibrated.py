@@ -1,48 +1,79 @@
 """Intervals corrected by what the method's own forecasts turned out to be, weather errors included.
 
-Trials on the history (`selected`) know the weather in hindsight; only forecasts that were really issued show what
-errors of the weather forecast do. So each is kept, compared with what has come since, and the last days set the width
-(split conformal prediction over a rolling window, which follows slow changes).
+Only forecasts that were really issued show what errors of the weather forecast do. Each is compared with what came,
+lead time by lead time, and the last days set the width (split conformal prediction over a rolling window, Angelopoulos
+and Bates 2023). Errors of one week are few and hang together, so the level itself is corrected as well: a step up
+whenever a value fell outside what was served, a step down when it fell inside (adaptive conformal inference, Gibbs and
+Candès 2021).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.checks import checked_free
-from thermoforce_mpc.free_response.walk_forward import Trial, interval_scale, rescaled
+from thermoforce_mpc.free_response.walk_forward import run_trials, trial_origins
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import DAY_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
 
+_INSIDE = 0.8
 _WINDOW_S = 6 * DAY_S
-# Values a group of lead times must have seen before its width is touched: a day of hourly forecasts.
+# Forecasts made within an hour of each other tell the same: one of them is remembered.
+_EVERY_S = HOUR_S
+# Neighbouring lead times share a width; these hours part them.
+_LEAD_EDGES_H = (2.0, 6.0, 12.0, 24.0)
+# Hourly values a group of lead times must have seen before its width is touched.
 _LEAST_VALUES = 24
+# How far an hour's values outside move the level, and how far the level may go.
+_LEVEL_STEP = 0.02
+_LEVEL_RANGE = (0.6, 0.98)
+_SCALE_RANGE = (0.25, 5.0)
+# Rehearsed forecasts start on every seventh hour, so that all hours of the day come up, and need days behind them.
+_REHEARSAL_EVERY_S = 7 * HOUR_S
+_REHEARSAL_CONTEXT_S = 3 * DAY_S
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Issued:
-    """A forecast as issued, before any correction; `ends_s` (N,) are the ends of its steps."""
+    """A forecast as issued: ends of its steps, raw median and half-widths, and the factor served with, each (N,)."""
 
     time_s: float
     ends_s: Array
-    forecast: FreeForecast
+    median_C: Array
+    up_K: Array
+    down_K: Array
+    served: Array
+    compared: int = 0
+
+
+@dataclass
+class _Group:
+    """Lead times that share a width: when what came, its distance from the median in raw half-widths, and the level."""
+
+    level: float
+    scores: deque[tuple[float, float]] = field(default_factory=deque)
 
 
 class CalibratedFreeResponse:
-    """`inner` with intervals scaled so that they would have held 80 % of what came over the last six days.
+    """`inner` with intervals scaled so that they hold 80 % of what comes.
 
     It remembers what it forecast, so one object belongs to one run; time going back, or another horizon, starts anew.
     """
 
     name = "calibrated"
 
-    def __init__(self, inner: FreeResponse) -> None:
-        self.inner = inner
+    def __init__(self, inner: FreeResponse, *, rehearsal_s: float = 0.0) -> None:
+        """Take `inner` as it is; at the start of a run, rehearse on the last `rehearsal_s` of its history."""
+        self.inner, self._rehearsal_s = inner, rehearsal_s
         self._issued: deque[_Issued] = deque()
+        self._groups: list[_Group] = []
+        self._latest_s = -np.inf
+        self._n = 0
 
     def weight_hash(self) -> str:
         """Hash of the weights of the frozen method inside; raises `DataError` when it has none."""
@@ -54,22 +85,91 @@ class CalibratedFreeResponse:
     def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what the method inside raises."""
         free = checked_free(free_C, history)
-        now = float(history.time_s[-1])
+        now, n = float(history.time_s[-1]), boundary.n_steps
         raw = self.inner.forecast(free, history, boundary)
-        if self._issued and (now < self._issued[-1].time_s or self._issued[-1].ends_s.size != boundary.n_steps):
-            self._issued.clear()
-        while self._issued and now - self._issued[0].time_s > _WINDOW_S:
-            self._issued.popleft()
-        if not self._issued:
-            scale = np.ones(boundary.n_steps)
-        else:
-            trials = [Trial(past.forecast, _known(past.ends_s, history.time_s, free)) for past in self._issued]
-            scale = interval_scale(trials, least_values=_LEAST_VALUES)
-        if not self._issued or now > self._issued[-1].time_s:
-            self._issued.append(_Issued(now, np.asarray(boundary.time_s[1:]), raw))
-        corrected = rescaled(raw, scale)
+        group_of = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
+        if now < self._latest_s or n != self._n:
+            self._start(free, history, boundary)
+        self._compare(free, history, group_of, boundary.step_s)
+        self._latest_s = now
+        scale = np.array([self._scale(group) for group in self._groups])[group_of]
+        if not self._issued or now - self._issued[-1].time_s >= _EVERY_S - 1.0:
+            self._issued.append(_issued(now, boundary.time_s[1:], raw, scale))
+        median = raw.median_C
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
-        return FreeForecast(corrected.levels, corrected.quantiles_C, note)
+        return FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
+
+    def _start(self, free: Array, history: History, boundary: Boundary) -> None:
+        """Forget everything, then rehearse: forecasts from past instants, with the weather that came."""
+        self._issued.clear()
+        self._groups = [_Group(level=_starting_level(edge)) for edge in (*_LEAD_EDGES_H, _LEAD_EDGES_H[-1])]
+        self._latest_s, self._n = -np.inf, boundary.n_steps
+        step_s, n = boundary.step_s, boundary.n_steps
+        if self._rehearsal_s <= 0 or abs(history.step_s - step_s) > 1e-6 or history.n_steps <= n:
+            return
+        origins = [
+            t
+            for t in trial_origins(
+                history.n_steps,
+                n,
+                least_context=round(_REHEARSAL_CONTEXT_S / step_s),
+                span=round(self._rehearsal_s / step_s),
+                every=max(1, round(_REHEARSAL_EVERY_S / step_s)),
+            )
+            if np.isfinite(free[: t + 1]).any()
+        ]
+        trials = run_trials(self.inner, free, history, n, origins) if origins else None
+        for origin, trial in zip(origins, trials or [], strict=True):
+            ends_s = history.time_s[origin + 1 : origin + n + 1]
+            self._issued.append(_issued(float(history.time_s[origin]), ends_s, trial.forecast, np.ones(n)))
+
+    def _compare(self, free: Array, history: History, group_of: NDArray[np.intp], step_s: float) -> None:
+        """Compare what has come since the last call with what had been forecast for it."""
+        now = float(history.time_s[-1])
+        # One value an hour and lead is enough: those in between say the same.
+        stride = max(1, round(_EVERY_S / step_s))
+        held: list[list[bool]] = [[] for _ in self._groups]
+        for past in self._issued:
+            came = int(np.searchsorted(past.ends_s, now + 0.5))
+            leads = np.arange(past.compared, came)
+            leads = leads[(leads + 1) % stride == 0]
+            past.compared = came
+            gap = _known(past.ends_s[leads], history.time_s, free) - past.median_C[leads]
+            scores = np.abs(gap) / np.where(gap >= 0, past.up_K[leads], past.down_K[leads])
+            for lead, score in zip(leads[np.isfinite(scores)], scores[np.isfinite(scores)], strict=True):
+                self._groups[group_of[lead]].scores.append((float(past.ends_s[lead]), float(score)))
+                held[group_of[lead]].append(bool(score <= past.served[lead]))
+        for group, inside in zip(self._groups, held, strict=True):
+            if inside and len(group.scores) > _LEAST_VALUES:
+                level = group.level + _LEVEL_STEP * (_INSIDE - float(np.mean(inside)))
+                group.level = float(np.clip(level, *_LEVEL_RANGE))
+        while self._issued and self._issued[0].compared >= self._n:
+            self._issued.popleft()
+        for group in self._groups:
+            while group.scores and now - group.scores[0][0] > _WINDOW_S:
+                group.scores.popleft()
+
+    @staticmethod
+    def _scale(group: _Group) -> float:
+        """Factor for the distance of each quantile from the median; 1 where too little is known."""
+        if len(group.scores) < _LEAST_VALUES:
+            return 1.0
+        return float(np.clip(np.quantile([score for _, score in group.scores], group.level), *_SCALE_RANGE))
+
+
+def _starting_level(lead_h: float) -> float:
+    """The level at which n scores hold 80 % of a new one, (n + 1) 0.8 / n (split conformal prediction).
+
+    Errors of one lead time hang together for about as long, so n counts stretches of that length in the window.
+    """
+    n = _WINDOW_S / HOUR_S / lead_h
+    return float(min((n + 1.0) * _INSIDE / n, _LEVEL_RANGE[1]))
+
+
+def _issued(time_s: float, ends_s: Array, raw: FreeForecast, served: Array) -> _Issued:
+    median = raw.median_C
+    up, down = raw.quantiles_C[-1] - median, median - raw.quantiles_C[0]
+    return _Issued(time_s, np.asarray(ends_s), median, np.maximum(up, 1e-6), np.maximum(down, 1e-6), served)
 
 
 def _known(ends_s: Array, time_s: Array, free: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from thermoforce_mpc.configuration import suggestion
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.types import DAY_S
 
 if TYPE_CHECKING:
     from thermoforce_mpc.world_model import ThermalModel
@@ -74,7 +75,7 @@ def _selected(backbone: str = "shipped", context_steps: int = 512) -> FreeRespon
     return SelectedFreeResponse(candidates, first="chronos")
 
 
-def _calibrated(method: str = "selected", backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+def _calibrated(method: str = "residual", backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
     from thermoforce_mpc.free_response.calibrated import CalibratedFreeResponse
 
     if method not in _WITH_BACKBONE:
@@ -82,7 +83,7 @@ def _calibrated(method: str = "selected", backbone: str = "shipped", context_ste
             f"free response 'calibrated': method '{method}' is not one of {', '.join(_WITH_BACKBONE)}"
             f"{suggestion(method, _WITH_BACKBONE)}"
         )
-    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps))
+    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps), rehearsal_s=6 * DAY_S)
 
 
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
