@@ -1,0 +1,76 @@
+"""Where the engine, its weather files and its reference buildings are, and which versions they have.
+
+The engine is the wheel `pyenergyplus-lbnl` (extra `[energyplus]`): shared library, Python API, TMY3 weather files and
+DOE reference buildings in one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+from functools import cache
+from pathlib import Path
+
+from thermoforce_mpc.errors import PlantError, WeatherError
+
+PACKAGE = "pyenergyplus-lbnl"
+
+
+def is_available() -> bool:
+    """Whether the engine's package is installed."""
+    return importlib.util.find_spec("pyenergyplus") is not None
+
+
+def engine_folder() -> Path:
+    """Folder of the engine's Python API; raises `PlantError` where it is not installed."""
+    spec = importlib.util.find_spec("pyenergyplus")
+    if spec is None or spec.origin is None:
+        raise PlantError(f"EnergyPlus is not installed: pip install 'thermoforce-mpc[energyplus]' (package {PACKAGE})")
+    return Path(spec.origin).parent
+
+
+def engine_version() -> str:
+    """Version of the engine's wheel, which is that of the engine."""
+    engine_folder()
+    return importlib.metadata.version(PACKAGE)
+
+
+def weather_file(name: str) -> Path:
+    """The one TMY3 file of the package whose name contains `name`; raises `WeatherError` naming what there is."""
+    folder = engine_folder() / "data" / "weather"
+    found = sorted(folder.glob(f"*{name}*.epw"))
+    if len(found) != 1:
+        there = ", ".join(sorted(path.stem for path in folder.glob("*.epw")))
+        raise WeatherError(
+            f"EnergyPlus weather '{name}': {len(found)} files of that name in {folder}; there are {there}"
+        )
+    return found[0]
+
+
+def reference_building(name: str) -> Path:
+    """The IDF of a DOE reference building shipped with the engine, such as 'RefBldgSmallOfficeNew2004_Chicago'.
+
+    Raises:
+        PlantError: there is none of that name.
+    """
+    path = engine_folder() / "data" / "model" / f"{name}.idf"
+    if not path.is_file():
+        raise PlantError(f"EnergyPlus: no reference building '{name}' in {path.parent}")
+    return path
+
+
+@cache
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def engine_hash() -> str:
+    """SHA-256 of the engine's shared library."""
+    folder = engine_folder().parent
+    for name in ("libenergyplusapi.so", "libenergyplusapi.dylib", "EnergyPlusAPI.dll"):
+        if (folder / name).is_file():
+            return file_hash((folder / name).resolve())
+    raise PlantError(f"EnergyPlus: its shared library is not beside {folder / 'pyenergyplus'}; install the wheel again")

@@ -1,0 +1,1 @@
+"""Interventional validity: paired interventions on EnergyPlus, methods that predict their effect, and their scores."""
