@@ -8,7 +8,7 @@ import pytest
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.kpis import compute_kpis, peak_power
+from thermoforce_mpc.kpis import Supply, Violation, building_kpis, compute_kpis, excess, peak_power
 from thermoforce_mpc.plants.embedded.schedule import bounds_C
 from thermoforce_mpc.types import DAY_S
 
@@ -105,3 +105,47 @@ def test_a_recorded_trajectory_has_the_kpis_published_for_it(
         assert found["pele_tot"] == pytest.approx(pele, rel=2e-3)
         assert found["tdis_tot"] == pytest.approx(tdis, rel=1e-2)
         assert found["idis_tot"] == 0.0
+
+
+def test_carriers_add_up_and_zones_are_averaged():
+    """One hour: 2 kW of electricity and 6 kW of gas over 100 m2; zones 1 K and 3 K too cold, one of them stuffy."""
+    time_s = np.arange(0.0, 3601.0, 30.0)
+    flat = np.ones(time_s.shape)
+    kpis = building_kpis(
+        time_s,
+        supplies=[
+            Supply("ElectricPower", 2000 * flat, 0.3 * flat, 0.2 * flat),
+            Supply("GasPower", 6000 * flat, 0.05 * flat, 0.1 * flat),
+            Supply("BiomassPower", 0 * flat, flat, flat),
+        ],
+        thermal=[
+            Violation("a", excess(19 * flat, 20 * flat, 24 * flat)),
+            Violation("b", excess(27 * flat, flat, 24 * flat)),
+        ],
+        air_quality=[Violation("a", 50 * flat)],
+        area_m2=100.0,
+    )
+    assert kpis == pytest.approx(
+        {
+            "ener_tot": 0.08,
+            "cost_tot": 0.02 * 0.3 + 0.06 * 0.05,
+            "emis_tot": 0.02 * 0.2 + 0.06 * 0.1,
+            "tdis_tot": 2.0,
+            "idis_tot": 50.0,
+            "pele_tot": 0.02,
+            "pgas_tot": 0.06,
+        }
+    )
+
+
+def test_a_hole_in_a_series_is_no_kpi():
+    time_s = np.array([0.0, 30.0, 60.0])
+    power = np.array([1.0, np.nan, 1.0])
+    with pytest.raises(DataError, match="power_W of GasPower is not a finite number at 30 s"):
+        building_kpis(
+            time_s,
+            supplies=[Supply("GasPower", power, np.ones(3), np.ones(3))],
+            thermal=[],
+            air_quality=[],
+            area_m2=1.0,
+        )

@@ -254,6 +254,25 @@ def test_without_kpis_json_the_test_case_file_says_what_counts(file, inside, tmp
         assert plant.kpis() == pytest.approx(expected)
 
 
+def test_gas_is_billed_at_the_price_of_gas(file, inside, tmp_path):
+    """Condenser heat declared as gas: every KPI can then be worked out from the emulator's own two meters."""
+    held = "time,PriceGasPower,EmissionsGasPower\n0,0.05,0.2\n31536000,0.05,0.2\n"
+    listed = KPIS | {"GasPower": ["reaQHeaPumCon_y"], "ElectricPower": ["reaPFan_y"], "None": ["reaTSup_y"]}
+    changed = {"resources/gas.csv": held, "resources/kpis.json": json.dumps(listed)}
+    with FmuPlant(rewritten(file, tmp_path / "gas.fmu", changed), TESTCASE) as plant:
+        for p in (plant, inside):
+            p.reset(20 * DAY_S, 0.0)
+            p.advance(0.8, HOUR_S)
+        kpis = plant.kpis()
+    record = inside.recorded(20 * DAY_S, inside.now_s)
+    gas, fan = (np.trapezoid(record[name], record["time"]) / 3.6e6 / 192.0 for name in ("Q_condenser", "P_fan"))
+    assert gas > 10 * fan > 0
+    assert kpis["ener_tot"] == pytest.approx(gas + fan)
+    assert kpis["cost_tot"] == pytest.approx(0.05 * gas + 0.2535 * fan)
+    assert kpis["emis_tot"] == pytest.approx(0.2 * gas + 0.167 * fan)
+    assert kpis["pgas_tot"] > kpis["pele_tot"] > 0
+
+
 def test_the_cli_runs_it(file, tmp_path):
     command = ["run", "--testcase", TESTCASE.name, "--fmu", str(file), "--period", "30", "--days", "0.25"]
     options = ["--controller", "thermostat", "--baselines", "", "--out", str(tmp_path / "run")]

@@ -102,8 +102,10 @@ def _describe(path: Path, file: zipfile.ZipFile) -> Any:
     if "modelDescription.xml" not in file.namelist():
         raise ConfigError(f"{path}: not an FMU (the zip file holds no modelDescription.xml)")
     try:
-        version = ElementTree.fromstring(file.read("modelDescription.xml")).get("fmiVersion")
-    except ElementTree.ParseError as error:
+        with file.open("modelDescription.xml") as xml:
+            _, root = next(ElementTree.iterparse(xml, events=("start",)))
+        version = root.get("fmiVersion")
+    except (ElementTree.ParseError, StopIteration) as error:
         raise ConfigError(f"{path}: modelDescription.xml cannot be read ({error})") from error
     if version != "2.0":
         raise ConfigError(f"{path}: FMI version {version}; BOPTEST's test cases are FMI 2.0")

@@ -79,7 +79,9 @@ class WorkerProcess:
             raise PlantError(message) from error
         if isinstance(answer, Stretch):
             return answer
-        raise PlantError(f"the FMU could not {doing} at day {self._now_s / DAY_S:g}: {answer}{self._last_words()}")
+        message = f"the FMU could not {doing} at day {self._now_s / DAY_S:g}: {answer}{self._last_words()}"
+        self.close()  # a step half done cannot be gone on from
+        raise PlantError(message)
 
     def _end(self) -> str:
         try:
