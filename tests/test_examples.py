@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,3 +23,15 @@ def test_example_runs_and_prints_something(path, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) >= 2
+
+
+def test_figures_on_a_recorded_run(shared, tmp_path):
+    script = next(path for path in EXAMPLES if path.stem == "interventions_figures")
+    done = subprocess.run(
+        [sys.executable, str(script), str(shared / "boptest_hp"), "--out", str(tmp_path / "figures")],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with_actions, without = (float(word) for word in re.findall(r"(\d+\.\d+) K", done.stdout)[:2])
+    assert with_actions < 0.7 * without
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"decomposition.png", "counterfactuals.png"}

@@ -246,3 +246,17 @@ def test_total_features_see_the_measured_temperature_in_the_past():
     fan = outlook.counterfactuals(np.array([0.0, 0.5, 1.0]))
     one = forced_rollout(operator, outlook.forced_K, np.full(24, 0.5), outlook.features).sum(-1)
     np.testing.assert_allclose(fan.forced_K[1], one, atol=1e-12)
+
+
+def test_any_arrangement_of_candidates_at_once(world):
+    history = make_history()
+    outlook = world.outlook(Observation(history, make_boundary(history)))
+    u = np.random.default_rng(5).uniform(0, 1, (3, 4, 24))
+    together = outlook.predict(u)
+    assert together.total_C.shape == (3, 4, 24)
+    effects = outlook.effect(u, u[0, 0])
+    for i in range(3):
+        for j in range(4):
+            alone = outlook.predict(u[i, j]).forced_K
+            np.testing.assert_allclose(together.forced_K[i, j], alone, atol=1e-12)
+            np.testing.assert_allclose(effects[i, j], alone - together.forced_K[0, 0], atol=1e-12)

@@ -1,0 +1,136 @@
+"""Draw what the world model believes: free and forced parts of a day, and the same day under five levels of action.
+
+    python interventions_figures.py                    on the embedded plant
+    python interventions_figures.py FOLDER             on a recorded run: the first excite_*.csv.gz of FOLDER
+                                                       (columns as in the reference of `tf-mpc bench operator`)
+
+Writes decomposition.png and counterfactuals.png into the current folder, or into --out. The dashed line of both is the
+same forecaster given the measured temperature itself: it cannot tell one action from another.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from thermoforce_mpc.bench.operator_data import cut, read_run
+from thermoforce_mpc.composition import identify_on
+from thermoforce_mpc.free_response.registry import build_free_response
+from thermoforce_mpc.identification import identify
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Observation
+from thermoforce_mpc.weather import synthetic_weather
+from thermoforce_mpc.world_model import ThermalModel, WorldModel
+
+FREE, FORCED, TRUTH, RAW = "#228b22", "#b22222", "#1b1f24", "#6b7280"
+LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+SHOWN_H = 48
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A model, what was measured until now, what the next day's weather will be, and what then happened."""
+
+    model: ThermalModel
+    observation: Observation
+    u: np.ndarray
+    truth_C: np.ndarray
+    name: str
+
+
+def on_the_emulator() -> Situation:
+    """Three days of probing, then one day of levels that nobody planned."""
+    plant = EmbeddedPlant(synthetic_weather())
+    window = plant.period("peak_heat_day")
+    model = identify_on(plant, before=window, days=3)
+    plant.reset(window.start_s, window.warmup_s)
+    observation = Observation(plant.past(HOUR_S), plant.forecast(DAY_S, HOUR_S))
+    u = np.repeat(np.random.default_rng(3).choice(LEVELS, 8), 3)
+    truth = np.array([plant.advance(float(level), HOUR_S).T_zone_C for level in u])
+    return Situation(model, observation, u, truth, f"embedded plant, {plant.info.weather}")
+
+
+def on_a_record(folder: Path) -> Situation:
+    """Three days of a run to identify from, and a day of it a week later."""
+    found = sorted(folder.glob("excite_*.csv.gz"))
+    if not found:
+        raise SystemExit(f"{folder}: no excite_*.csv.gz there")
+    run = hourly(read_run(found[0]))
+    model = identify([cut(read_run(found[0]), 0.0, 3.0)], floor_area_m2=192.0, step_s=HOUR_S, source=found[0].name)
+    now = 10 * 24
+    ahead = slice(now, now + 25)
+    nothing = np.zeros(25)
+    boundary = Boundary(run.time_s[ahead], run.T_out_C[ahead], run.solar_W_m2[ahead], *(nothing for _ in range(5)))
+    observation = Observation(cut(run, 0.0, 10.0), boundary)
+    return Situation(model, observation, run.u[now : now + 24], run.T_zone_C[now + 1 : now + 25], found[0].name)
+
+
+def hourly(run: History) -> History:
+    """The run at one hour per step."""
+    k = round(HOUR_S / run.step_s)
+    n = run.n_steps // k
+    means = {name: getattr(run, name)[: n * k].reshape(n, k).mean(axis=1) for name in ("u", "power_W", "heat_W")}
+    names = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
+    return History(**{name: getattr(run, name)[: n * k + 1 : k] for name in names}, **means)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Draw the free/forced decomposition and a fan of counterfactuals.")
+    parser.add_argument("folder", type=Path, nargs="?", help="records of a building; by default the embedded plant")
+    parser.add_argument("--out", type=Path, default=Path("."), help="folder for the two figures")
+    options = parser.parse_args()
+    situation = on_a_record(options.folder) if options.folder else on_the_emulator()
+    history, boundary = situation.observation.history, situation.observation.boundary
+    forecaster = build_free_response("chronos")
+    world = WorldModel(situation.model, forecaster)
+    outlook = world.outlook(situation.observation)
+    raw_C = forecaster.forecast(history.T_zone_C, history, boundary).median_C
+    predicted = outlook.predict(situation.u)
+    fan = outlook.counterfactuals(LEVELS)
+
+    past_h = (history.time_s - history.time_s[-1])[-SHOWN_H - 1 :] / HOUR_S
+    ahead_h = np.arange(1, boundary.n_steps + 1)
+    options.out.mkdir(parents=True, exist_ok=True)
+
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    top.plot(past_h, history.T_zone_C[-SHOWN_H - 1 :], color=TRUTH, label="measured")
+    top.plot(past_h, world.free_history(history)[-SHOWN_H - 1 :], color=FREE, label="free: measured minus forced")
+    top.plot(ahead_h, situation.truth_C, color=TRUTH)
+    top.plot(ahead_h, predicted.free_C, color=FREE, linestyle=":", label="free, forecast")
+    top.plot(ahead_h, predicted.total_C, color=FORCED, label="free + forced, forecast")
+    top.plot(ahead_h, raw_C, color=RAW, linestyle="--", label="forecaster alone")
+    top.axvline(0, color=RAW, linewidth=0.8)
+    top.set_ylabel("°C")
+    top.legend(frameon=False, ncols=2)
+    below.stairs(history.u[-SHOWN_H:], past_h, fill=True, color=RAW, alpha=0.5)
+    below.stairs(situation.u, np.append(0, ahead_h), fill=True, color=FORCED, alpha=0.5)
+    below.set(ylabel="u", ylim=(0, 1.05), xlabel="hours from now")
+    top.set_title(situation.name)
+    figure.savefig(options.out / "decomposition.png", dpi=120)
+
+    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for level, T, tone in zip(LEVELS, fan.total_C, np.linspace(0.25, 1.0, LEVELS.size), strict=True):
+        axes.plot(ahead_h, T, color=(0.7 * tone, 0.13, 0.5 * (1 - tone) + 0.1), label=f"u = {level:g}")
+    axes.plot(ahead_h, raw_C, color=RAW, linestyle="--", label="forecaster alone")
+    axes.set(xlabel="hours from now", ylabel="°C", title=situation.name)
+    axes.legend(frameon=False, ncols=3)
+    figure.savefig(options.out / "counterfactuals.png", dpi=120)
+
+    def rmse(forecast: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((forecast - situation.truth_C) ** 2)))
+
+    print(f"{situation.name}: the day after now, known actions and weather")
+    print(f"RMSE over 24 h: free + forced {rmse(predicted.total_C):.2f} K, forecaster alone {rmse(raw_C):.2f} K")
+    spread = fan.total_C[-1] - fan.total_C[0]
+    print(f"u = 1 instead of 0 makes {spread[5]:.1f} K after 6 h and {spread[23]:.1f} K after 24 h")
+    print(f"figures: {options.out / 'decomposition.png'}, {options.out / 'counterfactuals.png'}")
+
+
+if __name__ == "__main__":
+    main()
