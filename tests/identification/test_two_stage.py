@@ -86,8 +86,36 @@ def test_identify_offers_it_as_a_method():
     np.testing.assert_allclose([model.operator.poles[0], model.operator.gains[0]], [A, G], rtol=1e-5)
     np.testing.assert_allclose(model.free.weights[0, :3], [C, D, E], rtol=1e-5)
     run = arx_run()
-    with pytest.raises(DataError, match="two_stage takes single runs"):
-        identify([run], [Pair(run, arx_run(u=1.0 - run.u))], config=config)
+    with pytest.raises(DataError, match="starts from single runs"):
+        identify(pairs=[Pair(run, arx_run(u=1.0 - run.u))], config=config)
+
+
+@pytest.mark.parametrize("modulation", ["linear", "neural"])
+def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
+    """While the actuator is on, windows are open: the second stage sees too little, a difference of pairs does not."""
+    run = arx_run()
+    T = np.array(run.T_zone_C)
+    for t in range(run.n_steps):
+        loss = 0.4 * G * run.u[t]  # a disturbance that goes with the action
+        T[t + 1] = A * T[t] + C * run.T_out_C[t] + D * run.solar_W_m2[t] + E + G * run.u[t] - loss
+    biased = replace(run, T_zone_C=T)
+    rng = np.random.default_rng(3)
+    pairs = []
+    for k in range(4):
+        first, second = (arx_run(np.repeat(rng.choice([0.0, 0.5, 1.0], 24), 4)) for _ in range(2))
+        shift = 86400.0 * 7 * k
+        pairs.append(Pair(*(replace(h, time_s=h.time_s + shift) for h in (first, second)), label=str(k)))
+    config = IdentificationConfig(method="two_stage", modulation=modulation)
+    alone = identify([biased], config=config).operator
+    both = identify([biased], pairs, config=config)
+    rows = np.concatenate([pair.a.T_zone_C - pair.b.T_zone_C for pair in pairs])
+    assert both.operator.order == 1
+    assert both.card.scores["held_out_neural"] < 0.5 * both.card.scores["held_out_linear"]
+    assert np.abs(rows).max() > 0.5
+    steady = both.operator.gains[0] * both.operator.modulation(np.zeros((1, 4)))[0] / G
+    assert alone.gains[0] / G < 0.8
+    assert steady == pytest.approx(1.0, abs=0.12)
+    assert len(both.card.data) == 9
 
 
 def test_two_stages_of_another_order_are_refused():

@@ -18,7 +18,8 @@ class IdentificationConfig(StrictModel):
     """Options of an identification. The defaults identify a heated house from one to thirty days."""
 
     method: Literal["joint", "two_stage"] = Field(
-        "joint", description="joint fit of free and forced part, or the paper's two stages (order 1, runs only)"
+        "joint",
+        description="joint fit of free and forced part, or the paper's two stages (order 1; pairs train it further)",
     )
     order: Literal["auto", 1, 2, 3] = Field("auto", description="modes of the operator; auto: chosen on held-out data")
     actuator: Literal["auto", "identity", "heat"] = Field(
