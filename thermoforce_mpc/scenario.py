@@ -32,6 +32,15 @@ class PlantSpec(StrictModel):
             raise ValueError("kind 'fmu' and path go together: give both, or neither (--fmu FILE gives both)")
         return self
 
+    @model_validator(mode="after")
+    def _knows_its_surroundings(self) -> PlantSpec:
+        """A file that would be ignored is refused: a service or an FMU has its own weather and prices."""
+        if self.kind != "embedded" and (self.weather != "synthetic" or self.prices_file is not None):
+            raise ValueError(
+                f"weather and prices_file are for the emulator alone; kind '{self.kind}' brings its own, leave them out"
+            )
+        return self
+
 
 class ProbingSpec(StrictModel):
     """Where the operator comes from: a saved model, or days of probing before the warm-up of the scored window."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from thermoforce_mpc.bench import plant as bench
+from thermoforce_mpc.bench import plant_speed
 from thermoforce_mpc.bench.plant_scores import Thermostat, thermostat_energy
+from thermoforce_mpc.bench.plant_speed import run_in_processes
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.types import DAY_S
@@ -16,7 +19,7 @@ from thermoforce_mpc.weather import synthetic_weather
 @pytest.fixture
 def own_weather(monkeypatch):
     monkeypatch.setattr(bench, "load_weather", lambda path: synthetic_weather())
-    monkeypatch.setattr(bench, "_TOGETHER", (1,))  # how speed grows is not what is tested here
+    monkeypatch.setattr(bench, "scaling", lambda weather: [])  # how speed grows is tested by itself, below
 
 
 def record(path, shift_K: float) -> None:
@@ -84,7 +87,7 @@ def test_native_windows_cost_what_the_folders_own_prices_say(tmp_path, own_weath
     rows[0]["ener_tot"] *= 1.05  # a window the emulator misses
     pd.DataFrame(rows).to_csv(tmp_path / "baseline_kpis.csv", index=False)
     if real_prices:
-        prices = pd.DataFrame({"time": [0.0, 3600.0], "PriceElectricPowerHighlyDynamic": [0.4, 0.4]})
+        prices = pd.DataFrame({"time": [0.0, 182 * DAY_S, 364 * DAY_S], "PriceElectricPowerHighlyDynamic": [0.4] * 3})
         prices.to_csv(tmp_path / "boundary_hourly.csv.gz", index=False)
     holds = {target["name"]: target["holds"] for target in bench.run_plant_bench(tmp_path)["targets"]}
     assert holds["native ener_tot: worst off by"] is False
@@ -120,3 +123,25 @@ def test_an_empty_folder_is_refused(tmp_path, own_weather):
     (tmp_path / "w.mos").write_text("")
     with pytest.raises(DataError, match="nothing to score"):
         bench.run_plant_bench(tmp_path)
+
+
+def test_processes_and_their_number_leave_no_trace_in_the_results():
+    weather = synthetic_weather()
+    one, two = (run_in_processes(weather, [0.3, 0.9, 0.3], 2, n) for n in (1, 2))
+    plant = EmbeddedPlant(weather)
+    for level, alone, beside in zip((0.3, 0.9, 0.3), one, two, strict=True):
+        start = plant.reset(0.0, 0.0).T_zone_C
+        here = np.array([start, *(plant.advance(level, 3600.0).T_zone_C for _ in range(48))])
+        assert here.tobytes() == alone.tobytes() == beside.tobytes()
+
+
+def test_how_speed_grows_is_measured_for_threads_and_processes(monkeypatch):
+    monkeypatch.setattr(plant_speed, "_TOGETHER", (1, 3))
+    monkeypatch.setattr(plant_speed, "_PROCESSES", (2,))
+    monkeypatch.setattr(plant_speed, "_BEST_OF", 1)
+    monkeypatch.setattr(plant_speed, "_processes", lambda weather, n: 2.0 * n)
+    rows = plant_speed.scaling(synthetic_weather(), days=1)
+    assert [row["plants"] for row in rows] == [1, 3, 2]
+    assert rows[0]["growth"] == 1.0
+    assert rows[2]["growth"] == pytest.approx(4.0 / rows[0]["days_per_second"])
+    assert all(row["days_per_second"] > 0 for row in rows)

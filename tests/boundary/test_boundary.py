@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+import gzip
+
 import numpy as np
 import pytest
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.periods import heating_windows
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.types import DAY_S, HOUR_S
+from thermoforce_mpc.weather import synthetic_weather
 
 
 def test_the_dynamic_tariff_is_dear_from_seven_to_the_sample_of_twenty_two():
@@ -34,9 +38,12 @@ def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
     ("text", "message"),
     [
         ("a,b\n1,2\n", "columns 'time'"),
-        ("time,price\n0,x\n", "not a number"),
-        ("time,price\n0,nan\n", "not finite"),
-        ("time,price\n3600,1\n", "start at 0"),
+        ("time,price\n0,x\n", r"line 2, column 'price': 'x' is not a finite number"),
+        ("time,price\n0,1\n60,nan\n", r"line 3, column 'price': 'nan'"),
+        ("time,price\n0,1\n60\n", r"line 3, column 'price': None"),
+        ("time,cost\n0,1\n60,1\n", "PriceElectricPowerHighlyDynamic"),
+        ("time,price\n0,1\n", "one price only"),
+        ("time,price\n3600,1\n7200,1\n", "start at 0"),
         ("time,price\n0,1\n0,2\n", "must rise"),
         ("", "columns 'time'"),
     ],
@@ -46,6 +53,29 @@ def test_a_tariff_file_that_cannot_be_used_is_refused(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
         tariffs.tariff_from_file(path)
+
+
+def test_a_tariff_file_cut_short_serves_until_then_and_no_further(tmp_path):
+    path = tmp_path / "prices.csv.gz"
+    with gzip.open(path, "wt") as file:
+        file.write("time,PriceElectricPowerHighlyDynamic\n0,0.1\n3600,0.2\n")
+    tariff = tariffs.tariff_from_file(path)
+    np.testing.assert_allclose(tariff(np.array([7199.0, 365 * DAY_S])), [0.2, 0.1])
+    with pytest.raises(ConfigError, match=r"prices\.csv\.gz: has prices until day 0\.08.*asked for day 2;"):
+        tariff(np.array([0.0, 2 * DAY_S]))
+    path.write_bytes(path.read_bytes()[:-12])
+    with pytest.raises(ConfigError, match="cannot be read"):
+        tariffs.tariff_from_file(path)
+
+
+def test_the_plant_pays_the_prices_of_the_file(tmp_path):
+    path = tmp_path / "prices.csv"
+    path.write_text("time,price\n" + "\n".join(f"{hour * 3600},{0.1 if hour % 2 else 0.5}" for hour in range(8760)))
+    plant = EmbeddedPlant(synthetic_weather(), highly_dynamic=tariffs.tariff_from_file(path))
+    plant.reset(20 * DAY_S, 0.0, "highly_dynamic")
+    np.testing.assert_allclose(plant.forecast(3 * HOUR_S, HOUR_S).price_per_kWh, [0.5, 0.1, 0.5, 0.1])
+    energy = [plant.advance(u, HOUR_S) and plant.kpis()["ener_tot"] for u in (1.0, 0.0)]
+    assert plant.kpis()["cost_tot"] == pytest.approx(0.5 * energy[0] + 0.1 * (energy[1] - energy[0]), rel=0.01)
 
 
 def test_windows_follow_the_rule():

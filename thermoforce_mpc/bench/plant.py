@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from thermoforce_mpc.bench import plant_scores as scores
+from thermoforce_mpc.bench.plant_speed import scaling, two_weeks_s
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.boundary.periods import published_windows
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, advance_together
-from thermoforce_mpc.types import DAY_S, Array
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.types import Array
 from thermoforce_mpc.weather import load_weather
 
-_TOGETHER = (1, 2, 4, 16)
 _T_RMSE_K = {"excite": 0.10, "off": 0.15, "native": 0.10}
 
 
@@ -35,7 +33,7 @@ def run_plant_bench(
     Args:
         reference: folder with any of excite_*.csv.gz, off_*.csv.gz, native_*.csv.gz, baseline_kpis*.csv, pairs/.
         weather: the records' weather file; by default the only .mos file in `reference`.
-        quick: every eighth native window, two thermostats.
+        quick: every eighth native window, two thermostats, no scaling.
         out: folder for the plot `plant_replay.png`.
         progress: told what is being done.
 
@@ -85,12 +83,11 @@ def run_plant_bench(
             rows.append({"what": what, "energy_off": off})
             targets.append(Target(f"{what}: energy off by", abs(off), 0.01))
     progress("speed")
-    seconds = _two_weeks_s(plant)
+    seconds = two_weeks_s(plant)
     rows.append({"what": "speed: 7 + 14 days at 15 min", "seconds": seconds})
     targets.append(Target("speed: 7 + 14 days at 15 min, s", seconds, 2.0))
-    rows += [
-        {"what": f"{n} plants together, hourly steps", "days_per_second": _days_per_second(plant, n)} for n in _TOGETHER
-    ]
+    if not quick:
+        rows += scaling(plant.weather)
     if out is not None and errors:
         _plot(errors, out)
     return bench_result("plant", rows, targets)
@@ -106,29 +103,6 @@ def _effects(plant: EmbeddedPlant, folder: Path, progress: Callable[[str], None]
         progress("hourly paired interventions")
         effects["hourly pairs"] = list(scores.hourly_pair_errors(plant, folder / "pairs_1h.csv.gz"))
     return effects
-
-
-def _two_weeks_s(plant: EmbeddedPlant) -> float:
-    """Seconds for two weeks at 15 minutes after a week of warm-up, best of three."""
-    best = np.inf
-    for _ in range(3):
-        began = time.perf_counter()
-        plant.reset(16 * DAY_S, 7 * DAY_S)
-        for _ in range(14 * 96):
-            plant.advance(None, scores.STEP_S)
-        best = min(best, time.perf_counter() - began)
-    return best
-
-
-def _days_per_second(plant: EmbeddedPlant, n_plants: int, days: int = 20) -> float:
-    """Simulated days per second, all plants counted, with one thread for each core."""
-    plants = [EmbeddedPlant(plant.weather) for _ in range(n_plants)]
-    levels = [0.5] * n_plants
-    with ThreadPoolExecutor() as executor:
-        began = time.perf_counter()
-        for _ in range(days * 24):
-            advance_together(plants, levels, 3600.0, executor)
-        return n_plants * days / (time.perf_counter() - began)
 
 
 def _plot(errors: dict[str, tuple[Array, Array]], out: Path) -> None:

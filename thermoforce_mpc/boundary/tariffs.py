@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import gzip
+import math
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +17,8 @@ from thermoforce_mpc.types import DAY_S, HOUR_S, Array
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
 DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
+_YEAR_S = 365 * DAY_S
+_PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
 
 Tariff = Callable[[Array], Array]
 
@@ -54,38 +59,67 @@ def synthetic_spot(seed: int = 0) -> Tariff:
 
 
 def tariff_from_file(path: Path) -> Tariff:
-    """Read a tariff of your own: CSV with columns `time` (s since 1 January, increasing) and `price`, held forward.
+    """Read a tariff of your own, held forward from each time to the next; a file of a whole year repeats.
+
+    A CSV file (or .csv.gz) with the columns `time`, s since 1 January, rising from 0, and `price`, per kWh; BOPTEST's
+    own column PriceElectricPowerHighlyDynamic does as well. A file that ends earlier serves until then.
 
     Raises:
-        ConfigError: the file is missing, has other columns, a value that is not a number, or times that do not rise.
+        ConfigError: the file is missing or damaged, has other columns, a value that is not a number, or times that do
+            not rise.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        opened = gzip.open if path.suffix == ".gz" else open
+        with opened(path, "rt", newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:  # the middle two: a .gz file cut short
         raise ConfigError(f"{path}: cannot be read ({error})") from error
-    if not rows or not {"time", "price"} <= set(rows[0]):
-        raise ConfigError(f"{path}: expected a CSV file with columns 'time' (s since 1 January) and 'price' (per kWh)")
-    try:
-        time_s = np.array([float(row["time"]) for row in rows])
-        price = np.array([float(row["price"]) for row in rows])
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: a cell is not a number ({error})") from error
-    if not (np.isfinite(time_s).all() and np.isfinite(price).all()):
-        raise ConfigError(f"{path}: a time or price is not finite")
+    column = next((name for name in _PRICE_COLUMNS if rows and name in rows[0]), None)
+    if column is None or "time" not in rows[0]:
+        raise ConfigError(
+            f"{path}: expected a CSV file with columns 'time' (s since 1 January) and {' or '.join(_PRICE_COLUMNS)} "
+            "(per kWh)"
+        )
+    time_s, price = (_numbers(path, rows, name) for name in ("time", column))
+    if time_s.size < 2:
+        raise ConfigError(f"{path}: one price only; give at least two, so that it is known how long they hold")
     if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{path}: times must rise and start at 0 s or before (first is {time_s[0]:g} s)")
-    return held_prices(time_s, price)
+    return held_prices(time_s, price, str(path))
 
 
-def held_prices(time_s: Array, price: Array) -> Tariff:
-    """The tariff whose prices (per kWh) hold from each `time_s` (s since 1 January, rising) to the next, every year."""
+def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:
+    """The tariff whose prices (per kWh) hold from each `time_s` (s since 1 January, rising) to the next, every year.
+
+    The last price holds as long as the one before it. The tariff raises `ConfigError`, naming `source`, where it is
+    asked for a later time of the year.
+    """
+    until_s = float(time_s[-1] + (time_s[-1] - time_s[-2]))
 
     def tariff(at_s: Array) -> Array:
-        index = np.searchsorted(time_s, np.mod(np.asarray(at_s, dtype=np.float64), 365 * DAY_S), side="right") - 1
-        return np.asarray(price[index])
+        in_year_s = np.mod(np.asarray(at_s, dtype=np.float64), _YEAR_S)
+        if in_year_s.size and in_year_s.max() >= until_s:
+            raise ConfigError(
+                f"{source}: has prices until day {until_s / DAY_S:g}, asked for day {in_year_s.max() / DAY_S:g}; "
+                "give a longer file, or an earlier window"
+            )
+        return np.asarray(price[np.searchsorted(time_s, in_year_s, side="right") - 1])
 
     return tariff
+
+
+def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> Array:
+    """One column (n,); raises `ConfigError` naming the line."""
+    values = np.empty(len(rows))
+    for i, row in enumerate(rows):
+        text = row[column]
+        try:
+            values[i] = float(text)
+        except (TypeError, ValueError):
+            values[i] = math.nan
+        if not math.isfinite(values[i]):
+            raise ConfigError(f"{path}: line {i + 2}, column '{column}': {text!r} is not a finite number")
+    return values
 
 
 def _autoregressive(rng: np.random.Generator, n: int, memory: float) -> Array:

@@ -26,6 +26,7 @@ def scenario_options(function: Function) -> Function:
             click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
             click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
             click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
+            click.option("--prices", metavar="FILE", help="CSV (time s, price per kWh): your highly dynamic tariff."),
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
         ]
@@ -61,6 +62,8 @@ def scenario_from(options: dict[str, Any]) -> Scenario:
         plant |= {"kind": "fmu", "path": options["fmu"]}
     if options.get("weather") is not None:
         plant["weather"] = options["weather"]
+    if options.get("prices") is not None:
+        plant["prices_file"] = options["prices"]
     if plant:
         named["plant"] = plant
     if options.get("baselines") is not None:
