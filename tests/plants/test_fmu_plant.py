@@ -15,6 +15,7 @@ from fmu_files import CONFIG, DAYS, KPIS, build_house, rewritten
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, WeatherError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
@@ -282,6 +283,16 @@ def test_the_cli_runs_it(file, tmp_path):
     assert "wrapped.fmu" in json.dumps(manifest)
     result = CliRunner().invoke(cli, [*command, "--url", "http://127.0.0.1:1"])
     assert "two plants" in result.output
+
+
+def test_an_option_wins_over_the_plant_of_a_scenario_file(tmp_path):
+    config = tmp_path / "mine.yaml"
+    config.write_text("testcase: bestest_hydronic_heat_pump\nplant: {kind: fmu, path: other.fmu}\n")
+    served = scenario_from({"config": str(config), "url": "http://127.0.0.1:1"}).plant
+    assert (served.kind, served.path) == ("boptest", None)
+    config.write_text("testcase: bestest_hydronic_heat_pump\nplant: {kind: boptest}\n")
+    filed = scenario_from({"config": str(config), "fmu": "mine.fmu"}).plant
+    assert (filed.kind, filed.path) == ("fmu", "mine.fmu")
 
 
 def test_kind_and_path_go_together():

@@ -55,7 +55,7 @@ def scenario_from(options: dict[str, Any]) -> Scenario:
         )
     plant: dict[str, Any] = {}
     if options.get("url") is not None:
-        plant |= {"kind": "boptest", "url": options["url"]}
+        plant |= {"kind": "boptest", "url": options["url"], "path": None}
     if options.get("fmu") is not None:
         if options.get("url") is not None:
             raise click.UsageError("--url and --fmu are two plants: give one of them")
