@@ -1,0 +1,123 @@
+"""Records as cases of an identification: what is held out, how features are scaled, what heat and power they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import Episode
+from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
+from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
+from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
+from thermoforce_mpc.power import HEAT_SLOPE, POWER_SLOPE, PowerModel, fit_load
+from thermoforce_mpc.types import HOUR_S, Array, History
+
+# Share of the steps in which heat or power must have been measured to be used.
+_MEASURED = 0.5
+# Narrowest spread that features are normalised by: °C, °C, W/m², 1.
+LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run or pair with its histories, in the order of the episode's drives."""
+
+    episode: Episode
+    histories: tuple[History, ...]
+    start_s: float
+
+
+def actuator_map(
+    histories: Sequence[History], config: IdentificationConfig, sign: int
+) -> tuple[ActuatorMap, list[str]]:
+    """The map in front of the modes: heat where it was measured and wanted, else u itself."""
+    if config.actuator == "identity":
+        return IDENTITY, ["actuator map: identity, as configured"]
+    heat = np.concatenate([h.heat_W for h in histories]) * sign
+    measured = float(np.isfinite(heat).mean())
+    if measured < _MEASURED:
+        if config.actuator == "heat":
+            raise DataError(
+                f"actuator: heat was asked for, but heat was measured in only {100 * measured:.0f} % of the steps; "
+                "name the heat points in the test case, or use actuator: identity"
+            )
+        return IDENTITY, [f"actuator map: identity, heat was measured in {100 * measured:.0f} % of the steps"]
+    fit = fit_load(
+        np.concatenate([h.u for h in histories]),
+        np.concatenate([h.T_out_C[:-1] for h in histories]),
+        heat,
+        what="delivered heat",
+        lowest_level=config.lowest_level,
+        slope=HEAT_SLOPE,
+    )
+    return ActuatorMap(heat=fit.load), [f"actuator map: heat, RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"]
+
+
+def power_model(histories: Sequence[History], config: IdentificationConfig) -> PowerModel | None:
+    """Electric power of (u, T_out), where it was measured in half of the steps."""
+    power = np.concatenate([h.power_W for h in histories])
+    if np.isfinite(power).mean() < _MEASURED:
+        return None
+    fit = fit_load(
+        np.concatenate([h.u for h in histories]),
+        np.concatenate([h.T_out_C[:-1] for h in histories]),
+        power,
+        what="electric power",
+        lowest_level=config.lowest_level,
+        slope=POWER_SLOPE,
+    )
+    return PowerModel(load=fit.load, rmse_W=fit.rmse_W, r2=fit.r2, source=f"fitted to {fit.n_samples} steps")
+
+
+def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]:
+    """Last part of every run; all pairs of some start times (pairs of one start share their weather)."""
+    starts = sorted({c.start_s for c in cases if c.episode.is_pair})
+    held: set[float] = set()
+    if len(starts) > 1:
+        rng = np.random.default_rng(config.seed)
+        count = max(1, min(len(starts) - 1, round(config.validation_share * len(starts))))
+        held = {starts[i] for i in rng.permutation(len(starts))[:count]}
+    splits = []
+    for case in cases:
+        if not case.episode.is_pair or len(starts) == 1:
+            splits.append(split_run(case.episode, config.validation_share, config.horizon_h))
+        else:
+            splits.append(hold_out_pair(case.episode) if case.start_s in held else whole(case.episode))
+    return splits
+
+
+def normalisation(histories: Sequence[History]) -> tuple[Array, Array]:
+    """Mean and scale of the features over all steps with a measured temperature; the free one is set by `_features`."""
+    stacked = np.concatenate(
+        [
+            feature_matrix(np.zeros(h.n_steps), h.T_out_C[:-1], h.solar_W_m2[:-1], h.time_s[:-1]).reshape(
+                -1, N_FEATURES
+            )
+            for h in histories
+        ]
+    )
+    return stacked.mean(axis=0), np.maximum(stacked.std(axis=0), LEAST_SCALE)
+
+
+def ranges(histories: Sequence[History]) -> dict[str, tuple[float, float]]:
+    """Smallest and largest value of each signal, and the days seen."""
+    out = {}
+    for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
+        values = np.concatenate([getattr(h, name) for h in histories])
+        out[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
+    out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / (24 * HOUR_S))
+    return out
+
+
+def named(names: Sequence[str], runs: Sequence[History], pairs: Sequence[Pair]) -> list[tuple[str, History]]:
+    """Every record with the name it has on the model card."""
+    out = list(zip(names, runs, strict=True))
+    for i, pair in enumerate(pairs):
+        label = pair.label or str(i)
+        out += [(f"pair {label} a", pair.a), (f"pair {label} b", pair.b)]
+    return out

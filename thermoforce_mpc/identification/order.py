@@ -1,0 +1,94 @@
+"""Choosing the number of modes on held-out rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.identification.cases import Case
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import Episode, JointFit, fit_joint, follows_action, forced_columns
+from thermoforce_mpc.identification.likelihood import Split, residuals
+from thermoforce_mpc.identification.modes import ModePriors
+from thermoforce_mpc.types import Array
+
+# A lower order must beat a higher one on the held-out rows by this many standard errors and by this share of the
+# squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.
+_SIGNIFICANT = 2.0
+_CLEARLY = 0.2
+# Orders are told apart by rows that follow an action within hours, and only by enough of them: the others tell how the
+# weather was.
+_AFTER_ACTION_H = 6.0
+_LEAST_JUDGED = 24
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fit to the training rows: whitened residuals of the rows judged by, and RMSE of the held-out rollouts, K."""
+
+    fit: JointFit
+    priors: ModePriors
+    judged: Array
+    rollout_rmse_K: float
+
+    @property
+    def score(self) -> float:
+        """RMS of the whitened residuals of the rows judged by (NaN where no action was held out)."""
+        return float(np.sqrt(np.mean(self.judged**2))) if self.judged.size else float("nan")
+
+
+def _part(episode: Episode, rows: NDArray[np.intp]) -> Episode:
+    """The first rows of an episode (rows are always a leading block, whose Cholesky factor is the leading block)."""
+    n = rows.size
+    return replace(episode, target=episode.target[:n], rows=episode.rows[:n], factor=episode.factor[:n, :n])
+
+
+def fit_and_judge(
+    cases: Sequence[Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> Fitted:
+    """Fit to the training rows, judge by the held-out rollouts."""
+    training = [_part(c.episode, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
+    fit = fit_joint(training, priors, config, sign)
+    judged, errors = [], []
+    for case, split in zip(cases, splits, strict=True):
+        if not split.judged.size:
+            continue
+        rest = residuals(case.episode, fit.log_tau)
+        residual = case.episode.target - rest.mean - forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
+        after_action = split.judged[follows_action(case.episode, _AFTER_ACTION_H)[split.judged]]
+        judged.append((rest.whitener() @ residual)[after_action])
+        for past, ahead in split.rollouts:
+            errors.append(rest.innovation(past, ahead) @ residual[np.concatenate([past, ahead])])
+    rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    return Fitted(fit, priors, np.concatenate(judged), rollout_rmse_K)
+
+
+def explained_share(cases: Sequence[Case], fit: JointFit, sign: int) -> float:
+    """Share of the whitened variance (of what neither weather nor drift explains) that the forced response removes."""
+    before, after = 0.0, 0.0
+    for case in cases:
+        rest = residuals(case.episode, fit.log_tau)
+        whitener = rest.whitener()
+        residual = case.episode.target - rest.mean
+        before += float(np.sum((whitener @ residual) ** 2))
+        forced = forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
+        after += float(np.sum((whitener @ (residual - forced)) ** 2))
+    return 1.0 - after / before
+
+
+def choose_order(candidates: dict[int, Fitted]) -> int:
+    """Highest order, unless a lower one predicts the held-out rows clearly and significantly better."""
+    chosen = max(candidates)
+    if candidates[chosen].judged.size < _LEAST_JUDGED:
+        return chosen
+    for order in sorted(candidates, reverse=True):
+        gain = candidates[chosen].judged ** 2 - candidates[order].judged ** 2
+        needed = max(
+            _SIGNIFICANT * float(np.std(gain)) / np.sqrt(gain.size), _CLEARLY * float(candidates[chosen].score) ** 2
+        )
+        if float(np.mean(gain)) > needed:
+            chosen = order
+    return chosen

@@ -1,0 +1,108 @@
+"""The paper's two stages as a thermal model, with paired training (eq:paired) where there are pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.cases import Case, held_out, named, normalisation, power_model, ranges
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import (
+    JointFit,
+    pair_episode,
+)
+from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
+from thermoforce_mpc.identification.modulation import modulate, prove
+from thermoforce_mpc.identification.records import Pair, data_hash
+from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
+from thermoforce_mpc.operator.actuator import ActuatorMap
+from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.types import History
+from thermoforce_mpc.world_model import ModelCard, ThermalModel
+
+# How far paired training may take pole and gain from where the two stages ended, relative.
+_TWO_STAGE_SD = 0.3
+
+
+def two_stage_model(
+    runs: Sequence[History],
+    pairs: Sequence[Pair],
+    names: Sequence[str],
+    config: IdentificationConfig,
+    actuator: ActuatorMap,
+    sign: int,
+    step_s: float | None,
+    source: str,
+    notes: Sequence[str],
+) -> ThermalModel:
+    """The paper's estimator as a thermal model: order 1; with pairs, paired training (eq:paired) goes on from there."""
+    if not runs:
+        raise DataError("method two_stage starts from single runs, of which none were given; pairs alone: method joint")
+    fit = fit_two_stage(runs, actuator=actuator, sign=sign, u_off=config.u_off)
+    step_s = step_s or fit.step_s
+    operator = fit.operator()
+    scores: dict[str, float] = {}
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
+    if pairs:
+        operator, scores = _train_on_pairs(fit, pairs, histories, config)
+        operator = operator.resampled(step_s)
+        prove(operator)
+    return ThermalModel(
+        operator=operator.resampled(step_s),
+        power=power_model(histories, config),
+        free=fit.free_model().resampled(step_s),
+        card=ModelCard(
+            source=source,
+            data={name: data_hash(h) for name, h in named(names, runs, pairs)},
+            ranges=ranges(histories),
+            scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on} | scores,
+            uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},
+            config=config.model_dump(mode="json"),
+            notes=tuple(notes),
+        ),
+    )
+
+
+def _train_on_pairs(
+    fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[History], config: IdentificationConfig
+) -> tuple[OperatorParameters, dict[str, float]]:
+    """Pole, gain and modulation from pairs, starting from the two stages and held to them by priors of their size."""
+    if fit.g == 0.0:
+        raise DataError(
+            "two-stage: the second stage found no effect of the expected sign, so paired training has nothing to start "
+            "from; check the sign of u, or use method joint"
+        )
+    first = fit.operator()
+    log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
+    start = JointFit(
+        log_tau=log_tau,
+        gains=slope,
+        covariance=np.diag([fit.a_sd, fit.g_sd]) ** 2,
+        free_log_tau=np.empty(0),
+        free_gains=np.empty((0, 0)),
+        misfit=1.0,
+        objective=float("nan"),
+    )
+    weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.actuator, None)
+    priors = centred_priors(weak, log_tau, slope, _TWO_STAGE_SD)
+    cases = [Case(pair_episode(p, fit.actuator), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
+    mean, scale = normalisation(histories)
+
+    def linear(found: JointFit) -> OperatorParameters:
+        return to_operator(
+            found.log_tau,
+            found.gains,
+            step_s=fit.step_s,
+            bounds_h=weak.bounds_h(),
+            sign=fit.sign,
+            # Without modulation only pole and gain are trained.
+            gamma=config.gamma if config.modulation == "neural" else 0.0,
+            hidden=config.hidden,
+            actuator=fit.actuator,
+            feature_mean=mean,
+            feature_scale=scale,
+        )
+
+    return modulate(cases, held_out(cases, config), linear, start, start, priors, config)
