@@ -18,6 +18,7 @@ _COMMANDS = {
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
     "serve": ("thermoforce_mpc.cli.serve", "Offer the embedded plant to clients written for BOPTEST."),
+    "weather": ("thermoforce_mpc.cli.weather", "Get the weather of the real test case."),
     "bench": ("thermoforce_mpc.cli.bench", "Measure parts of the package against their targets."),
     "testcases": ("thermoforce_mpc.cli.testcases", "List the test cases and scenarios that ship."),
 }
