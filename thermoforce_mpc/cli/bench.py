@@ -48,6 +48,16 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
     show(run_operator_bench(reference, quick=quick, progress=_progress), json_file)
 
 
+@command.command("probing")
+@_QUICK
+@_JSON
+def probing_command(quick: bool, json_file: Path | None) -> None:
+    """Chosen probing against random, and adaptation to a weakening machine, on the embedded plant."""
+    from thermoforce_mpc.bench.probing import run_probing_bench
+
+    show(run_probing_bench(quick=quick, progress=_progress), json_file)
+
+
 @command.command("free-response")
 @click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=_FOLDER, help="Folder with measured houses.")

@@ -1,0 +1,25 @@
+"""The probing bench tells rows and targets that can be read and that fit together."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from thermoforce_mpc.bench.probing import run_probing_bench
+
+
+def test_bench_of_probing_and_adaptation():
+    result = run_probing_bench(quick=True)
+    json.dumps(result)
+    rows = {(r["part"], r.get("draws"), r["data"]): r for r in result["rows"]}
+    worth = {draws: row["information_nats"] for (part, draws, data), row in rows.items() if data.startswith("3 days")}
+    assert worth["informative"] > worth["random"]
+    adapted = [row for row in result["rows"] if row["part"] == "adaptation"]
+    assert len(adapted) == 2
+    for row in adapted:
+        assert row["true_change"] < 0.9, "the machine must have weakened"
+        assert row["found_change"] == pytest.approx(row["true_change"], abs=0.12)
+        assert 0 < row["blocks_used"] <= row["blocks"]
+    for target in result["targets"]:
+        assert target["holds"] == (target["value"] <= target["goal"])
