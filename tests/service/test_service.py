@@ -73,6 +73,9 @@ def test_every_point_of_the_test_case_is_there(client):
         client.inputs()
     )
     assert client.inputs()["oveTSet_u"].minimum == 278.15
+    switch = client.inputs()["oveFan_activate"]
+    assert (switch.unit, switch.minimum, switch.maximum) == (None, None, None)
+    assert switch.description == f"Activation for {client.inputs()['oveFan_u'].description}"
     measured, forecast = client.measurements(), client.forecast_points()
     assert len(measured) == 13 + 23
     assert len(forecast) == 3 + 8 + 23

@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
+from thermoforce_mpc.service import descriptions
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS, measurement_name
 from thermoforce_mpc.types import Array
 
@@ -33,33 +34,30 @@ class PointInfo:
         return said | {"Minimum": self.minimum, "Maximum": self.maximum} if limits else said
 
 
-_OVERWRITE_TEXT = {
-    "oveHeaPumY": ("1", "Heat pump modulating signal for compressor speed, 0 (off) to 1 (full capacity)"),
-    "oveTSet": ("K", "Zone operative temperature set-point"),
-    "ovePum": ("1", "Emission circuit pump, off (0) or on (1)"),
-    "oveFan": ("1", "Heat pump evaporator fan, off (0) or on (1)"),
-}
+_OVERWRITE_UNIT = {"oveHeaPumY": "1", "oveTSet": "K", "ovePum": "1", "oveFan": "1"}
 # Column of the emulator's record that holds the signal in force, whoever decided it.
 INPUT_COLUMNS = {"oveHeaPumY_u": "level", "oveTSet_u": "T_setpoint", "ovePum_u": "pump", "oveFan_u": "fan"}
 
 INPUTS: dict[str, PointInfo] = {}
 for _name, _low, _high in OVERWRITES:
-    _unit, _text = _OVERWRITE_TEXT[_name]
-    INPUTS[f"{_name}_u"] = PointInfo(_unit, _text, _low, _high)
-    INPUTS[f"{_name}_activate"] = PointInfo(None, f"1 overwrites with {_name}_u, 0 leaves it to native control", 0, 1)
+    _text = descriptions.OVERWRITES[_name]
+    INPUTS[f"{_name}_u"] = PointInfo(_OVERWRITE_UNIT[_name], _text, _low, _high)
+    INPUTS[f"{_name}_activate"] = PointInfo(None, f"Activation for {_text}")
 
-_MEASUREMENT_TEXT = {
-    "reaTZon_y": ("K", "Zone operative temperature"),
-    "reaPHeaPum_y": ("W", "Heat pump electrical power"),
-    "reaPFan_y": ("W", "Electrical power of the heat pump evaporator fan"),
-    "reaPPumEmi_y": ("W", "Emission circuit pump electrical power"),
-    "reaQHeaPumCon_y": ("W", "Heat pump thermal power exchanged in the condenser"),
-    "reaQFloHea_y": ("W", "Floor heating thermal power released to the zone"),
-    "reaTSup_y": ("K", "Supply water temperature to the radiant floor"),
-    "reaTRet_y": ("K", "Return water temperature from the radiant floor"),
-    "reaCOP_y": ("1", "Heat pump COP"),
-    "reaTSetHea_y": ("K", "Zone operative temperature set-point for heating"),
-    "reaCO2RooAir_y": ("ppm", "CO2 concentration in the zone"),
+_MEASUREMENT_UNIT = {
+    "reaTZon_y": "K",
+    "reaPHeaPum_y": "W",
+    "reaPFan_y": "W",
+    "reaPPumEmi_y": "W",
+    "reaQHeaPumCon_y": "W",
+    "reaQHeaPumEva_y": "W",  # negative: out of the air
+    "reaQFloHea_y": "W",
+    "reaTSup_y": "K",
+    "reaTRet_y": "K",
+    "reaCOP_y": "1",
+    "reaTSetHea_y": "K",
+    "reaTSetCoo_y": "K",
+    "reaCO2RooAir_y": "ppm",
 }
 _EVAPORATOR, _COOLING = "reaQHeaPumEva_y", "reaTSetCoo_y"
 _STATION = {measurement_name(signal): signal for signal in WEATHER_SIGNALS}
@@ -67,13 +65,9 @@ _STATION = {measurement_name(signal): signal for signal in WEATHER_SIGNALS}
 MEASUREMENT_POINTS: dict[str, PointInfo] = dict(
     sorted(
         {
-            **{name: PointInfo(unit, text) for name, (unit, text) in _MEASUREMENT_TEXT.items()},
-            _EVAPORATOR: PointInfo(
-                "W", "Heat pump thermal power exchanged in the evaporator (negative: out of the air)"
-            ),
-            _COOLING: PointInfo("K", "Zone operative temperature set-point for cooling"),
+            **{name: PointInfo(unit, descriptions.MEASUREMENTS[name]) for name, unit in _MEASUREMENT_UNIT.items()},
             **{
-                name: PointInfo(WEATHER_SIGNALS[signal].unit, f"{WEATHER_SIGNALS[signal].description} measurement")
+                name: PointInfo(WEATHER_SIGNALS[signal].unit, descriptions.STATION[signal])
                 for name, signal in _STATION.items()
             },
         }.items()
@@ -108,18 +102,16 @@ def _per_person(watts: float) -> _People:
     return lambda time_s: schedule.PEOPLE * watts * schedule.occupied_sample(time_s)
 
 
-_FORECAST_CLOCK: Mapping[str, tuple[PointInfo, _People]] = {
-    "Occupancy[1]": (PointInfo("number of people", "Number of occupants of the zone"), _per_person(1.0)),
-    "InternalGainsRad[1]": (PointInfo("W", "Radiative internal gains of the zone"), _per_person(_RADIANT_W)),
-    "InternalGainsCon[1]": (PointInfo("W", "Convective internal gains of the zone"), _per_person(_CONVECTIVE_W)),
-    "InternalGainsLat[1]": (PointInfo("W", "Latent internal gains of the zone"), _per_person(_LATENT_W)),
-    "LowerSetp[1]": (PointInfo("K", "Lower comfort bound"), lambda t: schedule.bounds_C(t)[0] + _KELVIN),
-    "UpperSetp[1]": (PointInfo("K", "Upper comfort bound"), lambda t: schedule.bounds_C(t)[1] + _KELVIN),
-    "UpperCO2[1]": (PointInfo("ppm", "Upper CO2 bound"), lambda t: np.full(t.shape, schedule.CO2_LIMIT_PPM)),
-    "EmissionsElectricPower": (
-        PointInfo("kgCO2/kWh", "CO2 emitted to produce one kWh of electricity"),
-        lambda t: np.full(t.shape, tariffs.EMISSION_KG_PER_KWH),
-    ),
+# Unit, and value at times (n,) s, of what follows the clock.
+_FORECAST_CLOCK: Mapping[str, tuple[str, _People]] = {
+    "Occupancy[1]": ("number of people", _per_person(1.0)),
+    "InternalGainsRad[1]": ("W", _per_person(_RADIANT_W)),
+    "InternalGainsCon[1]": ("W", _per_person(_CONVECTIVE_W)),
+    "InternalGainsLat[1]": ("W", _per_person(_LATENT_W)),
+    "LowerSetp[1]": ("K", lambda t: schedule.bounds_C(t)[0] + _KELVIN),
+    "UpperSetp[1]": ("K", lambda t: schedule.bounds_C(t)[1] + _KELVIN),
+    "UpperCO2[1]": ("ppm", lambda t: np.full(t.shape, schedule.CO2_LIMIT_PPM)),
+    "EmissionsElectricPower": ("kgCO2/kWh", lambda t: np.full(t.shape, tariffs.EMISSION_KG_PER_KWH)),
 }
 _PRICES = {
     "PriceElectricPowerConstant": "constant",
@@ -127,18 +119,12 @@ _PRICES = {
     "PriceElectricPowerHighlyDynamic": "highly_dynamic",
 }
 
-FORECAST_POINTS: dict[str, PointInfo] = dict(
-    sorted(
-        {
-            **{name: info for name, (info, _) in _FORECAST_CLOCK.items()},
-            **{
-                name: PointInfo("($/Euro)/kWh", f"Electricity price, {tariff} tariff")
-                for name, tariff in _PRICES.items()
-            },
-            **{name: PointInfo(signal.unit, signal.description) for name, signal in WEATHER_SIGNALS.items()},
-        }.items()
-    )
+_FORECAST_UNIT = (
+    {name: unit for name, (unit, _) in _FORECAST_CLOCK.items()}
+    | dict.fromkeys(_PRICES, "($/Euro)/kWh")
+    | {name: signal.unit for name, signal in WEATHER_SIGNALS.items()}
 )
+FORECAST_POINTS = {name: PointInfo(_FORECAST_UNIT[name], text) for name, text in descriptions.FORECAST.items()}
 
 
 def forecast_points(plant: EmbeddedPlant, names: list[str], horizon_s: float, interval_s: float) -> dict[str, Array]:

@@ -18,10 +18,9 @@ _CEILING_M = 20_000.0
 
 
 class WeatherSignal(NamedTuple):
-    """A signal: unit, description, and its value at times (n,) s."""
+    """A signal: unit, and its value at times (n,) s."""
 
     unit: str
-    description: str
     at: Callable[[Weather, Array], Array]
 
 
@@ -88,33 +87,32 @@ def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
     return wet_bulb_C(dry, dew, weather.at("pressure_Pa", time_s)) + _KELVIN
 
 
-# By the names of the forecast. Total sky cover is not kept by the emulator: the opaque cover stands in for it.
+# By the names of the forecast. The emulator keeps neither total sky cover, for which the opaque cover stands in, nor
+# the ceiling's height, which is a constant.
 WEATHER_SIGNALS: dict[str, WeatherSignal] = {
-    "HDifHor": WeatherSignal("W/m2", "Diffuse horizontal irradiance", _column("diffuse_W_m2")),
-    "HDirNor": WeatherSignal("W/m2", "Direct normal irradiance", _column("normal_W_m2")),
-    "HGloHor": WeatherSignal("W/m2", "Global horizontal irradiance", _column("global_W_m2")),
-    "HHorIR": WeatherSignal(
-        "W/m2", "Horizontal infrared irradiance of the sky", lambda w, t: _STEFAN_BOLTZMANN * _sky_K(w, t) ** 4
-    ),
-    "TBlaSky": WeatherSignal("K", "Black-body sky temperature", _sky_K),
-    "TDewPoi": WeatherSignal("K", "Dew-point temperature", _column("T_dew_C", _KELVIN)),
-    "TDryBul": WeatherSignal("K", "Outdoor dry-bulb temperature", _column("T_dry_C", _KELVIN)),
-    "TWetBul": WeatherSignal("K", "Wet-bulb temperature", _wet_bulb_K),
-    "ceiHei": WeatherSignal("m", "Cloud ceiling height (not in the weather data)", _constant(lambda _: _CEILING_M)),
-    "cloTim": WeatherSignal("s", "Time since 1 January", lambda _, t: np.asarray(t % (365 * DAY_S))),
-    "lat": WeatherSignal("rad", "Latitude", _constant(lambda w: float(np.deg2rad(w.latitude_deg)))),
-    "lon": WeatherSignal("rad", "Longitude", _constant(lambda w: float(np.deg2rad(w.longitude_deg)))),
-    "nOpa": WeatherSignal("1", "Opaque sky cover", _column("opaque_cover")),
-    "nTot": WeatherSignal("1", "Sky cover (the opaque cover stands in)", _column("opaque_cover")),
-    "pAtm": WeatherSignal("Pa", "Atmospheric pressure", _column("pressure_Pa")),
-    "relHum": WeatherSignal("1", "Outdoor relative humidity", _humidity),
-    "solAlt": WeatherSignal("rad", "Solar altitude", lambda w, t: np.pi / 2 - _zenith(w, t)),
-    "solDec": WeatherSignal("rad", "Solar declination", _declination),
-    "solHouAng": WeatherSignal("rad", "Solar hour angle", _hour_angle),
-    "solTim": WeatherSignal("s", "Solar time", _solar_time),
-    "solZen": WeatherSignal("rad", "Solar zenith angle", _zenith),
-    "winDir": WeatherSignal("rad", "Wind direction", _column("wind_from_rad")),
-    "winSpe": WeatherSignal("m/s", "Wind speed", _column("wind_m_s")),
+    "HDifHor": WeatherSignal("W/m2", _column("diffuse_W_m2")),
+    "HDirNor": WeatherSignal("W/m2", _column("normal_W_m2")),
+    "HGloHor": WeatherSignal("W/m2", _column("global_W_m2")),
+    "HHorIR": WeatherSignal("W/m2", lambda w, t: _STEFAN_BOLTZMANN * _sky_K(w, t) ** 4),
+    "TBlaSky": WeatherSignal("K", _sky_K),
+    "TDewPoi": WeatherSignal("K", _column("T_dew_C", _KELVIN)),
+    "TDryBul": WeatherSignal("K", _column("T_dry_C", _KELVIN)),
+    "TWetBul": WeatherSignal("K", _wet_bulb_K),
+    "ceiHei": WeatherSignal("m", _constant(lambda _: _CEILING_M)),
+    "cloTim": WeatherSignal("s", lambda _, t: np.asarray(t % (365 * DAY_S))),
+    "lat": WeatherSignal("rad", _constant(lambda w: float(np.deg2rad(w.latitude_deg)))),
+    "lon": WeatherSignal("rad", _constant(lambda w: float(np.deg2rad(w.longitude_deg)))),
+    "nOpa": WeatherSignal("1", _column("opaque_cover")),
+    "nTot": WeatherSignal("1", _column("opaque_cover")),
+    "pAtm": WeatherSignal("Pa", _column("pressure_Pa")),
+    "relHum": WeatherSignal("1", _humidity),
+    "solAlt": WeatherSignal("rad", lambda w, t: np.pi / 2 - _zenith(w, t)),
+    "solDec": WeatherSignal("rad", _declination),
+    "solHouAng": WeatherSignal("rad", _hour_angle),
+    "solTim": WeatherSignal("s", _solar_time),
+    "solZen": WeatherSignal("rad", _zenith),
+    "winDir": WeatherSignal("rad", _column("wind_from_rad")),
+    "winSpe": WeatherSignal("m/s", _column("wind_m_s")),
 }
 
 
