@@ -139,9 +139,10 @@ def test_how_speed_grows_is_measured_for_threads_and_processes(monkeypatch):
     monkeypatch.setattr(plant_speed, "_TOGETHER", (1, 3))
     monkeypatch.setattr(plant_speed, "_PROCESSES", (2,))
     monkeypatch.setattr(plant_speed, "_BEST_OF", 1)
-    monkeypatch.setattr(plant_speed, "_processes", lambda weather, n: 2.0 * n)
+    monkeypatch.setattr(plant_speed, "_processes", lambda weather, n: plant_speed.Rate(2.0 * n, 1.0, 0.5))
     rows = plant_speed.scaling(synthetic_weather(), days=1)
     assert [row["plants"] for row in rows] == [1, 3, 2]
     assert rows[0]["growth"] == 1.0
     assert rows[2]["growth"] == pytest.approx(4.0 / rows[0]["days_per_second"])
+    assert (rows[2]["cores_used"], rows[2]["days_per_cpu_second"]) == (0.5, 8.0)
     assert all(row["days_per_second"] > 0 for row in rows)
