@@ -124,6 +124,12 @@ def controller_options(scenario: Scenario, name: str) -> dict[str, Any]:
 
 def scored_period(plant: Plant, name: str, days: float) -> Period:
     """The window called `name` on this plant, `days` long; raises `ConfigError` for a name that is not one."""
+    check_window(name)
+    return replace(plant.period(name), scored_s=days * DAY_S)
+
+
+def check_window(name: str) -> None:
+    """Refuse a `name` that no plant can know as a window; raises `ConfigError` naming those there are."""
     try:
         float(name)
     except ValueError:
@@ -132,7 +138,6 @@ def scored_period(plant: Plant, name: str, days: float) -> Period:
                 f"period: '{name}' is not a window{suggestion(name, _NAMED_PERIODS)}; "
                 f"use {', '.join(_NAMED_PERIODS)}, or the day of the year it starts, such as 44"
             ) from None
-    return replace(plant.period(name), scored_s=days * DAY_S)
 
 
 def identify_on(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +35,8 @@ def scenario_options(function: Function) -> Function:
     return function
 
 
-def scenario_from(options: dict[str, Any]) -> Scenario:
-    """Build the scenario of a command from its file, its options, and `--set`, later ones winning.
+def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
+    """Build the scenario of a command from its file, `defaults`, its options, and `--set`, later ones winning.
 
     Raises:
         ConfigError: naming the file or option, the key and what is allowed.
@@ -69,6 +69,7 @@ def scenario_from(options: dict[str, Any]) -> Scenario:
     if options.get("baselines") is not None:
         named["baselines"] = [name for name in options["baselines"].split(",") if name]
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
+    named = merge(defaults or {}, named)
     if path is None and "testcase" not in named:
         raise click.UsageError("say which building: --testcase NAME, or --config FILE (see `tf-mpc testcases`)")
     return load_scenario(path, merge(named, parse_overrides(options.get("assignments", ()))))

@@ -36,7 +36,7 @@ def write_report(
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
     events = steps[(steps.status.isin(["shifted", "thermostat"])) | (steps.refused != "")]
-    template = _environment().get_template("report.html.j2")
+    template = page_environment().get_template("report.html.j2")
     page = template.render(
         kpis=kpis,
         manifest=manifest,
@@ -56,7 +56,8 @@ def write_report(
     return path
 
 
-def _environment() -> jinja2.Environment:
+def page_environment() -> jinja2.Environment:
+    """Templates of all pages; a value that a template misses is an error."""
     return jinja2.Environment(
         loader=jinja2.PackageLoader("thermoforce_mpc.report", "templates"),
         autoescape=True,

@@ -54,7 +54,7 @@ def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: M
         below.plot(_days(trajectory, end=True), trajectory.T_out_C, color=QUIET, linewidth=1.0)
         below.set_ylabel("outdoor, °C")
     below.set_xlabel("day of the scored window")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def actuation_plot(trajectory: pd.DataFrame, currency: str) -> str:
@@ -78,7 +78,7 @@ def actuation_plot(trajectory: pd.DataFrame, currency: str) -> str:
     room = max(0.1 * (high - low), 0.01)
     axes[3].set_ylim(min(low, 0) - room if low < 0 else low - room, high + room)
     axes[3].set_xlabel("day of the scored window")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def kpi_plot(kpis: Mapping[str, Mapping[str, float]], currency: str) -> str:
@@ -99,7 +99,7 @@ def kpi_plot(kpis: Mapping[str, Mapping[str, float]], currency: str) -> str:
         axis.set_xlabel(label)
         axis.margins(x=0.25)
     axes[0].set_ylim(len(names) - 0.5, -0.5)  # first controller on top
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def _steps(axis: Axes, day: pd.Series, values: pd.Series, colour: str, label: str) -> None:
@@ -125,7 +125,7 @@ def _hourly_means(trajectory: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"power_W": joules / seconds}).set_axis((joules.index + 0.5) / 24.0)
 
 
-def _svg(figure: Figure) -> str:
+def svg_text(figure: Figure) -> str:
     """The figure as an SVG element with stable bytes: no creation date, text kept as text."""
     for axis in figure.axes:
         for side in ("top", "right"):
