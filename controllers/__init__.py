@@ -7,7 +7,7 @@ from typing import Any
 __all__ = ["MPCConfig", "NativeController", "ThermoForceMPC", "Thermostat", "build_controller"]
 
 _WHERE = {
-    "MPCConfig": "controllers.mpc",
+    "MPCConfig": "controllers.mpc_config",
     "ThermoForceMPC": "controllers.mpc",
     "NativeController": "controllers.native",
     "Thermostat": "controllers.thermostat",

@@ -4,92 +4,22 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any, Literal, Protocol
 
 import numpy as np
-from pydantic import Field
 
-from controllers.actuation import Actuation, ActuationConfig
+from controllers.actuation import Actuation
 from controllers.errors import ControllerConfigError
-from controllers.held_levels import HeldLevelsConfig, HeldLevelSolver
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.ladder import Ladder, LadderConfig
-from controllers.problem import MPCProblem, ProblemShape, Solution, Weights, blocked_moves
-from controllers.qp import QPConfig, QPSolver
-from controllers.search import CandidateSearch, SearchConfig
+from controllers.ladder import Ladder
+from controllers.mpc_config import FreeResponseConfig, MPCConfig
+from controllers.problem import MPCProblem, Solution, Weights
+from controllers.solvers import build_solver
 from thermoforce_mpc.errors import DataError, ThermoForceError
-from thermoforce_mpc.forced_state import EstimatorConfig, ForcedStateEstimator
+from thermoforce_mpc.forced_state import ForcedStateEstimator
+from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.operator.features import ZONE
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.testcase import StrictModel
 from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
-
-
-class FreeResponseConfig(StrictModel):
-    """Which free response the plan is built on."""
-
-    name: str = Field("calibrated", description="name in the registry of free responses")
-    options: dict[str, Any] = Field(default_factory=dict, description="its options, for example backbone: shipped")
-
-
-class ObjectiveConfig(StrictModel):
-    """What a plan pays for beside energy at the tariff."""
-
-    comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
-    carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
-    peak_price_per_kW: float = Field(
-        0.0, ge=0, description="price of each kW by which the highest mean power of a step so far is exceeded"
-    )
-    terminal_value: float = Field(
-        0.0, ge=0, le=1, description="worth of heat left in the building at the end, as a share of what it costs then"
-    )
-    curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
-
-
-class MovesConfig(StrictModel):
-    """Move blocking: near moves are free, later ones are held."""
-
-    free_h: float = Field(12.0, gt=0, description="every step of the first hours is a move of its own, h")
-    hold_h: float = Field(1.0, gt=0, description="later moves are held for this long, h")
-
-
-class MPCConfig(StrictModel):
-    """Options of the MPC."""
-
-    step_s: float | None = Field(
-        None, ge=300, le=14400, description="control step, s; by default the step of the model"
-    )
-    horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
-    comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
-    backoff_level: float = Field(
-        0.2, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
-    )
-    backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
-    solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(
-        "auto",
-        description="qp: quadratic programme (duty); held_levels: one per first level (modulating); ipopt; search: the "
-        "paper's candidates; auto: the first of qp, held_levels and ipopt that fits the problem",
-    )
-    objective: ObjectiveConfig = ObjectiveConfig()
-    moves: MovesConfig = MovesConfig()
-    free_response: FreeResponseConfig = FreeResponseConfig()
-    estimator: EstimatorConfig = EstimatorConfig()
-    actuation: ActuationConfig = ActuationConfig()
-    ladder: LadderConfig = LadderConfig()
-    qp: QPConfig = QPConfig()
-    held_levels: HeldLevelsConfig = HeldLevelsConfig()
-    ipopt: IpoptConfig = IpoptConfig()
-    search: SearchConfig = SearchConfig()
-
-
-class Solver(Protocol):
-    """Anything that solves `MPCProblem`s of one operator and horizon."""
-
-    def solve(self, problem: MPCProblem) -> Solution:
-        """Solve one instance; a failure is a value."""
-        ...
-
 
 # A bound nearer than this shapes the plan, K.
 _BINDING_K = 0.02
@@ -133,8 +63,8 @@ class ThermoForceMPC:
         self.config, self._name = config or MPCConfig(), name
         c = self.config
         step_s = c.step_s or model.operator.step_s
-        self.model = model = replace(model, operator=model.operator.resampled(step_s))
-        self._n_steps = round(c.horizon_h * HOUR_S / step_s)
+        model = replace(model, operator=model.operator.resampled(step_s))
+        self._n_steps = c.n_steps(step_s)
         if self._n_steps < 1:
             raise ControllerConfigError(
                 f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one control step"
@@ -148,20 +78,13 @@ class ThermoForceMPC:
         if model.power is None:
             raise ControllerConfigError("the model was identified without measured power: energy cannot be planned")
         self._actuation = Actuation(c.actuation)
-        # The plan's model has to match the actuation: in both, the machine switches below its lowest level.
-        lowest = self._actuation.lowest_level
-        self._operator = replace(model.operator, actuator=model.operator.actuator.at_lowest_level(lowest))
-        self._power = model.power.load.at_lowest_level(lowest)
-        self.world = WorldModel(
-            model,
-            free_response or _build_free_response(c.free_response, model),
-            estimator=ForcedStateEstimator(model.operator, config=c.estimator),
-        )
+        self._power = model.power.load.at_lowest_level(self._actuation.lowest_level)
+        self._adaptation = OnlineAdaptation(model, c.adaptation)
+        self._use(model, free_response or _build_free_response(c.free_response, model))
         self._peak_W = 0.0
         self._first_s: float | None = None
-        mode = "heating" if self._operator.sign > 0 else "cooling"
+        mode = "heating" if model.operator.sign > 0 else "cooling"
         self._ladder = Ladder(c.ladder, self.step_s, self._actuation.highest, mode)
-        self._solver = self._build_solver()
 
     @property
     def name(self) -> str:
@@ -183,6 +106,9 @@ class ThermoForceMPC:
         began = time.perf_counter()
         self._observe_peak(observation)
         try:
+            adapted = self._adaptation.update(observation.history)
+            if adapted is not self.model:
+                self._use(adapted, self.world.free_response)
             problem, forecast = self._problem(observation)
         except _SURVIVABLE as error:
             return self._fall_back(observation, f"no prediction ({error})", "not started", {})
@@ -193,28 +119,20 @@ class ThermoForceMPC:
             return self._fall_back(observation, solution.problem, solution.status, seconds)
         return self._accept(observation, problem, forecast, solution, seconds)
 
-    def _build_solver(self) -> Solver:
-        c, actuation = self.config, self._actuation
-        if c.solver == "search":
-            return CandidateSearch(self._operator, self._n_steps, c.search)
-        shape = ProblemShape(
-            blocked_moves(self._n_steps, self.step_s, c.moves.free_h, c.moves.hold_h),
-            actuation.highest,
-            actuation.lowest_level,
-            peak=c.objective.peak_price_per_kW > 0,
-        )
-        chosen = c.solver
-        if chosen == "auto":
-            convex = replace(shape, lowest_level=shape.u_max).linear_in_u(
-                replace(self._operator, actuator=self._operator.actuator.at_lowest_level(1.0))
-            )
-            duty = shape.linear_in_u(self._operator)
-            chosen = "qp" if duty else "held_levels" if convex and self._n_steps > 1 else "ipopt"
-        if chosen == "qp":
-            return QPSolver(self._operator, shape, c.qp)
-        if chosen == "held_levels":
-            return HeldLevelSolver(self._operator, shape, c.held_levels, c.qp)
-        return IpoptSolver(self._operator, shape, c.ipopt)
+    @property
+    def adaptation(self) -> OnlineAdaptation:
+        """What online adaptation has done so far; nothing where it is off."""
+        return self._adaptation
+
+    def _use(self, model: ThermalModel, free_response: FreeResponse) -> None:
+        """Predict and plan with `model` from now on."""
+        self.model = model
+        # The plan's model has to match the actuation: in both, the machine switches below its lowest level.
+        lowest = self._actuation.lowest_level
+        self._operator = replace(model.operator, actuator=model.operator.actuator.at_lowest_level(lowest))
+        estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
+        self.world = WorldModel(model, free_response, estimator=estimator)
+        self._solver = build_solver(self.config, self._operator, self._actuation)
 
     def _problem(self, observation: Observation) -> tuple[MPCProblem, FreeForecast]:
         """Forecast, and put all numbers of this instance together."""

@@ -29,7 +29,7 @@ class Entry:
 
 
 def _mpc_config() -> type[StrictModel]:
-    from controllers.mpc import MPCConfig
+    from controllers.mpc_config import MPCConfig
 
     return MPCConfig
 

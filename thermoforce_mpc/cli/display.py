@@ -74,11 +74,17 @@ class LoopDisplay:
             self._console.print(line, highlight=False, soft_wrap=True)
 
 
+_FILE_WIDTH = 110
+
+
 class RunDisplay:
     """Everything a run says: headline, stages, the loops, and the table at the end."""
 
     def __init__(self, quiet: bool = False) -> None:
         self.console = Console(highlight=False)
+        if not self.console.is_terminal:
+            # Nobody wraps a file: the table keeps its columns whole.
+            self.console.width = max(self.console.width, _FILE_WIDTH)
         self.quiet = quiet
 
     def say(self, text: str) -> None:

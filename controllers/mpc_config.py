@@ -1,0 +1,80 @@
+"""Options of the MPC, as users write them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from controllers.actuation import ActuationConfig
+from controllers.held_levels import HeldLevelsConfig
+from controllers.ipopt import IpoptConfig
+from controllers.ladder import LadderConfig
+from controllers.qp import QPConfig
+from controllers.search import SearchConfig
+from thermoforce_mpc.forced_state import EstimatorConfig
+from thermoforce_mpc.identification.adaptation import AdaptationConfig
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import HOUR_S
+
+
+class FreeResponseConfig(StrictModel):
+    """Which free response the plan is built on."""
+
+    name: str = Field("calibrated", description="name in the registry of free responses")
+    options: dict[str, Any] = Field(default_factory=dict, description="its options, for example backbone: shipped")
+
+
+class ObjectiveConfig(StrictModel):
+    """What a plan pays for beside energy at the tariff."""
+
+    comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
+    carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
+    peak_price_per_kW: float = Field(
+        0.0, ge=0, description="price of each kW by which the highest mean power of a step so far is exceeded"
+    )
+    terminal_value: float = Field(
+        0.0, ge=0, le=1, description="worth of heat left in the building at the end, as a share of what it costs then"
+    )
+    curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
+
+
+class MovesConfig(StrictModel):
+    """Move blocking: near moves are free, later ones are held."""
+
+    free_h: float = Field(12.0, gt=0, description="every step of the first hours is a move of its own, h")
+    hold_h: float = Field(1.0, gt=0, description="later moves are held for this long, h")
+
+
+class MPCConfig(StrictModel):
+    """Options of the MPC."""
+
+    step_s: float | None = Field(
+        None, ge=300, le=14400, description="control step, s; by default the step of the model"
+    )
+    horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
+    comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
+    backoff_level: float = Field(
+        0.2, gt=0, le=0.5, description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none"
+    )
+    backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
+    solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(
+        "auto",
+        description="qp: quadratic programme (duty); held_levels: one per first level (modulating); ipopt; search: the "
+        "paper's candidates; auto: the first of qp, held_levels and ipopt that fits the problem",
+    )
+    objective: ObjectiveConfig = ObjectiveConfig()
+    moves: MovesConfig = MovesConfig()
+    free_response: FreeResponseConfig = FreeResponseConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    adaptation: AdaptationConfig = AdaptationConfig()
+    actuation: ActuationConfig = ActuationConfig()
+    ladder: LadderConfig = LadderConfig()
+    qp: QPConfig = QPConfig()
+    held_levels: HeldLevelsConfig = HeldLevelsConfig()
+    ipopt: IpoptConfig = IpoptConfig()
+    search: SearchConfig = SearchConfig()
+
+    def n_steps(self, step_s: float) -> int:
+        """Steps of `step_s` seconds in the horizon."""
+        return round(self.horizon_h * HOUR_S / step_s)

@@ -1,0 +1,53 @@
+"""Which solver solves which problem: the one place where the choice is made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+from controllers.actuation import Actuation
+from controllers.held_levels import HeldLevelSolver
+from controllers.ipopt import IpoptSolver
+from controllers.mpc_config import MPCConfig
+from controllers.problem import MPCProblem, ProblemShape, Solution, blocked_moves
+from controllers.qp import QPSolver
+from controllers.search import CandidateSearch
+from thermoforce_mpc.operator.parameters import OperatorParameters
+
+
+class Solver(Protocol):
+    """Anything that solves `MPCProblem`s of one operator and horizon."""
+
+    def solve(self, problem: MPCProblem) -> Solution:
+        """Solve one instance; a failure is a value."""
+        ...
+
+
+def build_solver(config: MPCConfig, operator: OperatorParameters, actuation: Actuation) -> Solver:
+    """The solver that `config` names, or the fastest that fits the problem, for plans over the horizon of `config`.
+
+    Raises:
+        ControllerConfigError: the solver named does not fit the problem.
+    """
+    n_steps = config.n_steps(operator.step_s)
+    if config.solver == "search":
+        return CandidateSearch(operator, n_steps, config.search)
+    shape = ProblemShape(
+        blocked_moves(n_steps, operator.step_s, config.moves.free_h, config.moves.hold_h),
+        actuation.highest,
+        actuation.lowest_level,
+        peak=config.objective.peak_price_per_kW > 0,
+    )
+    chosen = config.solver
+    if chosen == "auto":
+        switching = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
+        convex_but_for_levels = replace(shape, lowest_level=shape.u_max).linear_in_u(switching)
+        if shape.linear_in_u(operator):
+            chosen = "qp"
+        else:
+            chosen = "held_levels" if convex_but_for_levels and n_steps > 1 else "ipopt"
+    if chosen == "qp":
+        return QPSolver(operator, shape, config.qp)
+    if chosen == "held_levels":
+        return HeldLevelSolver(operator, shape, config.held_levels, config.qp)
+    return IpoptSolver(operator, shape, config.ipopt)
