@@ -219,7 +219,7 @@ class OnlineAdaptation:
         operator = self._identified.operator
         tau, bounds = operator.time_constants_h, operator.pole_bounds
         with np.errstate(divide="ignore"):
-            edges = -operator.step_s / HOUR_S / np.log(bounds)  # a pole bound of 0 or 1 is τ = 0 or infinity
+            edges = operator.step_s / HOUR_S / np.abs(np.log(bounds))  # a pole bound of 0 or 1 is τ = 0 or infinity
             shifts = np.log(edges / tau[:, None])
         return np.array(
             [

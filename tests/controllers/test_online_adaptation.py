@@ -1,0 +1,43 @@
+"""Online adaptation in the closed loop: the controller notices that its machine gives less than it was told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from thermoforce_mpc.closed_loop import run_closed_loop
+
+
+class WeakHouse(SimpleHouse):
+    """A house whose heater gives four fifths of what the model was told."""
+
+    def _advance(self, u, duration_s):
+        measurement = super()._advance(None if u is None else 0.8 * u, duration_s)
+        measurement = replace(measurement, u=measurement.u / 0.8)
+        self._rows[-1] = (duration_s, measurement)
+        return measurement
+
+
+def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
+    found = {}
+    for enabled in (False, True):
+        house = WeakHouse()
+        config = MPCConfig(horizon_h=24.0, adaptation={"enabled": enabled, "gain_sd": 0.3})
+        mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+        period = replace(house.period("x"), scored_s=8 * 86400.0)
+        result = run_closed_loop(house, mpc, period)
+        assert result.ladder()["solved"] == len(result.steps)
+        actual = np.array([step.T_zone_C for step in result.steps[1:]])
+        predicted = np.array([step.plan.T_zone_C[0] for step in result.steps[:-1]])
+        errors = (actual - predicted)[-72:]
+        found[enabled] = float(mpc.model.operator.gains[0]), float(np.sqrt(np.mean(errors**2))), mpc.adaptation.steps
+    gain = simple_model().operator.gains[0]
+    assert found[False][0] == gain
+    assert found[False][2] == ()
+    assert found[True][0] == pytest.approx(0.8 * gain, rel=0.12)
+    assert found[True][1] < 0.8 * found[False][1]
+    assert sum(step.outcome == "updated" for step in found[True][2]) >= 3
