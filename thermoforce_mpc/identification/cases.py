@@ -38,6 +38,8 @@ def actuator_map(
     """The map in front of the modes: heat where it was measured and wanted, else u itself."""
     if config.actuator == "identity":
         return IDENTITY, ["actuator map: identity, as configured"]
+    if config.heat_map is not None:
+        return ActuatorMap(heat=config.heat_map.load()), ["actuator map: heat, as given"]
     heat = np.concatenate([h.heat_W for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:

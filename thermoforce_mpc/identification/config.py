@@ -7,11 +7,33 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.operator.actuator import OnLoad
 from thermoforce_mpc.testcase import StrictModel
 
 DEFAULT_TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
 """Centres of the priors by order. Three modes of a floor-heated house: water loop and screed (half an hour to one
 hour), room against structure (two to six hours), structure against outdoors (one to four days)."""
+
+
+class HeatMapConfig(StrictModel):
+    """Delivered heat by data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `operator.actuator.OnLoad`."""
+
+    coefficients: tuple[float, float, float, float] = Field(description="c0 W, c1 W/K, c2 W, c3 W/K, all as heat > 0")
+    T_out_range_C: tuple[float, float] = Field(description="outdoor temperatures it holds for, °C")
+    lowest_level: float = Field(1.0, gt=0, le=1, description="level below which the machine switches")
+
+    @model_validator(mode="after")
+    def _rises_with_u(self) -> HeatMapConfig:
+        try:
+            self.load()
+        except DataError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    def load(self) -> OnLoad:
+        """The load it describes."""
+        return OnLoad(self.coefficients, self.T_out_range_C, self.lowest_level)
 
 
 class IdentificationConfig(StrictModel):
@@ -25,6 +47,7 @@ class IdentificationConfig(StrictModel):
     actuator: Literal["auto", "identity", "heat"] = Field(
         "auto", description="what drives the modes: u itself, or the heat map of (u, T_out); auto: heat if measured"
     )
+    heat_map: HeatMapConfig | None = Field(None, description="heat map by data sheet instead of an identified one")
     lowest_level: float | None = Field(
         None, gt=0, le=1, description="level below which the probed machine was switched; by default found in the data"
     )
@@ -69,6 +92,8 @@ class IdentificationConfig(StrictModel):
     def _consistent(self) -> IdentificationConfig:
         if len(self.disturbance_sd_K) != len(self.disturbance_hours):
             raise ValueError("disturbance_sd_K and disturbance_hours must have the same number of values")
+        if self.heat_map is not None and self.actuator == "identity":
+            raise ValueError("heat_map is given, but actuator is identity: drop one of them")
         if self.method == "two_stage" and self.order not in ("auto", 1):
             raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
         taus = self.time_constants_h
