@@ -71,3 +71,12 @@ def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):
     assert f"{known['step_response_24h_K']:.2f}" in shown
     assert f"{known['step_response_24h_K'] + 1.645 * known['step_response_24h_sd_K']:.2f}" in shown
     assert f"± {known['time_constant_3_sd_h']:.2f}" in shown
+
+
+def test_a_model_that_knows_little_says_so(models):
+    little = np.zeros(96)
+    little[[10, 11, 30, 31, 60, 61]] = 1.0
+    model = identify([record(HOUSE, 1.0, seed=2, u=little, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
+    assert any("uncertain: the effect of a day of action is known to" in note for note in model.card.notes)
+    long = identify([record(HOUSE, 9.0, seed=3, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
+    assert not any("uncertain" in note for note in long.card.notes)

@@ -7,7 +7,7 @@ the same way. All steps are deterministic for a given seed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -32,6 +32,8 @@ from thermoforce_mpc.world_model import ModelCard, ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be believed.
 _LEAST_EXPLAINED = 0.1
+# Relative standard deviation of the answer after a day from which a model is called uncertain.
+_UNCERTAIN = 0.15
 
 
 def identify(
@@ -120,6 +122,8 @@ def identify(
         scores |= neural
     operator = operator.resampled(step_s or base_step)
     prove(operator)
+    certainty = uncertainty(final, operator.step_s)
+    notes += _warnings(certainty)
     return ThermalModel(
         operator=operator,
         power=power_model(histories, config),
@@ -129,8 +133,16 @@ def identify(
             data={name: data_hash(h) for name, h in named(names, runs, pairs)},
             ranges=ranges(histories),
             scores=scores,
-            uncertainty=uncertainty(final, operator.step_s),
+            uncertainty=certainty,
             config=config.model_dump(mode="json"),
             notes=tuple(notes),
         ),
     )
+
+
+def _warnings(certainty: Mapping[str, float]) -> list[str]:
+    """What a user should know before trusting the model."""
+    share = certainty["step_response_24h_sd_K"] / max(certainty["step_response_24h_K"], 1e-9)
+    if share <= _UNCERTAIN:
+        return []
+    return [f"uncertain: the effect of a day of action is known to ± {100 * share:.0f} % only; probe longer or harder"]
