@@ -38,7 +38,7 @@ from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History
 
 # The engine's own start is forgotten first; what is left of the warm-up is the context of the forecasters.
 _FORGOTTEN_DAYS = 4
-_FORMAT = 1
+_FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,20 @@ class Window:
 
 
 @dataclass(frozen=True)
+class Probe:
+    """K probe days: what came before, and the pair of runs (probed, plain operation) that begin in one state."""
+
+    history: History
+    pair: Pair
+
+
+@dataclass(frozen=True)
 class ClimateData:
-    """All of one climate: windows of both parts, and for each number of probe days the pair (probed, factual)."""
+    """All of one climate: windows of both parts, and the probe of each number of days."""
 
     climate: Climate
     windows: tuple[Window, ...]
-    probes: dict[int, Pair]
+    probes: dict[int, Probe]
 
     def part(self, part: Part) -> list[Window]:
         """Windows of one part."""
@@ -183,6 +191,7 @@ def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
             probed[warm:] += probing_shift(climate, k, protocol.seed)
             base = len(jobs)
             jobs += [factual, Job(climate.spec, factual.first_day, probed, factual.gains)]
+            plan.append(_Cut(f"{name}/probe/{k}/history", base, forgotten, warm))
             plan.append(_Cut(f"{name}/probe/{k}/factual", base, warm, factual.n_steps))
             plan.append(_Cut(f"{name}/probe/{k}/probed", base + 1, warm, factual.n_steps, twin=base))
         for part in ("validation", "test"):
@@ -271,8 +280,8 @@ def _read(protocol: Protocol, arrays_file: Path, manifest_file: Path) -> Dataset
                     windows.append(Window(name, window, part, day, shift, past, factual, perturbed))
         probes = {}
         for k in protocol.probe_days:
-            probed, plain = record(f"{name}/probe/{k}/probed"), record(f"{name}/probe/{k}/factual")
+            past, plain, probed = (record(f"{name}/probe/{k}/{x}") for x in ("history", "factual", "probed"))
             start = plain.time_s[0] / DAY_S
-            probes[k] = Pair(probed, plain, label=f"{k} days from day {start:g}")
+            probes[k] = Probe(past, Pair(probed, plain, label=f"{k} days from day {start:g}"))
         climates[name] = ClimateData(climate, tuple(windows), probes)
     return Dataset(climates, manifest)

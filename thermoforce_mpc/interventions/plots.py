@@ -1,0 +1,116 @@
+"""Figures of the suite, as PNG and SVG. Matplotlib's figure objects are used directly: no display, no global state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE
+from thermoforce_mpc.interventions.protocol import CLIMATES
+from thermoforce_mpc.interventions.scores import LEVELS
+from thermoforce_mpc.interventions.suite import Fan, SuiteResult
+from thermoforce_mpc.types import HOUR_S
+
+_COLOURS = (
+    "#8a939c", "#3b7a8a", "#6b5b95", "#c47f2c", "#8a6d3b", "#5a7d3b", "#a05a7a", "#b22222", "#1b1f24", "#228b22",
+)  # fmt: skip
+_MARKERS = {"heating_chicago": "o", "cooling_phoenix": "s"}
+
+
+def save(figure: Figure, folder: Path, name: str) -> Path:
+    """Write `name`.png and `name`.svg, the same bytes each time; returns the SVG."""
+    path = folder / f"{name}.svg"
+    with rc_context({"svg.hashsalt": "interventions", "svg.fonttype": "none"}):
+        figure.savefig(path, metadata={"Date": None})
+    figure.savefig(folder / f"{name}.png", dpi=150, metadata={"Software": None})
+    return path
+
+
+def scatter_figure(result: SuiteResult, days: int) -> Figure:
+    """Factual against effect RMSE, one marker per method and climate: accuracy does not imply validity."""
+    figure = Figure(figsize=(8.5, 5.2), layout="constrained")
+    axes = figure.subplots()
+    shown = [name for name in METHODS if result.of(name, days=days)]
+    for name, colour in zip(METHODS, _COLOURS, strict=True):
+        for climate, marker in _MARKERS.items():
+            cells = result.of(name, climate, days)
+            if cells:
+                x, y = (np.mean([getattr(c, key) for c in cells]) for key in ("factual_rmse_K", "effect_rmse_K"))
+                label = METHODS[name].label if climate == _first_climate(result) else None
+                axes.scatter(x, y, color=colour, marker=marker, s=60, label=label, zorder=3)
+    axes.set_xlabel("factual RMSE, K (mean over the climate's cells)")
+    axes.set_ylabel("intervention-effect RMSE, K")
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3)
+    axes.set_title(f"{len(shown)} methods, {days} probe days; circles: heating, squares: cooling", fontsize=10)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+    return figure
+
+
+def fan_figure(fans: Sequence[Fan], methods: Sequence[str] = ("tsfm", "rc", MONOTONE, BEST)) -> Figure:
+    """Counterfactual fans: each method's course at u = 0, ¼, ½, ¾ and 1, beside what was measured."""
+    shown = [name for name in methods if all(name in fan.answers_C for fan in fans)]
+    figure = Figure(figsize=(3.1 * len(shown), 3.0 * len(fans)), layout="constrained")
+    grid = np.atleast_2d(figure.subplots(len(fans), len(shown), sharex=True, sharey="row", squeeze=False))
+    for row, fan in zip(grid, fans, strict=True):
+        past, ahead = fan.window.history.tail(24), fan.window.factual
+        start = ahead.time_s[0]
+        for axes, name in zip(row, shown, strict=True):
+            axes.plot((past.time_s - start) / HOUR_S, past.T_zone_C, color="#1b1f24", linewidth=1.2)
+            axes.plot((ahead.time_s - start) / HOUR_S, ahead.T_zone_C, color="#1b1f24", linewidth=1.2, label="measured")
+            for level, course in zip(LEVELS, fan.answers_C[name], strict=True):
+                colour = (0.85 * level + 0.1, 0.25, 0.95 - 0.85 * level)
+                hours = (ahead.time_s[1:] - start) / HOUR_S
+                axes.plot(hours, course, color=colour, linewidth=1.1, linestyle="--", label=f"u = {level:g}")
+            axes.axvline(0.0, color="#8a939c", linewidth=0.7)
+            axes.grid(alpha=0.25)
+            axes.set_title(f"{METHODS[name].label}\n{CLIMATES[fan.climate].label}", fontsize=8)
+        row[0].set_ylabel("zone, °C")
+    for axes in grid[-1]:
+        axes.set_xlabel("hours")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=8)
+    return figure
+
+
+def curves_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], xlabel: str, *, log: bool) -> Figure:
+    """Effect RMSE against one setting, a line per name; `curves` maps it to (x, y in K)."""
+    figure = Figure(figsize=(7.5, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for index, (name, (x, y)) in enumerate(curves.items()):
+        axes.plot(x, y, marker="o", color=_COLOURS[index % len(_COLOURS)], label=name)
+    if log:
+        ticks = sorted({value for x, _ in curves.values() for value in x})
+        axes.set_xscale("log")
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel("intervention-effect RMSE, K")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+    return figure
+
+
+def bars_figure(values: Mapping[str, tuple[float, float]], ylabel: str) -> Figure:
+    """Ours beside the paper's on a logarithmic axis; `values` maps a name to (ours, paper's)."""
+    figure = Figure(figsize=(8.5, 4.2), layout="constrained")
+    axes = figure.subplots()
+    at = np.arange(len(values))
+    ours, paper = np.array(list(values.values())).T
+    axes.bar(at - 0.2, ours, 0.4, color="#228b22", label="here")
+    axes.bar(at + 0.2, paper, 0.4, color="#8a939c", label="paper")
+    axes.set_yscale("log")
+    axes.set_xticks(at, [name.replace(" (", "\n(") for name in values], fontsize=8)
+    axes.set_ylabel(ylabel)
+    axes.legend(frameon=False)
+    return figure
+
+
+def _first_climate(result: SuiteResult) -> str:
+    return result.scores[0].climate
