@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from controllers.errors import ControllerConfigError
 from controllers.native import NativeConfig, NativeController
+from controllers.pi import PIConfig, PIController
 from controllers.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.configuration import merge, suggestion, validate
 from thermoforce_mpc.protocols import Controller
@@ -80,6 +81,13 @@ REGISTRY: dict[str, Entry] = {
         lambda name, config, testcase, model: Thermostat(config),
         {},
     ),
+    "pi": Entry(
+        "PI on the comfort bound with anti-windup and early start, on for a share of a step",
+        False,
+        lambda: PIConfig,
+        lambda name, config, testcase, model: PIController(config),
+        {},
+    ),
     "native": Entry(
         "the controller built into the plant",
         False,
@@ -105,7 +113,7 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     defaults: dict[str, Any] = dict(entry.defaults)
     if name == "native":
         defaults["step_s"] = testcase.step_s
-    if name == "thermostat":
+    if name in ("thermostat", "pi"):
         defaults["mode"] = testcase.mode
     return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
 

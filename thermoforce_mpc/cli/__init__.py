@@ -13,6 +13,8 @@ from thermoforce_mpc.errors import InputError, PlantError
 # name: (module, one line for the overview)
 _COMMANDS = {
     "run": ("thermoforce_mpc.cli.run", "Control a building over a scored window and report how it went."),
+    "compare": ("thermoforce_mpc.cli.compare", "Run controllers side by side, on several windows and tariffs."),
+    "sweep": ("thermoforce_mpc.cli.sweep", "Trace cost against discomfort over an option of a controller."),
     "identify": ("thermoforce_mpc.cli.identify", "Probe a building for a few days and save what was learned."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, data it has seen."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),

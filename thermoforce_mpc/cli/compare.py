@@ -1,0 +1,53 @@
+"""`tf-mpc compare`: controllers side by side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from thermoforce_mpc.cli.comparing import (
+    axes_from,
+    comparison_options,
+    exit_with,
+    run_comparison,
+    scenario_options_from,
+)
+from thermoforce_mpc.cli.options import scenario_from
+from thermoforce_mpc.comparison.variants import comma_list, load_comparison, variants_by_name
+
+_CONTESTANTS = "thermoforce_mpc,thermostat,native"
+
+
+@click.command(short_help="Run controllers side by side.")
+@comparison_options
+@click.option("--controllers", metavar="A,B", help=f"Names (see `tf-mpc controllers`).  [default: {_CONTESTANTS}]")
+@click.option("--variants", metavar="FILE", help="Controllers with options: a YAML file or a shipped name.")
+def command(**options: Any) -> None:
+    """Run every controller on every window under every tariff, in parallel processes.
+
+    Each finished cell is kept in the folder under a hash of all that decides it; the same command again runs only
+    what is missing or failed. Cells that learn alike share one identification per window. Writes tables, CSV, JSON,
+    a plot of cost against discomfort and an HTML page, and says where a baseline wins.
+
+    \b
+    Examples:
+      tf-mpc compare --testcase bestest_hydronic_heat_pump --controllers thermoforce_mpc,rc_mpc,thermostat,native
+      tf-mpc compare --testcase bestest_hydronic_heat_pump --windows 44,58 --prices constant,dynamic
+      tf-mpc compare --testcase bestest_hydronic_heat_pump --variants ablation --weather Brussels.mos
+
+    \b
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are kept), 130 interrupted.
+    """
+    file = load_comparison(options["variants"]) if options["variants"] else None
+    names: tuple[str, ...] = ()
+    if options["controllers"] is not None:
+        names = comma_list(options["controllers"], "--controllers")
+    elif file is None:
+        names = comma_list(_CONTESTANTS, "--controllers")
+    variants = variants_by_name(names, file)
+    axes = axes_from(options, file.windows if file else (), file.prices if file else ())
+    base = scenario_from(scenario_options_from(options), file.scenario if file else None)
+    exit_with(
+        run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")
+    )

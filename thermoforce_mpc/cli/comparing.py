@@ -1,0 +1,232 @@
+"""What `tf-mpc compare` and `tf-mpc sweep` share: options, progress, and the run itself."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from thermoforce_mpc.comparison.cells import Cell, expand
+from thermoforce_mpc.comparison.files import HEADINGS, headings, shown_figures, write_outcome
+from thermoforce_mpc.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
+from thermoforce_mpc.comparison.runner import run_cells
+from thermoforce_mpc.comparison.store import DONE, Store, source_fingerprint
+from thermoforce_mpc.comparison.variants import Variant, comma_list, price_names
+from thermoforce_mpc.composition import check_window
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario import PlantSpec, Scenario, load_testcase
+
+UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
+CELLS_FAILED = 3
+# What fits 80 columns; the files have all.
+_ON_CONSOLE = ("cost_tot", "tdis_tot", "ener_tot", "plan_ms", "fallbacks")
+
+Function = Callable[..., Any]
+
+
+def comparison_options(function: Function) -> Function:
+    """Options that say which cells, on which plant, and how they run."""
+    for option in reversed(
+        [
+            click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
+            click.option("--config", metavar="FILE", help="Scenario to start from: a YAML file or a shipped name."),
+            click.option("--windows", metavar="A,B", help="peak_heat_day, typical_heat_day, or start days such as 44."),
+            click.option("--prices", metavar="A,B", help="constant, dynamic, highly_dynamic.  [default: constant]"),
+            click.option("--days", type=float, help="Scored days.  [default: 14]"),
+            click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
+            click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing."),
+            click.option("--forecast-uncertainty", metavar="A,B", help="none, low, medium, high.  [default: none]"),
+            click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file."),
+            click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+            click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
+            click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
+            click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
+            click.option("--jobs", type=click.IntRange(min=1), help="Parallel processes.  [default: one per core]"),
+            click.option("--out", type=click.Path(path_type=Path), help="Folder; what it holds already is kept."),
+            click.option("--quiet", is_flag=True, help="Only the table at the end."),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Over what variants are compared."""
+
+    windows: tuple[str, ...]
+    prices: tuple[str, ...]
+    uncertainties: tuple[str, ...]
+
+
+def axes_from(options: Mapping[str, Any], windows: Sequence[str] = (), prices: Sequence[str] = ()) -> Axes:
+    """The axes a command names, else those given here, else two windows under the constant tariff.
+
+    Raises:
+        ConfigError: a window, tariff or level that is not one, or one given twice.
+    """
+    chosen = comma_list(options["windows"], "--windows") if options["windows"] is not None else tuple(windows)
+    chosen = chosen or ("peak_heat_day", "typical_heat_day")
+    for window in chosen:
+        check_window(window)
+    tariffs = price_names(options["prices"]) if options["prices"] is not None else tuple(prices)
+    text = options["forecast_uncertainty"]
+    levels = comma_list(text, "--forecast-uncertainty") if text is not None else ("none",)
+    for level in levels:
+        if level not in UNCERTAINTIES:
+            known = ", ".join(UNCERTAINTIES)
+            raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {known}")
+    return Axes(chosen, tariffs or ("constant",), levels)
+
+
+def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options under the names that `scenario_from` knows."""
+    assignments = list(options["assignments"])
+    if options["identification_days"] is not None:
+        assignments.insert(0, f"identification.days={options['identification_days']!r}")
+    same = ("testcase", "config", "days", "weather", "seed", "model", "fmu")
+    return {key: options[key] for key in same} | {"prices": options["tariff_file"], "assignments": assignments}
+
+
+def run_comparison(
+    base: Scenario,
+    variants: Mapping[str, Variant],
+    axes: Axes,
+    options: Mapping[str, Any],
+    *,
+    name: str,
+    title: str,
+    swept: Mapping[str, str] | None = None,
+) -> int:
+    """Run what is not done yet, write and print the outcome.
+
+    Returns:
+        The exit code: 0, or 3 where a cell has no result.
+
+    Raises:
+        ConfigError: something given cannot be used; nothing has been run.
+        KeyboardInterrupt: interrupted; finished cells are kept.
+    """
+    cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties)
+    testcase = load_testcase(base.testcase)
+    store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
+    console = Console(highlight=False)
+    say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
+    found = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
+    todo = [cell for cell in cells if cell.key not in found]
+    say(f"{len(cells)} cells: {len(cells) - len(todo)} done before and kept, {len(todo)} to run; {store.folder}")
+    stale = sum(record.get("source") != source_fingerprint() for record in found.values())
+    if stale:
+        say(f"Note: {stale} of the kept cells were made by other source code of this version; another --out reruns all")
+    jobs = options["jobs"] or os.cpu_count() or 1
+    try:
+        with CellProgress(console, len(todo), options["quiet"]) as progress:
+            ran = run_cells(todo, store, jobs, progress)
+    except KeyboardInterrupt:
+        kept = sum(store.finished(cell) is not None for cell in cells)
+        click.echo(f"{kept} of {len(cells)} cells are kept in {store.folder}; the same command goes on there", err=True)
+        raise
+    records = [_named(cell, {**found, **ran}[cell.key]) for cell in cells]
+    result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
+    show_outcome(console, result["rows"], testcase.currency)
+    page = shlex.quote(str(store.folder / "comparison.html"))
+    console.print(f"Table, CSV, JSON, plot and page: {page}", soft_wrap=True, markup=False)
+    return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
+
+
+def exit_with(code: int) -> None:
+    """Leave with `code` unless it is 0."""
+    if code:
+        sys.exit(code)
+
+
+def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
+    """The tables and what they say."""
+    for group, members in grouped(rows).items():
+        table = Table(title=group_title(group), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+        table.add_column("controller", overflow="fold", min_width=12)
+        for key, heading in zip(HEADINGS, headings(currency), strict=True):
+            if key in _ON_CONSOLE:
+                table.add_column(heading.replace("discomfort", "discomf.").replace(", ", "\n"), justify="right")
+        for row in members:
+            figures = dict(zip(HEADINGS, shown_figures(row), strict=True))
+            style = "bold" if row["pareto"] else None
+            table.add_row(row["controller"], *(figures[key] for key in _ON_CONSOLE), style=style)
+        console.print(table)
+    for text in verdicts(rows):
+        console.print(text, soft_wrap=True, markup=False)
+    for row in rows:
+        if row["status"] != DONE:
+            where = f"{row['controller']}, {row['window']}, {row['price']}"
+            console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True, markup=False)
+
+
+class CellProgress:
+    """Bars on a terminal, one line per beginning and end elsewhere."""
+
+    def __init__(self, console: Console, n_cells: int, quiet: bool) -> None:
+        self._console, self._n, self._quiet, self._ended = console, n_cells, quiet, 0
+        self._bars: dict[str, TaskID] = {}
+        self._progress: Progress | None = None
+
+    def __enter__(self) -> CellProgress:
+        if self._console.is_terminal and not self._quiet and self._n:
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+            self._progress = Progress(*columns, console=self._console, transient=True)
+            self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._progress:
+            self._progress.stop()
+
+    def begun(self, title: str, days: float) -> None:
+        """A process has begun."""
+        if self._progress:
+            self._bars[title] = self._progress.add_task(title, total=days or None)
+        elif not self._quiet:
+            self._print(f"begun   {title}")
+
+    def day(self, title: str, day: float) -> None:
+        """A process has come to `day`."""
+        if self._progress and title in self._bars:
+            self._progress.update(self._bars[title], completed=day)
+
+    def ended(self, title: str, record: Mapping[str, Any] | None, reason: str, seconds: float) -> None:
+        """A process has ended."""
+        if self._progress and title in self._bars:
+            self._progress.remove_task(self._bars.pop(title))
+        if record is not None:
+            self._ended += 1
+        if self._quiet:
+            return
+        count = f"[{self._ended}/{self._n}] " if record is not None else ""
+        if reason:
+            self._print(f"FAILED  {count}{title}: {reason}")
+        elif record is None:
+            self._print(f"done    {title} ({seconds:.0f} s)")
+        else:
+            kpis = record["kpis"]
+            self._print(f"done    {count}{title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({seconds:.0f} s)")
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True, markup=False)
+
+
+def _sayer(console: Console) -> Callable[[str], None]:
+    return lambda text: console.print(text, soft_wrap=True, markup=False)
+
+
+def _named(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
+    """The record under the name that this comparison gives it: two names may mean the same run."""
+    return {**record, "variant": cell.variant}

@@ -1,0 +1,78 @@
+"""Cost against discomfort, one panel per window and tariff. Down and to the left is better."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from thermoforce_mpc.comparison.outcome import COST, DISCOMFORT, Row, group_title, grouped
+from thermoforce_mpc.comparison.store import DONE
+from thermoforce_mpc.report.plots import BASELINE_COLOURS, FORCED, INK, QUIET
+
+_PANEL_INCHES, _COLUMNS = (5.5, 4.3), 2
+# Discomfort spans orders of magnitude and may be zero.
+_LINEAR_BELOW_KH = 0.5
+
+
+def pareto_figure(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None) -> Figure:
+    """The figure.
+
+    Args:
+        rows: of `outcome_rows`; failed ones are left out.
+        currency: for the axis.
+        swept: label by controller for points that belong on one line, in the order of the line.
+    """
+    done = [row for row in rows if row["status"] == DONE]
+    groups = grouped(done)
+    names = list(dict.fromkeys(row["controller"] for row in done))
+    colours = (FORCED, "#1f5a99", *BASELINE_COLOURS)
+    colour = {name: colours[i % len(colours)] for i, name in enumerate(n for n in names if n not in (swept or {}))}
+    columns = min(_COLUMNS, max(len(groups), 1))
+    lines = -(-len(groups) // columns) or 1
+    figure = Figure(figsize=(_PANEL_INCHES[0] * columns, _PANEL_INCHES[1] * lines), layout="constrained")
+    axes = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axis, (group, members) in zip(axes, groups.items(), strict=False):
+        _panel(axis, members, colour, swept or {})
+        axis.set_title(group_title(group), loc="left", fontsize=10)
+        axis.set_xlabel("discomfort, K·h")
+        axis.set_ylabel(f"cost, {currency}/m²")
+    for axis in axes[len(groups) :]:
+        axis.set_visible(False)
+    return figure
+
+
+def save_png(figure: Figure, path: str) -> None:
+    """Write the figure with stable bytes."""
+    with rc_context({"svg.hashsalt": "thermoforce-mpc"}):
+        figure.savefig(path, format="png", dpi=130, metadata={"Software": None})
+
+
+def _panel(axis: Axes, rows: Sequence[Row], colour: Mapping[str, str], swept: Mapping[str, str]) -> None:
+    by_name = {row["controller"]: row for row in rows}
+    front = sorted((row for row in rows if row["pareto"]), key=lambda row: (row[DISCOMFORT], -row[COST]))
+    if front:
+        axis.step([r[DISCOMFORT] for r in front], [r[COST] for r in front], where="post", color=QUIET, linewidth=0.8)
+    line = [(by_name[name], label) for name, label in swept.items() if name in by_name]
+    if line:
+        axis.plot([r[DISCOMFORT] for r, _ in line], [r[COST] for r, _ in line], "o-", color=FORCED, markersize=4)
+    labelled = line + [(row, name) for name, row in by_name.items() if name not in swept]
+    for i, (row, label) in enumerate(labelled):
+        if row["controller"] not in swept:
+            marker = "o" if row["needs_model"] else "s"
+            axis.plot(row[DISCOMFORT], row[COST], marker, color=colour[row["controller"]], markersize=7)
+        axis.annotate(
+            label,
+            (row[DISCOMFORT], row[COST]),
+            xytext=(6, 5 if i % 2 == 0 else -11),
+            textcoords="offset points",
+            fontsize=8,
+            color=INK,
+        )
+    axis.set_xscale("symlog", linthresh=_LINEAR_BELOW_KH)
+    axis.set_xlim(left=-0.05)
+    axis.margins(0.18)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
