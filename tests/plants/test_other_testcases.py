@@ -1,0 +1,143 @@
+"""The other shipped test cases, driven through their YAML files alone: FMUs with the documented points, and REST."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("fmpy")
+pytest.importorskip("pythonfmu")
+from documented_points import DOCUMENTED
+from emulator_service import running_emulator_service
+from fmu_files import rewritten
+from pythonfmu.builder import FmuBuilder
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.plants.boptest import BoptestPlant
+from thermoforce_mpc.plants.fmu import FmuPlant
+from thermoforce_mpc.scenario import load_testcase
+from thermoforce_mpc.types import DAY_S, HOUR_S
+
+SUPPORT = Path(__file__).parents[1] / "support"
+KPIS = {
+    "bestest_air": {
+        "AirZoneTemperature[1]": ["zon_reaTRooAir_y"],
+        "ElectricPower": ["fcu_reaPCoo_y", "fcu_reaPFan_y"],
+        "GasPower": ["fcu_reaPHea_y"],
+        "CO2Concentration[1]": ["zon_reaCO2RooAir_y"],
+    },
+    "bestest_hydronic": {
+        "OperativeZoneTemperature[1]": ["reaTRoo_y"],
+        "ElectricPower": ["reaPPum_y"],
+        "GasPower": ["reaQHea_y"],
+        "CO2Concentration[1]": ["reaCO2RooAir_y"],
+    },
+}
+DAYS = {"peak_heat_day": 341, "typical_heat_day": 51, "peak_cool_day": 289, "typical_cool_day": 153, "mix_day": 350}
+
+
+def build(name: str, script: str, folder: Path) -> Path:
+    """An FMU of one of the rooms, with units, limits, boundary data, KPI signals and days as BOPTEST's have them."""
+    bare = FmuBuilder.build_FMU(SUPPORT / script, folder / f"{name}_bare.fmu")
+    points = DOCUMENTED[name][1]
+    known = {**points.inputs, **points.measurements}
+
+    def describe(root):
+        for variable in root.iter("ScalarVariable"):
+            point, real = known.get(variable.get("name", "")), variable.find("Real")
+            if real is None or point is None:
+                continue
+            real.set("unit", point.unit)
+            if point.minimum is not None:
+                real.set("min", str(point.minimum))
+                real.set("max", str(point.maximum))
+
+    time_s = np.arange(0.0, 365 * DAY_S + 1.0, HOUR_S)
+    constant = {
+        "HGloHor": 0.0, "LowerSetp[1]": 294.15, "UpperSetp[1]": 297.15, "UpperCO2[1]": 894.0, "Occupancy[1]": 2.0,
+        "PriceElectricPowerConstant": 0.2, "PriceElectricPowerDynamic": 0.3, "PriceElectricPowerHighlyDynamic": 0.4,
+        "PriceGasPower": 0.05, "EmissionsElectricPower": 0.17, "EmissionsGasPower": 0.18,
+    }  # fmt: skip
+    outdoor = 288.15 - 8.0 * np.cos(2 * np.pi * time_s / DAY_S)
+    files = {
+        "all.csv": pd.DataFrame({"time": time_s, "TDryBul": outdoor} | constant).to_csv(index=False),
+        "kpis.json": json.dumps(KPIS[name]),
+        "days.json": json.dumps(DAYS),
+        "config.json": json.dumps({"name": name, "area": 48.0}),
+    }
+    return rewritten(bare, folder / f"{name}.fmu", {f"resources/{n}": text for n, text in files.items()}, describe)
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("others")
+    return {
+        "bestest_air": build("bestest_air", "fmu_office.py", folder),
+        "bestest_hydronic": build("bestest_hydronic", "fmu_radiator.py", folder),
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["bestest_hydronic", "bestest_air", "bestest_air_cooling", "bestest_air_cooling_setpoint"]
+)
+def test_more_u_is_more_effort_and_costs_more(fmus, name):
+    testcase = load_testcase(name)
+    sign = 1.0 if testcase.mode == "heating" else -1.0
+    reached, spent = [], []
+    with FmuPlant(fmus[testcase.name], testcase) as plant:
+        for u in (0.0, 0.5, 1.0):
+            plant.reset(100 * DAY_S, 0.0)
+            measured = plant.advance(u, 2 * HOUR_S)
+            assert measured.u == pytest.approx(u)
+            reached.append(sign * measured.T_zone_C)
+            spent.append(measured.power_W)
+    assert np.diff(reached).min() > 0.05, reached
+    assert np.diff(spent).min() > 1.0, spent
+
+
+def test_gas_and_electricity_each_at_their_price(fmus):
+    with FmuPlant(fmus["bestest_hydronic"], load_testcase("bestest_hydronic")) as plant:
+        plant.reset(20 * DAY_S, 0.0, "dynamic")
+        assert plant.forecast(2 * HOUR_S, HOUR_S).price_per_kWh.tolist() == [0.05] * 3, "planned with the price of gas"
+        plant.advance(0.5, HOUR_S)
+        held = plant.advance(0.0, HOUR_S)
+        assert held.points["ovePum_y"] == 1.0, "the pump is held while u acts"
+        kpis = plant.kpis()
+        released = plant.advance(None, HOUR_S)
+    gas = kpis["ener_tot"] - 20.0 * 2.0 / 1e3 / 48.0
+    assert kpis["cost_tot"] == pytest.approx(0.05 * gas + 0.3 * 20.0 * 2.0 / 1e3 / 48.0, rel=0.01)
+    assert {"pgas_tot", "pele_tot", "tdis_tot", "idis_tot"} < set(kpis)
+    assert released.points["ovePum_y"] in (0.0, 1.0)
+    assert released.points["oveTSetSup_y"] != 293.15, "native control is back"
+
+
+def test_its_own_windows_and_a_thermostat_that_cools_by_the_command_line(fmus, tmp_path):
+    with FmuPlant(fmus["bestest_air"], load_testcase("bestest_air_cooling")) as plant:
+        assert plant.period("mix_day").start_s == (350 - 7) * DAY_S
+    words = ["run", "--testcase", "bestest_air_cooling", "--fmu", str(fmus["bestest_air"]), "--period", "peak_cool_day"]
+    words += ["--days", "0.5", "--controller", "thermostat", "--baselines", "native", "--out", str(tmp_path / "run")]
+    done = CliRunner().invoke(cli, [*words, "--quiet"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    kpis = json.loads((tmp_path / "run" / "kpis.json").read_text())
+    assert (kpis["testcase"], kpis["start_day"]) == ("bestest_air", 282)
+    assert "USD" in done.output
+
+
+def test_points_are_held_and_let_go_over_rest():
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    actuator = testcase.actuator.model_copy(update={"held": {"ovePum": 1.0}})
+    with (
+        running_emulator_service() as url,
+        BoptestPlant(url, testcase.model_copy(update={"actuator": actuator})) as plant,
+    ):
+        plant.reset(200 * DAY_S, 0.0)
+        off = plant.advance(0.0, HOUR_S)
+        assert (off.points["ovePum_u"], off.points["ovePum_activate"]) == (1.0, 1.0)
+        assert off.points["reaPPumEmi_y"] > 0
+        free = plant.advance(None, HOUR_S)
+        assert free.points["ovePum_activate"] == free.points["oveHeaPumY_activate"] == 0.0
