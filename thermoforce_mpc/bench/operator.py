@@ -71,7 +71,7 @@ def run_operator_bench(
     parts = (
         _trained_on_pairs(pairs, quick, options, say),
         _few_shot(runs, pairs, quick, options, say),
-        _speed(60 if quick else 300, say),
+        _speed(20 if quick else 300, say),
     )
     for part_rows, part_targets in parts:
         rows += part_rows

@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import run_episode
+from thermoforce_mpc.identification.episode import run_episode
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.operator.features import feature_matrix

@@ -9,7 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import Episode
+from thermoforce_mpc.identification.episode import Episode
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.episode import run_episode
 from thermoforce_mpc.identification.excitation import Excitation, Law
-from thermoforce_mpc.identification.joint import run_episode
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.modes import ModePriors, mode_priors, unit_responses
 from thermoforce_mpc.operator.actuator import IDENTITY

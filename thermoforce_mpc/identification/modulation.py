@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import LEAST_SCALE, Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import Episode, JointFit, calibrated
+from thermoforce_mpc.identification.episode import Episode, calibrated
+from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.likelihood import Split, residuals, whole
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors
 from thermoforce_mpc.operator.certificate import certificate

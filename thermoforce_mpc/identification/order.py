@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import Episode, JointFit, fit_joint, follows_action, forced_columns
+from thermoforce_mpc.identification.episode import Episode, follows_action, forced_columns
+from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.types import Array

@@ -14,12 +14,8 @@ from typing import Literal
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, actuator_map, held_out, named, normalisation, power_model, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import (
-    JointFit,
-    fit_joint,
-    pair_episode,
-    run_episode,
-)
+from thermoforce_mpc.identification.episode import pair_episode, run_episode
+from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.modes import mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import choose_order, explained_share, fit_and_judge

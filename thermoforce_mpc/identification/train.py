@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import Episode
+from thermoforce_mpc.identification.episode import Episode
 from thermoforce_mpc.identification.likelihood import Residuals, Split
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.operator.parameters import OperatorParameters

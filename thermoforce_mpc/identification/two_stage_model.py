@@ -9,10 +9,8 @@ import numpy as np
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, held_out, named, normalisation, power_model, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import (
-    JointFit,
-    pair_episode,
-)
+from thermoforce_mpc.identification.episode import pair_episode
+from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.records import Pair, data_hash

@@ -1,0 +1,57 @@
+"""A model whose gain sees the predicted temperature is planned with by Ipopt, and never by the quadratic programme."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.errors import ControllerConfigError
+from thermoforce_mpc.operator import certificate
+from thermoforce_mpc.types import HOUR_S, Observation, PlanStatus
+from thermoforce_mpc.world_model import ThermalModel
+
+
+def seeing_model() -> ThermalModel:
+    """The simple house's model, with a gain that falls by a third from 18 to 24 °C."""
+    model = simple_model()
+    weights = np.zeros_like(model.operator.hidden_weight)
+    weights[0, 0] = 1.0
+    output = np.zeros(weights.shape[0])
+    output[0] = -0.3
+    operator = replace(
+        model.operator,
+        hidden_weight=weights,
+        output_weight=output,
+        feature_mean=np.array([21.0, 0.0, 0.0, 0.0]),
+        feature_scale=np.array([3.0, 5.0, 100.0, 1.0]),
+        feature_temperature="total",
+    )
+    return replace(model, operator=operator)
+
+
+def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
+    model = seeing_model()
+    assert certificate(model.operator).certified
+    house = SimpleHouse()
+    house.reset(10 * 86400.0, 2 * 86400.0)
+    observation = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
+    mpc = ThermoForceMPC(model, MPCConfig(horizon_h=24.0), free_response=OutdoorResponse())
+    plan = mpc.plan(observation)
+    assert plan.status is PlanStatus.SOLVED
+    outlook = mpc.world.outlook(observation)
+    np.testing.assert_allclose(plan.T_forced_K, outlook.predict(plan.u).forced_K, atol=1e-4)
+    blind = ThermoForceMPC(
+        replace(model, operator=replace(model.operator, feature_temperature="free")),
+        MPCConfig(horizon_h=24.0),
+        free_response=OutdoorResponse(),
+    ).plan(observation)
+    assert np.abs(blind.T_forced_K - plan.T_forced_K).max() > 0.01, "what the gain sees must matter"
+
+
+def test_the_quadratic_programme_refuses_it():
+    with pytest.raises(ControllerConfigError, match="gain depends on the predicted temperature"):
+        ThermoForceMPC(seeing_model(), MPCConfig(solver="qp"), free_response=OutdoorResponse())
