@@ -220,11 +220,10 @@ class PlanStatus(StrEnum):
 class Plan:
     """A decision and its reasons.
 
-    `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports:
-    planned `u`, predicted
-    `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
-    predicted `power_W`;
-    they are empty for rules. `T_free_now_C` is the control-free temperature the plan starts from. `why` is one sentence a person can read; `solver_status` is the solver's own word.
+    `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`,
+    predicted `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
+    predicted `power_W`; they are empty for rules. `T_free_now_C` is the control-free temperature the plan starts from.
+    `why` is one sentence a person can read; `solver_status` is the solver's own word.
     """
 
     blocks: tuple[Block, ...]

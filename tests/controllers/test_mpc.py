@@ -10,7 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.errors import ControllerConfigError
-from controllers.mpc import MPCConfig
+from controllers.mpc_config import MPCConfig
 from controllers.problem import Solution
 from controllers.thermostat import Thermostat
 from thermoforce_mpc.closed_loop import run_closed_loop

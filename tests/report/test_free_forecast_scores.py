@@ -7,7 +7,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc import MPCConfig
+from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.closed_loop import run_closed_loop
 from thermoforce_mpc.report.forecast_check import free_forecast_scores
 from thermoforce_mpc.types import FreeForecast

@@ -80,6 +80,63 @@ def free_response_command(
     show(result, json_file)
 
 
+@command.command("interventions")
+@click.option(
+    "--study",
+    type=click.Choice(["validity", "ablation", "gamma", "data", "efficiency"]),
+    default="validity",
+    show_default=True,
+    help="Which table: interventional validity, operator ablation, gamma sweep, data efficiency, or cost.",
+)
+@click.option(
+    "--days",
+    type=click.IntRange(1, 30),
+    multiple=True,
+    help="Probe days; may be given more than once.  [default: 3; with --quick 1; studies have their own]",
+)
+@click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the networks.")
+@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes that work at once.")
+@click.option(
+    "--data",
+    "data_folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("runs/interventions-data"),
+    show_default=True,
+    help="Where simulated pairs are kept for the next time.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("runs/interventions"),
+    show_default=True,
+    help="Folder of the figures, the JSON and the HTML page.",
+)
+@_QUICK
+@_JSON
+def interventions_command(
+    study: str,
+    days: tuple[int, ...],
+    backbone: str,
+    seed: int,
+    workers: int,
+    data_folder: Path,
+    out: Path,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Score what methods say an action would change against paired EnergyPlus runs (extra [energyplus])."""
+    from thermoforce_mpc.bench.interventions import run_interventions_bench
+    from thermoforce_mpc.bench.interventions_studies import run_study
+
+    options: dict[str, Any] = {"out": out, "days": days, "quick": quick, "backbone": backbone, "seed": seed}
+    options |= {"workers": workers, "progress": _progress}
+    if study == "validity":
+        show(run_interventions_bench(data_folder, **options), json_file)
+    else:
+        show(run_study(study, data_folder, **options), json_file)
+
+
 def _progress(line: str) -> None:
     click.echo(line, err=True)
 

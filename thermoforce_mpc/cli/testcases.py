@@ -8,9 +8,9 @@ from thermoforce_mpc.configuration import named_configs, read_yaml
 from thermoforce_mpc.scenario import load_testcase
 
 
-@click.command(short_help="List the test cases and scenarios that ship.")
+@click.command(short_help="List the test cases, scenarios and comparisons that ship.")
 def command() -> None:
-    """List the test cases and scenarios that ship with the package, with their files."""
+    """List the test cases, scenarios and comparisons that ship with the package, with their files."""
     click.echo("Test cases (--testcase NAME):")
     for name, path in named_configs("testcases").items():
         testcase = load_testcase(name)
@@ -19,3 +19,6 @@ def command() -> None:
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():
         click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")
+    click.echo("\nComparisons (tf-mpc compare --variants NAME):")
+    for name, path in named_configs("comparisons").items():
+        click.echo(f"  {name}: {', '.join(read_yaml(path)['variants'])}; {path}")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from thermoforce_mpc.comparison.outcome import COST, DISCOMFORT, Row, group_title, grouped
 from thermoforce_mpc.comparison.store import DONE
@@ -15,6 +16,9 @@ from thermoforce_mpc.report.plots import BASELINE_COLOURS, FORCED, INK, QUIET
 _PANEL_INCHES, _COLUMNS = (5.5, 4.3), 2
 # Discomfort spans orders of magnitude and may be zero.
 _LINEAR_BELOW_KH = 0.5
+# Names stand beside their points where few do, else in a legend.
+_MOST_LABELS = 5
+_MARKERS = "o^Dv<>ph"
 
 
 def pareto_figure(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None) -> Figure:
@@ -41,13 +45,24 @@ def pareto_figure(rows: Sequence[Row], currency: str, swept: Mapping[str, str] |
         axis.set_ylabel(f"cost, {currency}/m²")
     for axis in axes[len(groups) :]:
         axis.set_visible(False)
+    named: dict[str, Artist] = {}
+    for axis in axes:
+        named |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    if named:
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="outside lower center",
+            ncols=2 * columns,
+            frameon=False,
+            fontsize=8,
+        )
     return figure
 
 
 def save_png(figure: Figure, path: str) -> None:
     """Write the figure with stable bytes."""
-    with rc_context({"svg.hashsalt": "thermoforce-mpc"}):
-        figure.savefig(path, format="png", dpi=130, metadata={"Software": None})
+    figure.savefig(path, format="png", dpi=130, metadata={"Software": None})
 
 
 def _panel(axis: Axes, rows: Sequence[Row], colour: Mapping[str, str], swept: Mapping[str, str]) -> None:
@@ -58,13 +73,17 @@ def _panel(axis: Axes, rows: Sequence[Row], colour: Mapping[str, str], swept: Ma
     line = [(by_name[name], label) for name, label in swept.items() if name in by_name]
     if line:
         axis.plot([r[DISCOMFORT] for r, _ in line], [r[COST] for r, _ in line], "o-", color=FORCED, markersize=4)
-    labelled = line + [(row, name) for name, row in by_name.items() if name not in swept]
-    for i, (row, label) in enumerate(labelled):
-        if row["controller"] not in swept:
-            marker = "o" if row["needs_model"] else "s"
-            axis.plot(row[DISCOMFORT], row[COST], marker, color=colour[row["controller"]], markersize=7)
+    others = [row for name, row in by_name.items() if name not in swept]
+    crowded = len(others) > _MOST_LABELS
+    for row in others:
+        name = row["controller"]
+        shape = _MARKERS[list(colour).index(name) // 3 % len(_MARKERS)] if row["needs_model"] else "s"
+        label = name if crowded else None
+        axis.plot(row[DISCOMFORT], row[COST], shape, color=colour[name], markersize=7, alpha=0.85, label=label)
+    labelled = line + ([] if crowded else [(row, row["controller"]) for row in others])
+    for i, (row, text) in enumerate(labelled):
         axis.annotate(
-            label,
+            text,
             (row[DISCOMFORT], row[COST]),
             xytext=(6, 5 if i % 2 == 0 else -11),
             textcoords="offset points",
@@ -72,7 +91,8 @@ def _panel(axis: Axes, rows: Sequence[Row], colour: Mapping[str, str], swept: Ma
             color=INK,
         )
     axis.set_xscale("symlog", linthresh=_LINEAR_BELOW_KH)
-    axis.set_xlim(left=-0.05)
+    axis.xaxis.set_major_formatter(ScalarFormatter())
     axis.margins(0.18)
+    axis.set_xlim(left=-0.05)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)

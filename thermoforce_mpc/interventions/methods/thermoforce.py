@@ -71,7 +71,7 @@ def build_thermoforce(
     modulation: Literal["neural", "linear"] = "neural",
     gamma: float = 0.75,
 ) -> SuperpositionPredictor:
-    """Identify with each order and each centre of its priors, and keep the one that is best on the validation windows."""
+    """Identify with each order and each centre of its priors; the best on the validation windows is kept."""
     candidates: Mapping[str, SuperpositionPredictor] = {
         str(taus): SuperpositionPredictor(
             identified(training, taus, modulation=modulation, gamma=gamma), free_response, ""

@@ -128,7 +128,7 @@ class EmbeddedPlant:
         return Period(f"day {day:g}", day * DAY_S)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control, in whole steps of 30 s, cut at the beginning of the year.
+        """Start at `start_s` after `warmup_s` of native control in steps of 30 s, cut at the beginning of the year.
 
         Raises:
             InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
