@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.operator.features import ZONE
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus
-from thermoforce_mpc.world_model import ThermalModel, WorldModel
+from thermoforce_mpc.world_model import Outlook, ThermalModel, WorldModel
 
 # A bound nearer than this shapes the plan, K.
 _BINDING_K = 0.02
@@ -103,21 +103,21 @@ class ThermoForceMPC:
 
     def plan(self, observation: Observation) -> Plan:
         """Decide for the next step. Never raises for a failed forecast or solve: the ladder acts and says why."""
-        began = time.perf_counter()
         self._observe_peak(observation)
         try:
             adapted = self._adaptation.update(observation.history)
             if adapted is not self.model:
                 self._use(adapted, self.world.free_response)
-            problem, forecast = self._problem(observation)
+            outlook = self._outlook(observation)
+            problem = self._problem(outlook)
         except _SURVIVABLE as error:
             return self._fall_back(observation, f"no prediction ({error})", "not started", {})
-        predicted = time.perf_counter()
+        began = time.perf_counter()
         solution = self._solver.solve(problem)
-        seconds = {"predict": predicted - began, "solve": time.perf_counter() - predicted}
+        seconds = {**outlook.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
             return self._fall_back(observation, solution.problem, solution.status, seconds)
-        return self._accept(observation, problem, forecast, solution, seconds)
+        return self._accept(observation, problem, outlook.free, solution, seconds)
 
     @property
     def adaptation(self) -> OnlineAdaptation:
@@ -134,16 +134,20 @@ class ThermoForceMPC:
         self.world = WorldModel(model, free_response, estimator=estimator)
         self._solver = build_solver(self.config, self._operator, self._actuation)
 
-    def _problem(self, observation: Observation) -> tuple[MPCProblem, FreeForecast]:
-        """Forecast, and put all numbers of this instance together."""
-        c, boundary = self.config, observation.boundary
+    def _outlook(self, observation: Observation) -> Outlook:
+        """Forecast the free response over the horizon."""
+        boundary = observation.boundary
         if boundary.n_steps < self._n_steps:
             raise DataError(f"boundary forecast has {boundary.n_steps} steps, the horizon needs {self._n_steps}")
-        boundary = boundary.head(self._n_steps)
-        outlook = self.world.outlook(Observation(observation.history, boundary))
+        outlook = self.world.outlook(Observation(observation.history, boundary.head(self._n_steps)))
         T_free = outlook.free.median_C
         if T_free.shape != (self._n_steps,) or not np.isfinite(T_free).all():
             raise DataError(f"free response '{self.world.free_response.name}' is not {self._n_steps} finite values")
+        return outlook
+
+    def _problem(self, outlook: Outlook) -> MPCProblem:
+        """Put all numbers of this instance together."""
+        c, boundary, T_free = self.config, outlook.boundary, outlook.free.median_C
         aims = c.objective
         price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1])
@@ -151,7 +155,7 @@ class ThermoForceMPC:
         above = np.clip(outlook.free.quantile_C(1.0 - c.backoff_level) - T_free, 0.0, c.backoff_most_K)
         # Margins wider than half the band would turn the bounds around.
         half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
-        problem = MPCProblem(
+        return MPCProblem(
             forced_state_K=outlook.forced_K,
             features=outlook.features,
             T_free_C=T_free,
@@ -167,7 +171,6 @@ class ThermoForceMPC:
             terminal_price_per_K=self._terminal_price(outlook.features[-1], price[-1] * (fixed_W + per_u_W)[-1]),
             peak_so_far_W=self._peak_W,
         )
-        return problem, outlook.free
 
     def _terminal_price(self, features: Array, cost_per_kW_h: float) -> Array:
         """What a kelvin of each mode is worth at the end, (r,): only the slowest keeps its heat beyond the horizon.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -82,6 +83,7 @@ class Outlook:
         free: forecast of the free response, N steps.
         features: x_t at the start of each step, shape (N, 4).
         boundary: boundary conditions of the N steps.
+        seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
     """
 
     operator: OperatorParameters
@@ -89,6 +91,7 @@ class Outlook:
     free: FreeForecast
     features: Array
     boundary: Boundary
+    seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def n_steps(self) -> int:
@@ -181,12 +184,15 @@ class WorldModel:
             DataError: the history cannot be split (see `forced_history`) or its temperature is silent throughout.
         """
         history, boundary = observation.history, observation.boundary
+        began = time.perf_counter()
         forced = self.forced_history(history)
+        estimated = time.perf_counter()
         free_C = history.T_zone_C - forced.sum(axis=1)
         measured = np.flatnonzero(np.isfinite(free_C))
         if measured.size == 0:
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         free = self._free_response.forecast(free_C, history, boundary)
+        forecast_s = time.perf_counter() - estimated
         if self._estimator is not None:
             self._estimator.expect(float(boundary.time_s[1]), free)
         starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
@@ -197,6 +203,7 @@ class WorldModel:
             free=free,
             features=features,
             boundary=boundary,
+            seconds={"estimate": estimated - began, "forecast": forecast_s},
         )
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_solvers import N, random_operator, random_problem
+from mpc_problems import N, random_operator, random_problem
 
 from controllers.held_levels import HeldLevelsConfig, HeldLevelSolver, after_first_step, first_step_cost, held_level
 from controllers.problem import ProblemShape, every_step

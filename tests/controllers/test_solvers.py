@@ -4,58 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
+from mpc_problems import N, linear_programme_optimum, random_operator, random_problem
 
 from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.problem import MPCProblem, ProblemShape, Weights, every_step
+from controllers.problem import MPCProblem, ProblemShape, every_step
 from controllers.search import CandidateSearch, SearchConfig
-from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
-
-N = 12
-
-
-def random_operator(rng: np.random.Generator, order: int) -> OperatorParameters:
-    base = linear_operator(np.linspace(0.3, 0.97, order), rng.uniform(0.1, 0.5, order), step_s=3600.0)
-    return OperatorParameters(
-        **{
-            **{name: getattr(base, name) for name in base.__dataclass_fields__},
-            "hidden_weight": rng.normal(size=(32, 4)),
-            "hidden_bias": rng.normal(size=32),
-            "output_weight": rng.normal(size=32) / 6,
-            "feature_mean": np.array([10.0, 5.0, 100.0, 0.0]),
-            "feature_scale": np.array([3.0, 5.0, 100.0, 0.7]),
-        }
-    )
-
-
-def random_problem(rng: np.random.Generator, order: int, lowest: float = 1.0, curvature: float = 0.0) -> MPCProblem:
-    return MPCProblem(
-        forced_state_K=rng.uniform(0, 5, order),
-        features=rng.normal([10, 5, 100, 0], [3, 5, 100, 0.7], (N, 4)),
-        T_free_C=rng.uniform(12, 16, N),
-        lower_C=np.where(np.arange(N) % 5 < 3, 21.0, 15.0),
-        upper_C=np.full(N, 24.0),
-        price_per_kWh=rng.uniform(0.1, 0.4, N),
-        power_fixed_W=rng.uniform(1000, 2000, N),
-        power_per_u_W=rng.uniform(2000, 3000, N),
-        step_s=3600.0,
-        u_max=1.0,
-        lowest_level=lowest,
-        weights=Weights(5.0, curvature),
-        terminal_price_per_K=np.zeros(order),
-    )
-
-
-def linear_programme_optimum(problem: MPCProblem, operator: OperatorParameters) -> float:
-    """The same problem condensed and solved by HiGHS: the effect of each u is a column of unit responses."""
-    at_rest = problem.forced_K(operator, np.zeros(N))
-    effect = np.stack([problem.forced_K(operator, row) - at_rest for row in np.eye(N)], axis=1)
-    T_rest = problem.T_free_C + at_rest
-    cost = np.concatenate([problem.price_per_W * problem.power_W(np.ones(N)), np.full(N, problem.comfort_price)])
-    A = np.block([[-effect, -np.eye(N)], [effect, -np.eye(N)]])
-    b = np.concatenate([T_rest - problem.lower_C, problem.upper_C - T_rest])
-    bounds = [(0, 1)] * N + [(0, None)] * N
-    return float(linprog(cost, A_ub=A, b_ub=b, bounds=bounds, method="highs").fun)
 
 
 @pytest.mark.parametrize("order", [1, 3])

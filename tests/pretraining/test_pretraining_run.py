@@ -118,6 +118,21 @@ def test_a_second_stage_says_what_it_starts_from(trained, tmp_path):
         pretrain(tmp_path / "out", other, lambda _: None, start=tmp_path)
 
 
+def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, tmp_path):
+    first = trained[0] / "checkpoint"
+    deeper = replace(
+        TINY, steps=1, rate_scale=0.0, weight_decay=0.0, start_sha256=training.weights_sha256(first), encoder_layers=3
+    )
+    pretrain(tmp_path, deeper, lambda _: None, start=first)
+    before, after = weights(trained[0]), weights(tmp_path)
+    assert set(before) < set(after)
+    short, deep = (evaluate(folder / "checkpoint", series=8)["contexts"][-1] for folder in (trained[0], tmp_path))
+    assert deep["model"] == pytest.approx(short["model"], rel=1e-3)
+    narrow = replace(deeper, d_model=32)
+    with pytest.raises(ConfigError, match="another architecture"):
+        pretrain(tmp_path / "narrow", narrow, lambda _: None, start=first)
+
+
 def test_the_loss_falls():
     """Twenty-five steps on one fixed batch: gradients reach the weights through both optimisers."""
     from thermoforce_mpc.pretraining.model import build_model

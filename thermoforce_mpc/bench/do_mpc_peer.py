@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -11,11 +13,13 @@ import numpy as np
 
 from controllers.problem import MPCProblem
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.operator.casadi_export import step_function
+from thermoforce_mpc.operator.features import N_FEATURES
 from thermoforce_mpc.operator.parameters import OperatorParameters
 from thermoforce_mpc.types import Array
 
 # What changes from step to step and instance to instance.
-_TIME_VARYING = ("drive", "price", "T_free", "lower", "upper")
+_TIME_VARYING = ("price", "T_free", "lower", "upper")
 
 
 def load_do_mpc() -> Any:
@@ -29,34 +33,58 @@ def load_do_mpc() -> Any:
     return do_mpc
 
 
+@contextmanager
+def quiet_do_mpc() -> Iterator[None]:
+    """Without warnings that are do-mpc's to follow (numpy on CasADi's types) or meant for others (no rterm)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        warnings.filterwarnings("ignore", "rterm was not set")
+        yield
+
+
 class DoMpcPeer:
     """Solves `MPCProblem`s of one operator, horizon and set of weights through do-mpc's own interface.
 
     The operator's modes are discrete states, level and slack are inputs, everything that varies is a time-varying
     parameter; bounds on the temperature at the end of a step are constraints on state and input at its start.
 
+    Args:
+        operator: the forced response.
+        example: an instance with the horizon, step and weights of all.
+        gain_beforehand: whether what a level brings in each step is worked out before and handed in as a number, which
+            takes knowing that it does not depend on the decisions; else the model holds the operator with its network.
+
     Raises:
         ConfigError: do-mpc is not installed.
     """
 
-    def __init__(self, operator: OperatorParameters, example: MPCProblem) -> None:
+    def __init__(self, operator: OperatorParameters, example: MPCProblem, *, gain_beforehand: bool) -> None:
         do_mpc = load_do_mpc()
-        self._operator, self._n = operator, example.n_steps
+        self._operator, self._n, self._gain_beforehand = operator, example.n_steps, gain_beforehand
         model = do_mpc.model.Model("discrete", "SX")
         modes = [f"F{i}" for i in range(operator.order)]
-        for kind, names in (("_x", modes), ("_u", ["u", "slack"]), ("_tvp", _TIME_VARYING)):
+        given = ["drive"] if gain_beforehand else [f"x{i}" for i in range(N_FEATURES)]
+        self._varying = [*given, *_TIME_VARYING]
+        for kind, names in (("_x", modes), ("_u", ["u", "slack"]), ("_tvp", self._varying)):
             for name in names:
                 model.set_variable(kind, name)
+        step = step_function(operator)
 
         def after() -> list[ca.SX]:
-            heat = model.tvp["drive"] * model.u["u"]
-            return [a * model.x[f] + g * heat for a, g, f in zip(operator.poles, operator.gains, modes, strict=True)]
+            if gain_beforehand:
+                heat = model.tvp["drive"] * model.u["u"]
+                return [
+                    a * model.x[f] + g * heat for a, g, f in zip(operator.poles, operator.gains, modes, strict=True)
+                ]
+            F, x = ca.vertcat(*[model.x[f] for f in modes]), ca.vertcat(*[model.tvp[name] for name in given])
+            return list(ca.vertsplit(step(F, model.u["u"], x)))
 
         for name, value in zip(modes, after(), strict=True):
             model.set_rhs(name, value)
-        model.setup()  # its symbols are other ones from here on
+        with quiet_do_mpc():
+            model.setup()  # its symbols are other ones from here on
         u, slack = model.u["u"], model.u["slack"]
-        price, T_free, lower, upper = (model.tvp[name] for name in _TIME_VARYING[1:])
+        price, T_free, lower, upper = (model.tvp[name] for name in _TIME_VARYING)
         mpc = do_mpc.controller.MPC(model)
         mpc.settings.n_horizon = self._n
         mpc.settings.t_step = example.step_s
@@ -72,7 +100,8 @@ class DoMpcPeer:
         mpc.set_nl_cons("hot", T - upper - slack, ub=0.0)
         self._template = mpc.get_tvp_template()
         mpc.set_tvp_fun(lambda now: self._template)
-        mpc.setup()
+        with quiet_do_mpc():
+            mpc.setup()
         self._mpc = mpc
         self._guessed = False
 
@@ -80,26 +109,20 @@ class DoMpcPeer:
         """Levels (N,) for one instance, everything included that a step of do-mpc needs."""
         p = problem
         full = np.full(self._n, p.u_max)
-        values = np.stack(
-            [
-                self._operator.drive(full, p.features) / p.u_max,
-                p.price_per_W * p.power_W(full) / p.u_max,
-                p.T_free_C,
-                p.lower_C,
-                p.upper_C,
-            ],
-            axis=1,
-        )
+        drive = self._operator.drive(full, p.features) / p.u_max
+        given = [drive] if self._gain_beforehand else list(p.features.T)
+        values = np.stack([*given, p.price_per_W * p.power_W(full) / p.u_max, p.T_free_C, p.lower_C, p.upper_C], axis=1)
         for k in range(self._n + 1):
             row = values[min(k, self._n - 1)]
-            for name, value in zip(_TIME_VARYING, row, strict=True):
+            for name, value in zip(self._varying, row, strict=True):
                 self._template["_tvp", k, name] = value
         state = np.asarray(p.forced_state_K).reshape(-1, 1)
         self._mpc.x0 = state
         if not self._guessed:
             self._mpc.set_initial_guess()
             self._guessed = True
-        self._mpc.make_step(state)
+        with quiet_do_mpc():
+            self._mpc.make_step(state)
         moves = self._mpc.opt_x_num["_u", :, 0]
         return np.array([float(move[0]) for move in moves])
 

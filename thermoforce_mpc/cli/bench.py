@@ -19,6 +19,7 @@ def command() -> None:
     """Measure parts of the package against their targets: tables, plots and JSON, failed targets shown as such."""
 
 
+_WIDTH_OF_FILES = 160
 _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 _JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result here.")
 _QUICK = click.option("--quick", is_flag=True, help="A smaller version, for a first look.")
@@ -56,6 +57,16 @@ def probing_command(quick: bool, json_file: Path | None) -> None:
     from thermoforce_mpc.bench.probing import run_probing_bench
 
     show(run_probing_bench(quick=quick, progress=_progress), json_file)
+
+
+@command.command("controller")
+@_QUICK
+@_JSON
+def controller_command(quick: bool, json_file: Path | None) -> None:
+    """Time our solvers beside do-mpc on the same instances, and the parts of a control step (extra [bench])."""
+    from thermoforce_mpc.bench.controller import run_controller_bench
+
+    show(run_controller_bench(quick=quick, progress=_progress), json_file)
 
 
 @command.command("free-response")
@@ -144,6 +155,8 @@ def _progress(line: str) -> None:
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     """Print a bench's rows and targets, and write its JSON where asked."""
     console = Console(highlight=False)
+    if not console.is_terminal:  # a file has no edge
+        console.width = _WIDTH_OF_FILES
     # Rows that carry the same figures share a table.
     columns: tuple[str, ...]
     for columns, group in groupby(result["rows"], key=tuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -28,17 +29,18 @@ def main(threads: int) -> None:
 @click.option("--seed", default=TrainingConfig.seed, help="Seed of weights and series.")
 @click.option("--start-from", type=click.Path(path_type=Path), help="Checkpoint to start from: a second stage.")
 @click.option("--rate-scale", default=TrainingConfig.rate_scale, help="Scale of the learning rates.")
+@click.option("--d-model", default=TrainingConfig.d_model, help="Width; the inner layers have four times of it.")
+@click.option("--encoder-layers", default=TrainingConfig.encoder_layers, help="Layers of the encoder.")
+@click.option("--bfloat16", is_flag=True, help="Multiply matrices in bfloat16 (faster where the processor has it).")
 @click.option("--force", is_flag=True, help="Train anew over what the folder holds.")
-def train(
-    out: Path, steps: int, batch: int, seed: int, start_from: Path | None, rate_scale: float, force: bool
-) -> None:
+def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> None:
     """Train the forecaster on synthetic series; an interrupted run goes on where it stopped.
 
     The checkpoint is OUT/checkpoint. To ship it, copy its files to thermoforce_mpc/data/bolt_thermal.
     """
     try:
         start_sha256 = weights_sha256(start_from) if start_from else ""
-        config = TrainingConfig(steps=steps, batch=batch, seed=seed, rate_scale=rate_scale, start_sha256=start_sha256)
+        config = TrainingConfig(start_sha256=start_sha256, **options)
         checkpoint = pretrain(out, config, lambda line: click.echo(line), start=start_from, force=force)
     except ConfigError as error:
         raise _failure(error) from None

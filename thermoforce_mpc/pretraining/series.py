@@ -11,12 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from thermoforce_mpc.pretraining.climate import random_weather
+from thermoforce_mpc.pretraining.occupants import held_by_others, random_people
 from thermoforce_mpc.types import Array
 
 # Steps in hours and how often each is drawn.
 _STEPS_H = (0.25, 0.5, 1.0)
-_STEP_SHARE = (0.2, 0.2, 0.6)
+_STEP_SHARE = (0.2, 0.3, 0.5)
 _SHARE_OF_ROOMS = 0.75
+# Rooms whose heating is not ours to control, and sensors that store the mean of a step.
+_SHARE_HELD = 0.15
+_SHARE_OF_MEANS = 0.25
 _BURN_IN = 200
 _SHARE_PADDED = 0.3
 _SHORTEST_CONTEXT = 32
@@ -50,8 +55,8 @@ def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
     total = length + _BURN_IN
     step_h = rng.choice(_STEPS_H, n, p=_STEP_SHARE)
     hour = rng.uniform(0, 24, n)[:, None] + step_h[:, None] * np.arange(total)
-    outdoor, sun = _weather(rng, hour, step_h)
-    people = _people(rng, hour)
+    outdoor, sun = random_weather(rng, hour, step_h)
+    people = random_people(rng, hour)
     drive = np.stack(
         [
             outdoor,
@@ -83,6 +88,10 @@ def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
         state = keep * state + gain * pushed[:, t]
         T[:, t] = state.sum(axis=1)
     T += _fading_transient(rng, tau_h, kept, step_h, total)
+    held = rng.random(n) < _SHARE_HELD
+    T[held] = held_by_others(rng, T[held], hour[held], step_h[held])
+    mean = rng.random(n) < _SHARE_OF_MEANS
+    T[mean, 1:] = 0.5 * (T[mean, 1:] + T[mean, :-1])
     drift = rng.normal(0, 0.02, n)[:, None] * (rng.random(n) < 0.2)[:, None] * hour / 24
     return np.asarray((T + drift + rng.uniform(0, 18, n)[:, None])[:, _BURN_IN:])
 
@@ -107,54 +116,11 @@ def _fading_transient(
     return size[:, None] * out
 
 
-def _weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tuple[Array, Array]:
-    """Outdoor temperature K about its mean, and sunlight through a window as a temperature rise, shape (n, total)."""
-    n, total = int(hour.shape[0]), int(hour.shape[1])
-    swing = rng.uniform(0.5, 7.0, n)[:, None]
-    systems = _first_order(rng, n, total, step_h, rng.uniform(30, 120, n)) * rng.uniform(1, 5, n)[:, None]
-    fronts = _first_order(rng, n, total, step_h, rng.uniform(4, 20, n)) * rng.uniform(0.2, 1.5, n)[:, None]
-    cloud = 1.0 / (
-        1.0 + np.exp(-1.8 * _first_order(rng, n, total, step_h, rng.uniform(4, 40, n)) - rng.normal(0, 1, n)[:, None])
-    )
-    half_day = rng.uniform(3.8, 8.2, n)[:, None]
-    noon = rng.normal(12.5, 0.8, n)[:, None]
-    from_noon = np.mod(hour - noon + 12.0, 24.0) - 12.0
-    elevation = np.where(np.abs(from_noon) < half_day, np.cos(np.pi / 2 * from_noon / half_day), 0.0)
-    clear = 1.0 - 0.8 * cloud
-    sun = elevation * clear * rng.uniform(1, 14, n)[:, None]
-    cycle = np.cos(2 * np.pi * (hour - rng.normal(15, 1, n)[:, None]) / 24)
-    return systems + fronts + swing * (0.3 + 0.7 * clear) * cycle, sun
-
-
-def _people(rng: np.random.Generator, hour: Array) -> Array:
-    """Presence or appliances: a daily block with a weekend, partly random, shape (n, total)."""
-    n = int(hour.shape[0])
-    start, length = rng.uniform(0, 24, n)[:, None], rng.uniform(2, 16, n)[:, None]
-    inside = np.mod(hour - start, 24.0) < length
-    weekday = np.floor(hour / 24.0 + rng.uniform(0, 7, n)[:, None]) % 7
-    weekend = (weekday >= 5) & (rng.random(n) < 0.6)[:, None]
-    day = np.floor(hour / 24.0).astype(int)
-    loud = rng.gamma(6.0, 1 / 6.0, (n, int(day.max()) + 1))
-    return np.asarray(np.where(weekend, ~inside, inside) * np.take_along_axis(loud, day, axis=1))
-
-
 def _leftover_control(rng: np.random.Generator, n: int, total: int) -> Array:
     """On and off stretches about zero: the part of a controlled series that an imperfect operator leaves behind."""
     stay = rng.uniform(0.7, 0.97, n)[:, None]
     flips = rng.random((n, total)) > stay
     return np.asarray(np.where(np.cumsum(flips, axis=1) % 2 == 0, -1.0, 1.0))
-
-
-def _first_order(rng: np.random.Generator, n: int, total: int, step_h: Array, tau_h: Array) -> Array:
-    """Gaussian noise of unit variance with correlation time `tau_h` (n,), shape (n, total)."""
-    keep = np.exp(-step_h / tau_h)
-    shock = rng.standard_normal((n, total)) * np.sqrt(1.0 - keep**2)[:, None]
-    out = np.empty((n, total))
-    value = rng.standard_normal(n)
-    for t in range(total):
-        value = keep * value + shock[:, t]
-        out[:, t] = value
-    return out
 
 
 def _others(rng: np.random.Generator, n: int, length: int) -> Array:

@@ -25,7 +25,10 @@ _WARM_UP = 200
 _CLIP = 1.0
 # Taken at import: a long run must not be labelled with what the files have become meanwhile.
 _CODE_HASH = hashlib.sha256(
-    b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in ("series", "model", "training"))
+    b"".join(
+        (Path(__file__).parent / f"{name}.py").read_bytes()
+        for name in ("series", "climate", "occupants", "model", "training")
+    )
 ).hexdigest()
 
 
@@ -34,7 +37,8 @@ class TrainingConfig:
     """Options; `steps` decides the shape of the learning-rate schedule.
 
     `start_sha256` is that of the weights a second stage starts from, empty for a start from random ones; such a stage
-    wants smaller learning rates, by `rate_scale`.
+    wants smaller learning rates, by `rate_scale`. It may have more encoder layers than they have: the new ones start
+    without any effect. `bfloat16` multiplies matrices in that precision, weights stay in single precision.
     """
 
     steps: int = 12_000
@@ -47,6 +51,9 @@ class TrainingConfig:
     validation_batches: int = 4
     rate_scale: float = 1.0
     start_sha256: str = ""
+    d_model: int = 64
+    encoder_layers: int = 2
+    bfloat16: bool = False
 
 
 def pretrain(
@@ -78,7 +85,7 @@ def pretrain(
         state_path.unlink(missing_ok=True)
     torch.manual_seed(config.seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    model = build_model()
+    model = build_model(config.d_model, 4 * config.d_model, config.encoder_layers)
     if start is not None:
         _start_from(model, start)
     model = model.to(device)
@@ -105,7 +112,8 @@ def pretrain(
         for optimiser, rate in zip(optimisers, rates, strict=True):
             for group in optimiser.param_groups:
                 group["lr"] = rate * _schedule(step, config.steps)
-        loss = batch_loss(model, np.random.default_rng([config.seed, 1, step]), config.batch)
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=config.bfloat16):
+            loss = batch_loss(model, np.random.default_rng([config.seed, 1, step]), config.batch)
         for optimiser in optimisers:
             optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -160,12 +168,22 @@ def _start_from(model: Any, checkpoint: Path) -> None:
     from safetensors.torch import load_file
 
     weights = {name: tensor.float() for name, tensor in load_file(checkpoint / "model.safetensors").items()}
-    # Tied tensors are stored once: what is missing must be an alias of what is there.
-    missing, unexpected = model.load_state_dict(weights, strict=False)
-    stored = {model.state_dict(keep_vars=True)[name].data_ptr() for name in weights if name not in unexpected}
-    foreign = [name for name in missing if model.state_dict(keep_vars=True)[name].data_ptr() not in stored]
-    if foreign or unexpected:
-        raise ConfigError(f"{checkpoint} is of another architecture: {', '.join([*foreign, *unexpected])[:200]}")
+    own = model.state_dict(keep_vars=True)
+    wrong = [name for name, tensor in weights.items() if name in own and own[name].shape != tensor.shape]
+    if not wrong:
+        # Tied tensors are stored once: what is missing must be an alias of what is there, or belong to a new layer.
+        missing, unexpected = model.load_state_dict(weights, strict=False)
+        stored = {own[name].data_ptr() for name in weights if name not in unexpected}
+        foreign = [name for name in missing if own[name].data_ptr() not in stored]
+        layers = {name.split(".")[2] for name in weights if name.startswith("encoder.block.")}
+        new = [name for name in foreign if name.startswith("encoder.block.") and name.split(".")[2] not in layers]
+        with torch.no_grad():
+            for name in new:
+                if name.endswith((".o.weight", ".wo.weight")):
+                    own[name].zero_()  # a block adds to what passes it: nothing, to begin with
+        wrong = [*(name for name in foreign if name not in new or not layers), *unexpected]
+    if wrong:
+        raise ConfigError(f"{checkpoint} is of another architecture: {', '.join(wrong)[:200]}")
 
 
 def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path) -> None:
