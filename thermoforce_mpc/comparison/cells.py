@@ -87,8 +87,11 @@ class _FileHashes:
         if path not in self._known:
             where = Path(path)
             try:
-                files = sorted(p for p in where.iterdir() if p.is_file()) if where.is_dir() else [where]
-                self._known[path] = digest({file.name: file_sha256(file) for file in files})
+                if where.is_dir():
+                    files = sorted(p for p in where.iterdir() if p.is_file())
+                    self._known[path] = digest({file.name: file_sha256(file) for file in files})
+                else:
+                    self._known[path] = file_sha256(where)
             except OSError as error:
                 raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
         return self._known[path]
