@@ -56,6 +56,23 @@ def test_every_horizon_has_ordered_finite_quantiles(forecaster: ChronosFreeRespo
     assert forecast.note == forecaster.label
 
 
+def test_many_at_once_are_what_each_is_alone(forecaster: ChronosFreeResponse) -> None:
+    """Buildings of different history, gaps and horizon in one pass; one of them has too little and is told so."""
+    rng = np.random.default_rng(1)
+    tasks = []
+    for known, steps in ((240, 24), (100, 24), (600, 24), (240, 70), (10, 24)):
+        free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
+        free[5:8] = np.nan
+        tasks.append((free, history_of(free), boundary_of(known, steps)))
+    together = forecaster.forecast_many(tasks)
+    assert len(together) == len(tasks)
+    for forecast, task in zip(together, tasks, strict=True):
+        alone = forecaster.forecast(*task)
+        assert forecast.note == alone.note
+        np.testing.assert_allclose(forecast.quantiles_C, alone.quantiles_C, atol=2e-3)
+    assert together[-1].note.startswith("persistence")
+
+
 def test_same_bits_and_same_weights_however_many_threads(forecaster: ChronosFreeResponse) -> None:
     free = daily(hours(200))
     before, threads = forecaster.weight_hash(), torch.get_num_threads()

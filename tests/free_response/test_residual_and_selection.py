@@ -13,6 +13,7 @@ from thermoforce_mpc.free_response.persistence import Persistence
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.free_response.selected import SelectedFreeResponse
+from thermoforce_mpc.free_response.stacking import stacking_weights
 from thermoforce_mpc.free_response.walk_forward import interval_scale, rescaled, run_trials, trial_origins
 from thermoforce_mpc.types import Array, Boundary, FreeForecast, History
 
@@ -31,6 +32,11 @@ class Fixed:
         last = free_C[np.isfinite(free_C)][-1] + self.offset_K
         rows = last + (LEVELS - 0.5)[:, None] * self.spread_K / 0.4 + np.zeros(boundary.n_steps)
         return FreeForecast(LEVELS, rows, f"fixed {self.offset_K:g}")
+
+    def forecast_many(self, tasks: list[tuple[Array, History, Boundary]]) -> list[FreeForecast]:
+        self.asked = getattr(self, "asked", [])
+        self.asked.append(len(tasks))
+        return [self.forecast(*task) for task in tasks]
 
 
 def room_and_weather(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,13 +79,89 @@ def test_a_room_that_cools_when_the_sun_shines_is_not_believed() -> None:
 
 
 def test_residual_adds_the_backbones_forecast_of_what_the_weather_leaves_over() -> None:
+    """With four days there are no trials: the weights fixed beforehand, which the note says."""
     free, outdoor, solar = room_and_weather(2)
-    history, boundary = past_and_ahead(outdoor, solar, free)
-    fit = fit_linear_weather(free[: N + 1], history, boundary)
-    forecast = ResidualFreeResponse(Fixed(0.25)).forecast(free[: N + 1], history, boundary)
-    last = free[N] - fit.past_C[-1]
-    np.testing.assert_allclose(forecast.median_C, fit.ahead_C + last + 0.25, atol=1e-12)
+    short = 4 * 24
+    free, outdoor, solar = (values[: short + AHEAD + 1] for values in (free, outdoor, solar))
+    history = history_of(free[: short + 1], T_out_C=outdoor[: short + 1], solar_W_m2=solar[: short + 1])
+    boundary = boundary_of(short, AHEAD, T_out_C=outdoor[short:], solar_W_m2=solar[short:])
+    forecast = ResidualFreeResponse(Fixed(0.25)).forecast(free[: short + 1], history, boundary)
+    expected = 0.15 * (free[short] + 0.25)
+    for share, disturbance_h in ((0.45, None), (0.4, 24.0)):
+        fit = fit_linear_weather(free[: short + 1], history, boundary, disturbance_h)
+        expected = expected + share * (fit.ahead_C + free[short] - fit.past_C[-1] + 0.25)
+    np.testing.assert_allclose(forecast.median_C, expected, atol=1e-12)
     assert "fixed 0.25" in forecast.note
+    assert "too little history for trials" in forecast.note
+
+
+def test_residual_learns_from_trials_what_weather_is_worth() -> None:
+    """On a random walk the backbone alone keeps its share; on a room that follows the weather it loses it."""
+    free, outdoor, solar = room_and_weather(10)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    walk = 15 + np.cumsum(0.3 * np.random.default_rng(11).standard_normal(N + 1))
+    shares = []
+    for series in (walk, free[: N + 1]):
+        residual = ResidualFreeResponse(Fixed(0.0))
+        forecast = residual.forecast(series, history, boundary)
+        assert residual.weights is not None
+        assert "weights by 2" in forecast.note  # twenty-odd trials
+        np.testing.assert_allclose(residual.weights.share.sum(axis=0), 1.0)
+        shares.append(residual.weights.share[0].mean())
+    assert shares[0] > 0.15
+    assert shares[1] < 0.05
+
+
+def test_trials_of_yesterday_are_remembered_and_those_of_another_series_are_not() -> None:
+    free, outdoor, solar = room_and_weather(12)
+    backbone = Fixed(0.0)
+    residual = ResidualFreeResponse(backbone)
+
+    def trials_at(now: int, series: np.ndarray) -> int:
+        backbone.asked = []
+        history = history_of(series[: now + 1], T_out_C=outdoor[: now + 1], solar_W_m2=solar[: now + 1])
+        boundary = boundary_of(now, 12, T_out_C=outdoor[now : now + 13], solar_W_m2=solar[now : now + 13])
+        residual.forecast(series[: now + 1], history, boundary)
+        return sum(backbone.asked) // 3 - 1
+
+    assert trials_at(N - 30, free) >= 24
+    assert trials_at(N - 24, free) == 0  # within the day the weights stay
+    assert 1 <= trials_at(N - 4, free) <= 5
+    assert trials_at(N - 28, free + 0.1) >= 24
+
+
+def test_a_slow_disturbance_bends_the_generalised_fit_less() -> None:
+    """Three days two kelvins above the model's course, as with guests: the gains must stay those of the weather."""
+    free, outdoor, solar = room_and_weather(13)
+    free = free + np.where((np.arange(free.size) > 150) & (np.arange(free.size) < 222), 2.0, 0.0)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    truth = free[N + 1 :]
+    plain, slow = (fit_linear_weather(free[: N + 1], history, boundary, tau) for tau in (None, 24.0))
+    gap = [np.std(fit.ahead_C - truth) for fit in (plain, slow)]  # a constant offset is the backbone's part
+    assert gap[1] < 0.7 * gap[0]
+    holed = free[: N + 1].copy()
+    holed[40:60] = np.nan
+    holed[::9] = np.nan
+    again = fit_linear_weather(holed, history, boundary, 24.0)
+    assert np.std(again.ahead_C - truth) < 1.5 * gap[1]
+
+
+def test_stacking_finds_the_better_forecast_and_keeps_to_the_prior_where_nothing_speaks_against_it() -> None:
+    rng = np.random.default_rng(14)
+    prior = np.array([0.5, 0.5])
+    groups = np.repeat([0, 1], 6)
+    errors = rng.standard_normal((30, 2, 12)) * np.where(groups == 0, 1.0, 0.1)[None, None]
+    errors[:, 0, :6] *= 0.1  # the first is right soon, the second later
+    errors[:, 1, 6:] *= 0.1
+    errors[3, :, 2] = np.nan
+    free = stacking_weights(errors, prior, 0.0, groups)
+    assert (free[0, :6] > 0.95).all()
+    assert (free[1, 6:] > 0.95).all()
+    np.testing.assert_allclose(free.sum(axis=0), 1.0)
+    drawn = stacking_weights(errors, prior, 1e6, groups)
+    np.testing.assert_allclose(drawn, 0.5, atol=1e-3)
+    np.testing.assert_array_equal(stacking_weights(errors[:, :, :1] * np.nan, prior, 1.0, groups[:1]), [[0.5], [0.5]])
+    np.testing.assert_array_equal(stacking_weights(np.zeros((9, 2, 3)), prior, 1.0, np.zeros(3, int)), 0.5)
 
 
 def test_residual_of_the_shipped_backbone_keeps_to_the_weather_model_and_its_weights() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -70,27 +70,53 @@ class ChronosFreeResponse:
             DataError: no value was ever measured, history and forecast differ in step, or the model's answer is not
                 finite.
         """
+        return self.forecast_many([(free_C, history, boundary)])[0]
+
+    def forecast_many(self, tasks: Sequence[tuple[Array, History, Boundary]]) -> list[FreeForecast]:
+        """Forecasts for several buildings, or from several instants, in one pass through the model.
+
+        Each task is what `forecast` takes, and fails or falls back as it would there. Raises what `forecast` raises.
+        """
         import torch
 
-        free = checked_free(free_C, history)
-        if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
-            raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
+        answers: list[FreeForecast | None] = []
+        contexts: list[Context] = []
+        for free_C, history, boundary in tasks:
+            free = checked_free(free_C, history)
+            if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
+                raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
+            why = self._too_little(free, boundary.step_s)
+            answers.append(self._persistence(free, history, boundary, why) if why else None)
+            if not why:
+                contexts.append(self._context(free, history, boundary))
+        if contexts:
+            with _one_thread(), torch.inference_mode():
+                found = iter(self._model.quantiles_C(contexts))
+            for index, (_, _, boundary) in enumerate(tasks):
+                if answers[index] is None:
+                    answers[index] = self._checked(np.sort(next(found), axis=0), boundary)
+        return [answer for answer in answers if answer is not None]
+
+    def _too_little(self, free: Array, step_s: float) -> str:
+        """Why persistence must take over, or nothing."""
         context = free[-self._context_steps :]
         known, seen_values = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
         # A day has this many steps, and one more boundary.
-        if known < round(_SHORTEST_HISTORY_S / boundary.step_s) + 1:
-            hours = (known - 1) * boundary.step_s / HOUR_S
-            return self._persistence(free, history, boundary, f"only {hours:g} h of history measured")
+        if known < round(_SHORTEST_HISTORY_S / step_s) + 1:
+            return f"only {(known - 1) * step_s / HOUR_S:g} h of history measured"
         if seen_values < _FEWEST_VALUES:
-            why = f"only {seen_values} of the last {context.size} values were measured"
-            return self._persistence(free, history, boundary, why)
-        seen = Context(
+            return f"only {seen_values} of the last {context.size} values were measured"
+        return ""
+
+    def _context(self, free: Array, history: History, boundary: Boundary) -> Context:
+        context = free[-self._context_steps :]
+        return Context(
             context,
             np.stack([history.T_out_C, history.solar_W_m2], axis=1)[-context.size :],
             np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:],
         )
-        with _one_thread(), torch.inference_mode():
-            quantiles = np.sort(self._model.quantiles_C(seen), axis=0)
+
+    def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
             raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
         return FreeForecast(LEVELS, quantiles, self.label)

@@ -46,8 +46,18 @@ class LinearFit:
     weights: Array
 
 
-def fit_linear_weather(free_C: Array, history: History, boundary: Boundary) -> LinearFit:
+def fit_linear_weather(
+    free_C: Array, history: History, boundary: Boundary, disturbance_h: float | None = None
+) -> LinearFit:
     """Fit to the finite values of `free_C` (n + 1,) and simulate on over the weather of `boundary`.
+
+    Args:
+        free_C: control-free temperature at the boundaries of `history`, °C.
+        history: its weather.
+        boundary: the weather ahead.
+        disturbance_h: None takes what the weather does not explain for independent errors (ordinary least squares); a
+            number takes it for a disturbance that is forgotten in so many hours (generalised least squares with
+            first-order autocorrelation), so that a few days off the model's course do not bend its answer to weather.
 
     Raises:
         DataError: less than a day of history, weather that is not finite, or history and forecast of different steps.
@@ -65,16 +75,35 @@ def fit_linear_weather(free_C: Array, history: History, boundary: Boundary) -> L
         if bad.size:
             raise DataError(f"linear weather model: {name} is not finite at step {bad[0]} ({bad.size} such)")
     columns, lower, ridge = _columns(time_s, T_out, solar, step_s)
-    known = np.flatnonzero(np.isfinite(free_C))
+    rows, targets = _equations(columns[: free_C.size], free_C, disturbance_h, step_s)
     modes = TIME_CONSTANTS_H.size
     # Columns 0..modes-1 are the outdoor gains: their sum is the long-run gain.
     long_run = np.zeros(columns.shape[1])
     long_run[:modes] = _LONG_RUN_GAIN_WEIGHT
-    A = np.vstack([columns[known], np.diag(np.sqrt(ridge)), long_run])
-    b = np.concatenate([free_C[known], np.zeros(ridge.size), [_LONG_RUN_GAIN_WEIGHT]])
+    A = np.vstack([rows, np.diag(np.sqrt(ridge)), long_run])
+    b = np.concatenate([targets, np.zeros(ridge.size), [_LONG_RUN_GAIN_WEIGHT]])
     weights = _bounded_least_squares(A, b, lower)
     course = columns @ weights
     return LinearFit(course[: free_C.size], course[free_C.size :], weights)
+
+
+def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_s: float) -> tuple[Array, Array]:
+    """Rows and right-hand sides for the known values; with a disturbance each is whitened by the one before.
+
+    Whitened rows keep the disturbance's own variance as their unit, so the priors weigh the same in both.
+    """
+    known = np.flatnonzero(np.isfinite(free_C))
+    rows, targets = columns[known], free_C[known]
+    if disturbance_h is None:
+        return rows, targets
+    # Across a gap the disturbance has been forgotten for as long as the gap is.
+    kept = np.exp(-np.diff(known) * step_s / HOUR_S / disturbance_h)
+    unit = 1.0 / np.sqrt(1.0 - kept**2)
+    whitened = unit[:, None] * (rows[1:] - kept[:, None] * rows[:-1])
+    return (
+        np.concatenate([rows[:1], whitened]),
+        np.concatenate([targets[:1], unit * (targets[1:] - kept * targets[:-1])]),
+    )
 
 
 def _bounded_least_squares(A: Array, b: Array, lower: Array) -> Array:

@@ -45,6 +45,32 @@ def trial_origins(n_steps: int, horizon: int, *, least_context: int, span: int, 
     return sorted(range(last, first - 1, -every))
 
 
+def past_task(free_C: Array, history: History, origin: int, horizon: int) -> tuple[Array, History, Boundary]:
+    """What a free response is given at step `origin` of the history, with the weather that came as its forecast."""
+    past, ahead = slice(0, origin + 1), slice(origin, origin + horizon + 1)
+    known = History(
+        history.time_s[past],
+        history.T_zone_C[past],
+        history.T_out_C[past],
+        history.solar_W_m2[past],
+        history.u[:origin],
+        history.power_W[:origin],
+        history.heat_W[:origin],
+    )
+    unknown = np.full(horizon + 1, np.nan)  # of the boundary only time and weather may be used
+    boundary = Boundary(
+        history.time_s[ahead],
+        history.T_out_C[ahead],
+        history.solar_W_m2[ahead],
+        unknown,
+        unknown,
+        unknown,
+        unknown,
+        unknown,
+    )
+    return free_C[past], known, boundary
+
+
 def run_trials(
     method: FreeResponse, free_C: Array, history: History, horizon: int, origins: Sequence[int]
 ) -> list[Trial] | None:
@@ -54,29 +80,8 @@ def run_trials(
     """
     trials = []
     for origin in origins:
-        past, ahead = slice(0, origin + 1), slice(origin, origin + horizon + 1)
-        known = History(
-            history.time_s[past],
-            history.T_zone_C[past],
-            history.T_out_C[past],
-            history.solar_W_m2[past],
-            history.u[:origin],
-            history.power_W[:origin],
-            history.heat_W[:origin],
-        )
-        unknown = np.full(horizon + 1, np.nan)  # of the boundary only time and weather may be used
-        boundary = Boundary(
-            history.time_s[ahead],
-            history.T_out_C[ahead],
-            history.solar_W_m2[ahead],
-            unknown,
-            unknown,
-            unknown,
-            unknown,
-            unknown,
-        )
         try:
-            forecast = method.forecast(free_C[past], known, boundary)
+            forecast = method.forecast(*past_task(free_C, history, origin, horizon))
         except DataError:
             return None
         trials.append(Trial(forecast, free_C[origin + 1 : origin + horizon + 1]))

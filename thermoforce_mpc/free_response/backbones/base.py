@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -37,6 +38,10 @@ class Backbone(Protocol):
         """All that has weights, in a fixed order."""
         ...
 
-    def quantiles_C(self, context: Context) -> Array:
-        """Quantiles 0.1, 0.2, ... 0.9 over the N steps ahead, shape (9, N), °C."""
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """Quantiles 0.1, 0.2, ... 0.9 over the N steps ahead of each context, shape (9, N), °C.
+
+        Contexts may differ in length and in N; many at once (several buildings, several past instants) cost little more
+        than one.
+        """
         ...

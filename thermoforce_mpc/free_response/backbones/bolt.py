@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,13 +35,17 @@ class BoltBackbone:
         """All that has weights."""
         return (self._pipeline.model,)
 
-    def quantiles_C(self, context: Context) -> Array:
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """See `Backbone.quantiles_C`; horizons beyond the trained one are unrolled by the library."""
         import torch
 
-        series = torch.tensor(context.free_C, dtype=torch.float32)[None]
+        longest = max(context.free_C.size for context in contexts)
+        series = np.full((len(contexts), longest), np.nan, dtype=np.float32)  # on the left NaN means: not there
+        for row, context in zip(series, contexts, strict=True):
+            row[longest - context.free_C.size :] = context.free_C
+        steps = [len(context.ahead_weather) for context in contexts]
         with warnings.catch_warnings():
             # Unrolling is intended here; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
-            values, _ = self._pipeline.predict_quantiles(series, len(context.ahead_weather), LEVELS.round(1).tolist())
-        return np.asarray(values[0].T.double().numpy())
+            values, _ = self._pipeline.predict_quantiles(torch.from_numpy(series), max(steps), LEVELS.round(1).tolist())
+        return [np.asarray(value[:n].T.double().numpy()) for value, n in zip(values, steps, strict=True)]

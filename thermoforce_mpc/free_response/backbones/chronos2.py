@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,21 +35,32 @@ class Chronos2Backbone:
         """All that has weights."""
         return (self._pipeline.model,)
 
-    def quantiles_C(self, context: Context) -> Array:
-        """See `Backbone.quantiles_C`."""
-        task = {
-            "target": context.free_C.astype(np.float32),
-            "past_covariates": _columns(context.past_weather),
-            "future_covariates": _columns(context.ahead_weather),
-        }
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """See `Backbone.quantiles_C`; contexts of one N go through together."""
+        answers: list[Array] = [np.empty(0)] * len(contexts)
+        for steps in {len(context.ahead_weather) for context in contexts}:
+            same = [i for i, context in enumerate(contexts) if len(context.ahead_weather) == steps]
+            for i, values in zip(same, self._predict([contexts[i] for i in same], steps), strict=True):
+                answers[i] = values
+        return answers
+
+    def _predict(self, contexts: Sequence[Context], steps: int) -> list[Array]:
+        tasks = [
+            {
+                "target": context.free_C.astype(np.float32),
+                "past_covariates": _columns(context.past_weather),
+                "future_covariates": _columns(context.ahead_weather),
+            }
+            for context in contexts
+        ]
         with warnings.catch_warnings():
             # Unrolling is intended here; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
             values, _ = self._pipeline.predict_quantiles(
-                [task], prediction_length=len(context.ahead_weather), quantile_levels=LEVELS.round(1).tolist()
+                tasks, prediction_length=steps, quantile_levels=LEVELS.round(1).tolist()
             )
         # One list entry per task, shape (variates, N, levels); the target is the only variate forecast.
-        return np.asarray(values[0][0].T.double().numpy())
+        return [np.asarray(value[0].T.double().numpy()) for value in values]
 
 
 def _columns(weather: Array) -> dict[str, Any]:

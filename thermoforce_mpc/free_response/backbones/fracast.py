@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,7 +45,12 @@ class FracastBackbone:
         """All that has weights."""
         return (self._model.core, self._model.head)
 
-    def quantiles_C(self, context: Context) -> Array:
-        """See `Backbone.quantiles_C`."""
-        values = self._model.forecast(context.free_C.astype(np.float32), horizon=len(context.ahead_weather))
-        return np.asarray(values.T, dtype=np.float64)
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """See `Backbone.quantiles_C`; one after the other, since its batches want series of one length."""
+        return [
+            np.asarray(
+                self._model.forecast(context.free_C.astype(np.float32), horizon=len(context.ahead_weather)).T,
+                dtype=np.float64,
+            )
+            for context in contexts
+        ]
