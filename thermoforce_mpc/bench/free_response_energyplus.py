@@ -1,4 +1,4 @@
-"""Free runs of EnergyPlus zones: series from a third party's physics under measured-type weather (extra [energyplus])."""
+"""Free runs of EnergyPlus zones: another physics than our own under typical-year weather (extra [energyplus])."""
 
 from __future__ import annotations
 
