@@ -59,6 +59,7 @@ REGISTRY: dict[str, Entry] = {
     ),
     "thermoforce_paper": _mpc_entry(
         "the paper's setting: frozen forecaster on T - F, level held over the test case's step, Ipopt",
+        horizon_h=24.0,
         solver="ipopt",
         actuation={"mode": "modulating"},
         free_response={"name": "chronos"},
@@ -70,6 +71,7 @@ REGISTRY: dict[str, Entry] = {
     ),
     "candidate_search": _mpc_entry(
         "the paper's search over candidate trajectories, level held over the step",
+        horizon_h=24.0,  # a trajectory of two levels says little about more than a day
         solver="search",
         actuation={"mode": "modulating"},
         free_response={"name": "chronos"},
