@@ -77,7 +77,16 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     for name in scenario.baselines:
         if find_entry(name).needs_model and not find_entry(scenario.controller.name).needs_model:
             raise ConfigError(f"baselines: '{name}' needs a model, but the controller of this scenario identifies none")
-    if scenario.plant.kind == "embedded" and not testcase.embedded:
+    if scenario.plant.kind == "embedded" and testcase.energyplus is not None:
+        if scenario.plant.weather != "synthetic":
+            raise ConfigError(f"plant.weather: test case '{testcase.name}' has EnergyPlus' own weather; leave it out")
+        from thermoforce_mpc.energyplus.engine import is_available
+
+        if not is_available():
+            raise ConfigError(
+                f"test case '{testcase.name}' runs on EnergyPlus: pip install 'thermoforce-mpc[energyplus]'"
+            )
+    elif scenario.plant.kind == "embedded" and not testcase.embedded:
         raise ConfigError(
             f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
             "give the address of a BOPTEST service with --url, or the test case's FMU with --fmu"
@@ -106,11 +115,16 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
 
         return FmuPlant(Path(spec.path), testcase, forecast_error=error)
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
+
+    tariff = tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
+    if testcase.energyplus is not None:
+        from thermoforce_mpc.plants.energyplus import EnergyPlusPlant
+
+        return EnergyPlusPlant(testcase, highly_dynamic=tariff, forecast_error=error)
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
     from thermoforce_mpc.weather import load_weather, synthetic_weather
 
     weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
-    tariff = tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
     return EmbeddedPlant(weather, highly_dynamic=tariff, forecast_error=error)
 
 

@@ -16,7 +16,8 @@ class PlantSpec(StrictModel):
     """Which plant is controlled."""
 
     kind: Literal["embedded", "boptest", "fmu"] = Field(
-        "embedded", description="embedded emulator, a BOPTEST service, or a BOPTEST test case's FMU"
+        "embedded",
+        description="what ships (emulator, or EnergyPlus where the test case says so), a BOPTEST service, or an FMU",
     )
     path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)")
     url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
@@ -81,8 +82,11 @@ class Scenario(StrictModel):
 
 
 def load_testcase(name: str) -> TestCase:
-    """Read a test case by name or YAML path; raises `ConfigError`."""
-    path = find_config("testcases", name)
+    """Read a test case by name or YAML path; raises `ConfigError`.
+
+    `energyplus:NAME` is the file `energyplus_NAME.yaml` of those that ship.
+    """
+    path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1))
     return validate(TestCase, read_yaml(path), str(path))
 
 

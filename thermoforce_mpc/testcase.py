@@ -94,6 +94,20 @@ class ForecastPoints(StrictModel):
     emission: str = "EmissionsElectricPower"
 
 
+class EnergyPlusZone(StrictModel):
+    """A zone of the interventional suite as a plant, and the machine that serves it (extra `[energyplus]`)."""
+
+    climate: Literal["heating_chicago", "cooling_phoenix"] = Field(description="building and weather of the suite")
+    supply_C: float = Field(description="temperature at which the machine gives or takes heat indoors, °C")
+    carnot_share: float = Field(gt=0, lt=1, description="its efficiency as a share of Carnot's")
+    least_lift_K: float = Field(15.0, gt=0, description="smallest temperature difference it is reckoned with, K")
+    band_K: float = Field(3.0, gt=0, description="width of the comfort band at daytime, K")
+    native_margin_K: float = Field(
+        0.3, ge=0, description="how far inside the comfort bound the plant's own thermostat has its set-point, K"
+    )
+    periods: dict[str, int] = Field(default_factory=dict, description="named windows: first day of the year, from 0")
+
+
 class TestCase(StrictModel):
     """One building: names, units, area, actuator and default control step."""
 
@@ -108,4 +122,8 @@ class TestCase(StrictModel):
     actuator: Actuator
     measurements: Measurements
     forecast: ForecastPoints = ForecastPoints()
+    thermostat_C: float | None = Field(
+        None, description="set-point of the on/off thermostat it is compared with; by default that thermostat's own"
+    )
+    energyplus: EnergyPlusZone | None = Field(None, description="the EnergyPlus zone that this test case is")
     embedded: bool = Field(False, description="whether the embedded emulator is this test case")

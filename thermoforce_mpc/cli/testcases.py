@@ -14,7 +14,8 @@ def command() -> None:
     click.echo("Test cases (--testcase NAME):")
     for name, path in named_configs("testcases").items():
         testcase = load_testcase(name)
-        plants = f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
+        ships = "EnergyPlus (extra [energyplus])" if testcase.energyplus else ""
+        plants = ships or f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():

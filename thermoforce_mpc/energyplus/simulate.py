@@ -1,4 +1,4 @@
-"""One simulation in this process: a PI loop moves the source, and every zone time step is recorded.
+"""One simulation in this process: a PI loop moves the source, and every step of the data is recorded.
 
 The engine keeps global state, so a process must never run two simulations at once; `energyplus.pool` sees to that.
 There is no snapshot: to branch, simulate again from the start. Exceptions inside a callback would vanish, so they are
@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -32,7 +32,7 @@ _SENSORS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """What one zone time step ends with: °C, °C, W/m² global horizontal."""
+    """What one step ends with: °C, °C, W/m² global horizontal."""
 
     T_zone_C: float
     T_out_C: float
@@ -59,7 +59,7 @@ class PI:
 class Job:
     """A run from midnight of `first_day`.
 
-    `setpoint_C` and `gains` (share of the zone's internal gains) have one value per zone time step and the same
+    `setpoint_C` and `gains` (share of the zone's internal gains) have one value per step of the data and the same
     length, the number of steps that are recorded. Runs that are to be equal up to an intervention must have one length:
     the engine's numbers differ by microkelvins between run periods with different last days.
     """
@@ -109,6 +109,11 @@ def simulate(job: Job) -> History:
     Raises:
         PlantError: the engine refused the model or stopped early; its own messages are in the text.
     """
+    if job.spec.engine_steps_per_hour % job.spec.steps_per_hour:
+        raise PlantError(
+            f"EnergyPlus: {job.spec.engine_steps_per_hour} engine steps an hour do not divide into "
+            f"{job.spec.steps_per_hour} steps of the data"
+        )
     if job.gains.shape != job.setpoint_C.shape or job.n_steps < 1:
         raise PlantError(
             f"EnergyPlus: set-points {job.setpoint_C.shape} and gains {job.gains.shape} differ or are empty"
@@ -121,8 +126,25 @@ def simulate(job: Job) -> History:
     return recorder.history()
 
 
+class Driver(Protocol):
+    """Who is called back by `run_engine`."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all that is wanted was simulated."""
+        ...
+
+    def begin(self, warming_up: bool) -> dict[str, float]:
+        """Heat in W for each actuated source over the coming zone time step."""
+        ...
+
+    def end(self, warming_up: bool, reading: Reading) -> bool:
+        """Take in what a zone time step ended with; True when the run may stop."""
+        ...
+
+
 class Recorder:
-    """Callbacks of one run: act before each zone time step, read after it, stop when all steps are recorded."""
+    """Callbacks of one run: act before each step, read after it, stop when all steps are recorded."""
 
     def __init__(self, job: Job, policy: Policy) -> None:
         self._job, self._policy = job, policy
@@ -131,6 +153,8 @@ class Recorder:
         self._readings: list[Reading] = []
         self._u: list[float] = []
         self._acting = 0.0
+        self._per_step = job.spec.engine_steps_per_hour // job.spec.steps_per_hour
+        self._within, self._warming_up = 0, True
 
     @property
     def done(self) -> bool:
@@ -142,9 +166,12 @@ class Recorder:
         step = -1 if warming_up else len(self._readings)
         if step >= self._job.n_steps:
             return {HVAC: 0.0, GAINS: 0.0}
-        last = self._readings[-1] if self._readings else self._before
-        setpoint = float(self._job.setpoint_C[0])
-        self._acting = self._policy(step, last.T_zone_C if last else setpoint)
+        if warming_up != self._warming_up:
+            self._within, self._warming_up = 0, warming_up
+        if self._within == 0:
+            last = self._readings[-1] if self._readings else self._before
+            setpoint = float(self._job.setpoint_C[0])
+            self._acting = self._policy(step, last.T_zone_C if last else setpoint)
         gains = float(self._job.gains[max(step, 0)])
         spec = self._job.spec
         return {HVAC: self._sign * self._acting * spec.capacity_W, GAINS: gains * spec.gains_W}
@@ -154,9 +181,10 @@ class Recorder:
 
         It may from the step after the last one wanted: what is read in the very step of a stop is 0.
         """
+        self._within = (self._within + 1) % self._per_step
         if warming_up:
             self._before = reading
-        elif not self.done:
+        elif not self.done and self._within == 0:
             self._readings.append(reading)
             self._u.append(self._acting)
             return False
@@ -180,7 +208,7 @@ class Recorder:
         )
 
 
-def run_engine(model: str, weather: Path, recorder: Recorder) -> None:
+def run_engine(model: str, weather: Path, recorder: Driver) -> None:
     """Run an epJSON text under a weather file in this process, with the callbacks of `recorder`.
 
     Raises:

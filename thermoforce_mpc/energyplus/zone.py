@@ -37,7 +37,10 @@ class ZoneSpec:
         radiant_fraction: share of the source's heat that is radiation.
         capacitance_multiplier: of the zone's air, for furniture and the surfaces of light walls.
         gains_W: internal gains at full use, W.
-        steps_per_hour: zone time steps.
+        steps_per_hour: steps of the data, over which the source is held.
+        engine_steps_per_hour: zone time steps of the engine, a multiple of `steps_per_hour`. With 15-minute steps of
+            its own the engine subdivides only the steep ones and reports their mean instead of their end: the answer to
+            an action would then change with its size.
         floor_m: (length, width, height) of the room, m.
     """
 
@@ -54,6 +57,7 @@ class ZoneSpec:
     capacitance_multiplier: float = 6.0
     gains_W: float = 400.0
     steps_per_hour: int = 4
+    engine_steps_per_hour: int = 12
     floor_m: tuple[float, float, float] = (8.0, 6.0, 2.7)
 
     @property
@@ -63,7 +67,7 @@ class ZoneSpec:
 
     @property
     def step_s(self) -> float:
-        """Length of a zone time step, s."""
+        """Length of a step of the data, s."""
         return 3600.0 / self.steps_per_hour
 
 
@@ -93,7 +97,7 @@ def zone_model(spec: ZoneSpec, first_day: int, days: int) -> EpJson:
                 "temperature_convergence_tolerance_value": 0.4,
             }
         },
-        "Timestep": {"Timestep 1": {"number_of_timesteps_per_hour": spec.steps_per_hour}},
+        "Timestep": {"Timestep 1": {"number_of_timesteps_per_hour": spec.engine_steps_per_hour}},
         "RunPeriod": {
             "Run": {
                 "begin_month": begin.month,

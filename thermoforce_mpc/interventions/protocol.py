@@ -111,7 +111,7 @@ def shift_of(day_index: int, window_index: int) -> float:
 
 
 def base_setpoint(climate: Climate, n_days: int) -> Array:
-    """The occupant's set-points over `n_days` from midnight, °C, one per zone time step."""
+    """The occupant's set-points over `n_days` from midnight, °C, one per step."""
     step_h = climate.spec.step_s / HOUR_S
     hour = np.arange(round(n_days * 24 / step_h)) * step_h % 24.0
     comfortable = (hour >= _COMFORT_H[0]) & (hour < _COMFORT_H[1])
@@ -119,7 +119,7 @@ def base_setpoint(climate: Climate, n_days: int) -> Array:
 
 
 def gains(climate: Climate, first_day: int, n_days: int, seed: int) -> Array:
-    """Internal gains as a share of the full ones, one per zone time step; the same day has the same gains in every run.
+    """Internal gains as a share of the full ones, one per step; the same day has the same gains in every run.
 
     A daily profile times what people happened to do that day: no model can know it, every model has to live with it.
     """
@@ -136,7 +136,7 @@ def gains(climate: Climate, first_day: int, n_days: int, seed: int) -> Array:
 
 
 def probing_shift(climate: Climate, n_days: int, seed: int) -> Array:
-    """Set-point shifts of a probe, K, one per zone time step: levels of the suite or none, held for two to four hours.
+    """Set-point shifts of a probe, K, one per step: levels of the suite or none, held for two to four hours.
 
     None at night, where a shift would meet the edge of the set-back.
     """
