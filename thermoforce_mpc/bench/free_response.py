@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from thermoforce_mpc.bench import free_response_energyplus as energyplus
 from thermoforce_mpc.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError, Level
@@ -30,6 +31,7 @@ _ERROR_SEED = 1
 # A run of two weeks, one forecast an hour, on these records: does the calibrated interval hold what it says?
 _RUN_SOURCES = ("excite_jan", "excite_apr")
 _RUN_LEVEL: Level = "medium"
+_RUN_LEADS_H = (6, 24)
 _RUN_START_STEP, _RUN_SETTLING_STEPS = 14 * 24, 48
 _LOW, _HIGH = 0, -1  # rows of the 0.1 and 0.9 quantiles
 
@@ -71,6 +73,10 @@ def run_free_response_bench(
         BackboneError: the weights cannot be loaded.
     """
     sources = embedded_sources()
+    if energyplus.is_available():
+        sources += energyplus.energyplus_sources()
+    else:
+        progress("EnergyPlus left out: not installed (pip install 'thermoforce-mpc[energyplus]')")
     sources += boptest_sources(reference) if reference else []
     sources += mons_sources(houses) if houses else []
     methods = _methods(backbone)
@@ -92,11 +98,16 @@ def run_free_response_bench(
                 uncertain[level][name].append(found)
                 rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")
-    coverages = {}
+    coverages: dict[str, float] = {}
     for source in () if quick else (s for s in sources if s.name in _RUN_SOURCES):
         found = _calibrated_run(source, backbone)
         rows.append(_row(source, "calibrated, hourly run", found, weather=_RUN_LEVEL))
+        rows += [
+            _row(source, f"calibrated, hourly run, {hours} h ahead", _at_lead(found, hours), weather=_RUN_LEVEL)
+            for hours in _RUN_LEADS_H
+        ]
         coverages[source.name] = float(found.inside.mean())
+        coverages |= {f"{source.name}, {hours} h ahead": _at_lead(found, hours).inside.mean() for hours in _RUN_LEADS_H}
         progress(f"{source.name}: two weeks of hourly forecasts")
     groups = {source.name: source.group for source in sources}
     if out is not None:
@@ -176,6 +187,11 @@ def _calibrated_run(source: Source, backbone: str) -> Score:
     return Score(
         found.errors_K[_RUN_SETTLING_STEPS:], found.inside[_RUN_SETTLING_STEPS:], found.pinball_K, found.milliseconds
     )
+
+
+def _at_lead(found: Score, hours: int) -> Score:
+    """The part of a score that one hour of lead has, of forecasts at hourly steps."""
+    return replace(found, errors_K=found.errors_K[:, hours - 1 : hours], inside=found.inside[:, hours - 1 : hours])
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

@@ -91,6 +91,25 @@ def free_response_command(
     show(result, json_file)
 
 
+@command.command("backbones")
+@click.option(
+    "--backbones",
+    help="Comma-separated: shipped, fracast, directories, hub names.  [default: shipped, and fracast where installed]",
+)
+@click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
+@_QUICK
+@_JSON
+def backbones_command(
+    backbones: str | None, reference: Path | None, out: Path | None, quick: bool, json_file: Path | None
+) -> None:
+    """Compare forecasters raw and composed with the operator, 6 h ahead on controlled records."""
+    from thermoforce_mpc.bench.backbones import run_backbone_bench
+
+    names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
+    show(run_backbone_bench(names, reference, quick=quick, out=out, progress=_progress), json_file)
+
+
 @command.command("interventions")
 @click.option(
     "--study",

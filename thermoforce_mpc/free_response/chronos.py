@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from thermoforce_mpc.free_response.backbones.loading import SHIPPED, load_backbo
 from thermoforce_mpc.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.free_response.persistence import Persistence
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+
+if TYPE_CHECKING:
+    from torch import nn
 
 __all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
 
@@ -53,6 +57,11 @@ class ChronosFreeResponse:
     def label(self) -> str:
         """What it is, for reports."""
         return self._model.label
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights."""
+        return self._model.modules
 
     def weight_hash(self) -> str:
         """SHA-256 over names, shapes and values of all weights: equal before and after a run, since they are frozen."""

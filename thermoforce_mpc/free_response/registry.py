@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from thermoforce_mpc.configuration import suggestion
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import DAY_S
 
 if TYPE_CHECKING:
     from thermoforce_mpc.world_model import ThermalModel
@@ -83,7 +82,7 @@ def _calibrated(method: str = "residual", backbone: str = "shipped", context_ste
             f"free response 'calibrated': method '{method}' is not one of {', '.join(_WITH_BACKBONE)}"
             f"{suggestion(method, _WITH_BACKBONE)}"
         )
-    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps), rehearsal_s=6 * DAY_S)
+    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps))
 
 
 def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:

@@ -7,12 +7,16 @@ network, and no quietly random weights where a file lacks tensors.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.free_response.backbones.base import Backbone
+
+if TYPE_CHECKING:
+    from torch import nn
 
 SHIPPED = "shipped"
 FRACAST = "fracast"
@@ -40,6 +44,12 @@ def load_backbone(name: str) -> Backbone:
 def shipped_folder() -> Path:
     """Where the shipped checkpoint lies."""
     return Path(str(resources.files("thermoforce_mpc").joinpath("data/bolt_thermal")))
+
+
+def parameter_count(modules: Sequence[nn.Module]) -> int:
+    """Number of weights; tensors that are shared count once."""
+    tensors = {p.data_ptr(): p.numel() for module in modules for p in module.parameters()}
+    return sum(tensors.values())
 
 
 def _fracast() -> Backbone:
