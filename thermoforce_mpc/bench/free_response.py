@@ -2,48 +2,31 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from thermoforce_mpc.bench import free_response_energyplus as energyplus
+from thermoforce_mpc.bench.free_response_runs import context_rows, cost_rows, interval_runs
+from thermoforce_mpc.bench.free_response_score import Score, forecast_origins, mae_K, score
 from thermoforce_mpc.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
 from thermoforce_mpc.bench.result import Target, bench_result
-from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError, Level
+from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History
+from thermoforce_mpc.types import DAY_S, HOUR_S
 
 # What the shipped forecaster is measured against: given the same context, without weather.
 NAIVE = ("persistence", "seasonal_naive", "ar26", "ar49", "ets")
-_LEAST_KNOWN_SHARE = 0.9
 _ORIGINS_PER_SOURCE = 60
 _ORIGINS_QUICK = 8
 # How weather-aware methods bear BOPTEST's forecast errors is tried where there is hourly weather of the test case.
 _LEVELS: tuple[Level, ...] = ("low", "medium", "high")
 _WEATHER_AWARE = ("arx26", "linear_weather", "residual")
 _ERROR_SEED = 1
-# A run of two weeks, one forecast an hour, on these records: does the calibrated interval hold what it says?
-_RUN_SOURCES = ("excite_jan", "excite_apr")
-_RUN_LEVEL: Level = "medium"
-_RUN_LEADS_H = (6, 24)
-_RUN_START_STEP, _RUN_SETTLING_STEPS = 14 * 24, 48
-_LOW, _HIGH = 0, -1  # rows of the 0.1 and 0.9 quantiles
-
-
-@dataclass(frozen=True)
-class Score:
-    """One method on one source: absolute errors (origins, N) K, share inside the 80 % interval, ms per forecast."""
-
-    errors_K: Array
-    inside: Array
-    pinball_K: float
-    milliseconds: float
 
 
 def run_free_response_bench(
@@ -98,100 +81,21 @@ def run_free_response_bench(
                 uncertain[level][name].append(found)
                 rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")
-    coverages: dict[str, float] = {}
-    for source in () if quick else (s for s in sources if s.name in _RUN_SOURCES):
-        found = _calibrated_run(source, backbone)
-        rows.append(_row(source, "calibrated, hourly run", found, weather=_RUN_LEVEL))
-        rows += [
-            _row(source, f"calibrated, hourly run, {hours} h ahead", _at_lead(found, hours), weather=_RUN_LEVEL)
-            for hours in _RUN_LEADS_H
-        ]
-        coverages[source.name] = float(found.inside.mean())
-        coverages |= {f"{source.name}, {hours} h ahead": _at_lead(found, hours).inside.mean() for hours in _RUN_LEADS_H}
-        progress(f"{source.name}: two weeks of hourly forecasts")
+    runs: tuple[list[dict[str, Any]], list[Target]] = ([], [])
+    if not quick:
+        runs = interval_runs([s for s in sources if s.group != "Mons"], backbone, progress)
+    contexts = context_rows(sources, backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
+    costs = cost_rows(sources[0], backbone)
     groups = {source.name: source.group for source in sources}
     if out is not None:
         _plot(scores, groups, out)
     targets = [
         *_targets(scores, groups),
         *_uncertainty_targets(scores, groups, uncertain),
-        *(
-            Target(f"{name}, two weeks, {_RUN_LEVEL} forecast errors: 80 % interval off by", abs(share - 0.8), 0.03)
-            for name, share in coverages.items()
-        ),
+        Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
+        *runs[1],
     ]
-    return bench_result("free-response", rows, targets)
-
-
-def forecast_origins(source: Source, at_most: int) -> list[int]:
-    """Indices to forecast from: enough and almost gapless context, a gapless day after; spread over the record."""
-    free, n = source.free_C, source.horizon
-    known = np.isfinite(free)
-    weather = np.isfinite(source.history.T_out_C) & np.isfinite(source.history.solar_W_m2)
-    possible = [
-        t
-        for t in range(source.least_context_steps, free.size - n)
-        if known[t - 2 * n - 1 : t + n + 1].all()
-        and known[max(0, t - source.context_steps) : t].mean() >= _LEAST_KNOWN_SHARE
-        and weather[max(0, t - source.context_steps) : t + n + 1].all()
-    ]
-    if len(possible) <= at_most:
-        return possible
-    return [possible[i] for i in np.linspace(0, len(possible) - 1, at_most).round().astype(int)]
-
-
-def window(source: Source, origin: int, error: ForecastError | None = None) -> tuple[Array, History, Boundary, Array]:
-    """Control-free history up to `origin`, its weather, the 24 h ahead, and what came, shape (N,).
-
-    With `error` (hourly sources only) the weather ahead is what a forecaster with such errors would have said.
-    """
-    n, first = source.horizon, max(0, origin - source.context_steps)
-    whole = source.history
-    past, ahead = slice(first, origin + 1), slice(origin, origin + n + 1)
-    acting = np.full(origin - first, np.nan)
-    history = History(
-        whole.time_s[past], source.free_C[past], whole.T_out_C[past], whole.solar_W_m2[past], acting, acting, acting
-    )
-    T_out, solar = whole.T_out_C[ahead], whole.solar_W_m2[ahead]
-    if error is not None:
-        hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
-        # At the end of a record its last value stands for what lies beyond; it only steers redrawing.
-        hourly = np.pad(hourly, (0, MAX_HORIZON_H + 1 - hourly.size), mode="edge")
-        T_out, solar = error.apply(whole.time_s[ahead], T_out, hourly, solar)
-    unknown = np.zeros(n + 1)
-    boundary = Boundary(whole.time_s[ahead], T_out, solar, unknown, unknown, unknown, unknown, unknown)
-    return source.free_C[past], history, boundary, source.free_C[origin + 1 : origin + n + 1]
-
-
-def score(method: FreeResponse, source: Source, origins: Sequence[int], error: ForecastError | None = None) -> Score:
-    """Forecast from every origin and compare with what came."""
-    errors, inside, pinball, seconds = [], [], [], []
-    for origin in origins:
-        free, history, boundary, truth = window(source, origin, error)
-        began = time.perf_counter()
-        forecast = method.forecast(free, history, boundary)
-        seconds.append(time.perf_counter() - began)
-        errors.append(np.abs(truth - forecast.median_C))
-        inside.append((truth >= forecast.quantiles_C[_LOW]) & (truth <= forecast.quantiles_C[_HIGH]))
-        gap = truth - forecast.quantiles_C
-        level = np.asarray(forecast.levels)[:, None]
-        pinball.append(np.maximum(level * gap, (level - 1.0) * gap).mean())
-    return Score(np.array(errors), np.array(inside), float(np.mean(pinball)), float(np.median(seconds)) * 1e3)
-
-
-def _calibrated_run(source: Source, backbone: str) -> Score:
-    """Hourly forecasts over what follows the first two weeks; the first two days, while it learns, are not scored."""
-    method = build_free_response("calibrated", backbone=backbone)
-    origins = range(_RUN_START_STEP, source.free_C.size - source.horizon)
-    found = score(method, source, origins, ForecastError(_RUN_LEVEL, _ERROR_SEED))
-    return Score(
-        found.errors_K[_RUN_SETTLING_STEPS:], found.inside[_RUN_SETTLING_STEPS:], found.pinball_K, found.milliseconds
-    )
-
-
-def _at_lead(found: Score, hours: int) -> Score:
-    """The part of a score that one hour of lead has, of forecasts at hourly steps."""
-    return replace(found, errors_K=found.errors_K[:, hours - 1 : hours], inside=found.inside[:, hours - 1 : hours])
+    return bench_result("free-response", [*rows, *runs[0], *contexts, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:
@@ -210,11 +114,6 @@ def _methods(backbone: str) -> dict[str, FreeResponse]:
     }
 
 
-def _mae(found: Score, hours: float) -> float:
-    steps = round(found.errors_K.shape[1] * hours / 24)
-    return float(found.errors_K[:, :steps].mean())
-
-
 def _row(source: Source, method: str, found: Score, weather: str | None = None) -> dict[str, Any]:
     return {
         "source": source.name,
@@ -222,8 +121,8 @@ def _row(source: Source, method: str, found: Score, weather: str | None = None) 
         "method": method,
         "weather": weather or ("not used" if method in (*NAIVE, "chronos") else "perfect"),
         "origins": len(found.errors_K),
-        "mae_6h_K": _mae(found, 6),
-        "mae_24h_K": _mae(found, 24),
+        "mae_6h_K": mae_K(found, 6),
+        "mae_24h_K": mae_K(found, 24),
         "pinball_K": found.pinball_K,
         "coverage_80": float(found.inside.mean()),
         "ms": found.milliseconds,
@@ -252,22 +151,20 @@ def _targets(scores: dict[str, dict[str, Score]], groups: dict[str, str]) -> lis
     targets = []
     pooled = _pooled(scores, groups)
     for group, by_method in pooled.items():
-        best = min(_mae(by_method[name], 24) for name in NAIVE if name in by_method)
+        best = min(mae_K(by_method[name], 24) for name in NAIVE if name in by_method)
         coverage = float(by_method["chronos"].inside.mean())
         targets += [
             Target(
-                f"{group}: chronos 24-h MAE over the best naive method's", _mae(by_method["chronos"], 24) / best, 0.9
+                f"{group}: chronos 24-h MAE over the best naive method's", mae_K(by_method["chronos"], 24) / best, 0.9
             ),
             Target(f"{group}: coverage of chronos' 80 % interval, low side", coverage, 0.75, "at least"),
             Target(f"{group}: coverage of chronos' 80 % interval, high side", coverage, 0.85),
         ]
         for hours in (6, 24):
-            part = min(_mae(by_method[name], hours) for name in ("chronos", "linear_weather"))
+            part = min(mae_K(by_method[name], hours) for name in ("chronos", "linear_weather"))
             goal = 0.9 if group in ("BOPTEST", "Mons") else 1.02
-            ratio = _mae(by_method["residual"], hours) / part
+            ratio = mae_K(by_method["residual"], hours) / part
             targets.append(Target(f"{group}: residual {hours}-h MAE over the better of its parts", ratio, goal))
-    worst = max(found["chronos"].milliseconds for found in scores.values())
-    targets.append(Target("chronos: median ms per 24-h forecast, slowest source", worst, 5.0))
     return targets
 
 
@@ -278,11 +175,11 @@ def _uncertainty_targets(
     blind = [scores[name]["chronos"] for name in scores if groups[name] == "BOPTEST"]
     if not blind:
         return []
-    without = float(np.mean([_mae(found, 24) for found in blind]))
+    without = float(np.mean([mae_K(found, 24) for found in blind]))
     return [
         Target(
             f"BOPTEST, {level} forecast errors: residual 24-h MAE over chronos'",
-            float(np.mean([_mae(found, 24) for found in by_method["residual"]])) / without,
+            float(np.mean([mae_K(found, 24) for found in by_method["residual"]])) / without,
             1.0,
         )
         for level, by_method in uncertain.items()
