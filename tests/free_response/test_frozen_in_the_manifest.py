@@ -6,7 +6,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
 from forecasting import boundary_of, history_of, hours
 
 from thermoforce_mpc.composition import _frozen, _weight_hash
