@@ -117,6 +117,8 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
         defaults["step_s"] = testcase.step_s
     if name in ("thermostat", "pi"):
         defaults["mode"] = testcase.mode
+    if entry.needs_model and testcase.defaults.actuation and "actuation" not in entry.defaults:
+        defaults["actuation"] = testcase.defaults.actuation
     if name == "thermostat" and testcase.thermostat_C is not None:
         defaults["setpoint_C"] = testcase.thermostat_C
     return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")

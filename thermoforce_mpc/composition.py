@@ -224,8 +224,10 @@ def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[Pro
         defaults["levels"] = (0.0, *np.linspace(min(held), 1.0, 5).round(3).tolist())
     elif actuations:
         defaults["levels"] = (0.0, actuations[0].level)
-    probing = validate(ProbingConfig, merge(defaults, spec.probing), "identification.probing")
-    config = validate(IdentificationConfig, merge({"seed": scenario.seed}, spec.options), "identification.options")
+    own = testcase.defaults
+    probing = validate(ProbingConfig, merge(merge(defaults, own.probing), spec.probing), "identification.probing")
+    options = merge(merge({"seed": scenario.seed}, own.identification), spec.options)
+    config = validate(IdentificationConfig, options, "identification.options")
     return probing, config
 
 

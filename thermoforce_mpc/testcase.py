@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -108,6 +108,14 @@ class EnergyPlusZone(StrictModel):
     periods: dict[str, int] = Field(default_factory=dict, description="named windows: first day of the year, from 0")
 
 
+class Defaults(StrictModel):
+    """What suits this building where a scenario says nothing else."""
+
+    actuation: dict[str, Any] = Field(default_factory=dict, description="options `actuation` of the MPC")
+    probing: dict[str, Any] = Field(default_factory=dict, description="options of the probing")
+    identification: dict[str, Any] = Field(default_factory=dict, description="options of the identification")
+
+
 class TestCase(StrictModel):
     """One building: names, units, area, actuator and default control step."""
 
@@ -125,5 +133,6 @@ class TestCase(StrictModel):
     thermostat_C: float | None = Field(
         None, description="set-point of the on/off thermostat it is compared with; by default that thermostat's own"
     )
+    defaults: Defaults = Defaults()
     energyplus: EnergyPlusZone | None = Field(None, description="the EnergyPlus zone that this test case is")
     embedded: bool = Field(False, description="whether the embedded emulator is this test case")

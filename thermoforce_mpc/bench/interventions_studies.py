@@ -102,7 +102,6 @@ def _ablation(data: Dataset, days: Sequence[int], backbone: str, seed: int, say:
                 cells = score_cells(gain, predictor, climate, k)
                 down, up = (float(np.mean([getattr(c, key) for c in cells])) for key in ("down_rmse_K", "up_rmse_K"))
                 paper = OPERATOR_ABLATION.get((gain, k), (None, None))
-                kept = predictor.model.card.scores.get("modulation_kept")
                 rows.append(
                     {
                         "mode": climate.climate.label,
@@ -111,7 +110,7 @@ def _ablation(data: Dataset, days: Sequence[int], backbone: str, seed: int, say:
                         "DR_down_K": down,
                         "DR_up_K": up,
                         "effect_K": float(np.mean([c.effect_rmse_K for c in cells])),
-                        "network_kept": None if kept is None else bool(kept),
+                        "network_kept": predictor.modulated if gain == "neural" else None,
                         "paper_DR_down_K": paper[0],
                         "paper_DR_up_K": paper[1],
                     }
@@ -147,7 +146,7 @@ def _gamma(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Sa
                         "mode": f"{climate.climate.label}, {k} days",
                         "gamma": gamma,
                         "effect_K": float(np.mean([c.effect_rmse_K for c in cells])),
-                        "network_kept": bool(predictor.model.card.scores["modulation_kept"]),
+                        "network_kept": predictor.modulated,
                         "violations": sum(c.violations for c in cells),
                     }
                 )

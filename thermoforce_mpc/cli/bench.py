@@ -124,6 +124,9 @@ def backbones_command(
     multiple=True,
     help="Probe days; may be given more than once.  [default: 3; with --quick 1; studies have their own]",
 )
+@click.option(
+    "--method", "methods", multiple=True, metavar="NAME", help="Only this method; may be given more than once."
+)
 @click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the networks.")
 @click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes that work at once.")
@@ -147,6 +150,7 @@ def backbones_command(
 def interventions_command(
     study: str,
     days: tuple[int, ...],
+    methods: tuple[str, ...],
     backbone: str,
     seed: int,
     workers: int,
@@ -162,7 +166,11 @@ def interventions_command(
     options: dict[str, Any] = {"out": out, "days": days, "quick": quick, "backbone": backbone, "seed": seed}
     options |= {"workers": workers, "progress": _progress}
     if study == "validity":
-        show(run_interventions_bench(data_folder, **options), json_file)
+        show(run_interventions_bench(data_folder, **options, methods=methods), json_file)
+    elif methods:
+        raise click.UsageError(
+            "--method goes with the table of interventional validity; studies have their own methods"
+        )
     else:
         show(run_study(study, data_folder, **options), json_file)
 

@@ -84,9 +84,7 @@ class EnergyPlusPlant:
             raise ConfigError(f"test case '{testcase.name}': {error}") from error
         self.testcase, self._zone = testcase, testcase.energyplus
         self._climate = CLIMATES[self._zone.climate]
-        self._spec = replace(
-            self._climate.spec, steps_per_hour=_STEPS_PER_HOUR, engine_steps_per_hour=_STEPS_PER_HOUR
-        )
+        self._spec = replace(self._climate.spec, steps_per_hour=_STEPS_PER_HOUR, engine_steps_per_hour=_STEPS_PER_HOUR)
         self._file = weather_file(self._spec.weather)
         self.weather = load_weather(self._file)
         self._forecast_error = forecast_error

@@ -61,17 +61,19 @@ def _unconstrained(training: Training, tsfm: FreeResponse) -> Predictor:
     return build_unconstrained(training, tsfm)
 
 
-def _thermoforce(*orders: int, residual: bool = False) -> Callable[[Training, FreeResponse], Predictor]:
+def _thermoforce(
+    *orders: int, curve: bool = False, residual: bool = False
+) -> Callable[[Training, FreeResponse], Predictor]:
     def build(training: Training, tsfm: FreeResponse) -> Predictor:
-        from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce
+        from thermoforce_mpc.interventions.methods.thermoforce import CURVES, build_thermoforce
 
         free = build_free_response("residual") if residual else tsfm
-        return build_thermoforce(training, free, orders=orders)
+        return build_thermoforce(training, free, orders=orders, curvatures=CURVES if curve else (0.0,))
 
     return build
 
 
-MONOTONE, TWO_STATE, BEST = "thermoforce", "thermoforce_two_state", "thermoforce_residual"
+MONOTONE, TWO_STATE, BEST = "thermoforce", "thermoforce_two_state", "thermoforce_curve"
 
 METHODS: dict[str, Method] = {
     m.name: m
@@ -85,7 +87,7 @@ METHODS: dict[str, Method] = {
         Method("thermoforce_unconstrained", "ThermoForce (unconstr. gain)", True, True, _unconstrained),
         Method(MONOTONE, "ThermoForce (monotone)", True, True, _thermoforce(1)),
         Method(TWO_STATE, "ThermoForce (two-state)", True, False, _thermoforce(2)),
-        Method(BEST, "ThermoForce (2–3 states, residual)", True, False, _thermoforce(2, 3, residual=True)),
+        Method(BEST, "ThermoForce (2–3 states, curve)", True, False, _thermoforce(2, 3, curve=True, residual=True)),
     )
 }
 

@@ -105,7 +105,7 @@ def build_unconstrained(training: Training, free_response: FreeResponse) -> Free
 
 def _fit(training: Training, decay: float) -> FreeGain:
     pair = training.probe.pair
-    linear = identified(training, (_START_H,), modulation="linear").operator
+    linear = identified(training, (_START_H,), modulation="linear", time_constant_log_sd=1.0).operator
     features = []
     for run in (pair.a, pair.b):
         free = run.T_zone_C - forced_history(linear, run).sum(axis=1)
