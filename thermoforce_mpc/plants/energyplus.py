@@ -94,6 +94,7 @@ class EnergyPlusPlant:
             "highly_dynamic": highly_dynamic or tariffs.synthetic_spot(),
         }
         self._price = "constant"
+        self._start_s = self._now_s = 0.0
         self._process: SpawnProcess | None = None
         self._pipe: Connection | None = None
 
@@ -158,9 +159,11 @@ class EnergyPlusPlant:
         self._start_s = float(start_s)
         self._now_s = first_day * DAY_S
         first = self._answer()
-        reading = first.readings[0]
+        # The engine warms up on its first day again and again, so its weather here is that of the next midnight.
+        midnight = np.array([self._now_s])
+        T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
         self._times = [self._now_s]
-        self._rows = [(reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, 0.0)]
+        self._rows = [(first.readings[0].T_zone_C, T_out, solar, 0.0)]
         until_begin = begin_s - self._now_s
         if until_begin > 0:
             self._advance(None, until_begin)

@@ -1,8 +1,8 @@
 """TSFM + covariates: ridge regression of what the forecaster misses on control and weather, with an AR term or without.
 
-The forecaster continues the daily course, so what it misses is how control and weather differ from the day before; each
-difference enters at once and through first-order lags, since a building answers over hours. Two feature sets are tried:
-the covariates of the instant alone (the usual recipe), and with lags. Set and ridge weight are chosen on validation.
+Covariates enter as they are, or, since a forecaster continues the daily course, as they differ from the day before; at
+once (the usual recipe), or also through first-order lags, since a building answers over hours. Of these four feature
+sets and the ridge weights the best on validation is taken.
 """
 
 from __future__ import annotations
@@ -18,7 +18,14 @@ from thermoforce_mpc.interventions.methods.base import Training, best
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History
 
-_LAGS_H: dict[str, tuple[float, ...]] = {"instant": (), "lagged": (0.5, 2.0, 8.0)}
+_LAGS_H = (0.5, 2.0, 8.0)
+# Feature sets by name: (differences from the day before, lags).
+_KINDS: dict[str, tuple[bool, tuple[float, ...]]] = {
+    "instant covariates": (False, ()),
+    "lagged covariates": (False, _LAGS_H),
+    "instant changes since the day before": (True, ()),
+    "lagged changes since the day before": (True, _LAGS_H),
+}
 _AR_LAGS_H = (0.5, 2.0, 8.0)
 _RIDGE = (1e-2, 1.0, 1e2, 1e4)
 # Origins of the training forecasts, and the context each of them needs, steps of 15 min.
@@ -58,14 +65,14 @@ def build_covariates(training: Training, free_response: FreeResponse, *, autoreg
     cases = [c for run in training.runs() for c in _cases(run, training.probe.history.n_steps, horizon, free_response)]
     target = np.concatenate([c.measured_C - c.forecast_C for c in cases])
     candidates = {}
-    for kind in _LAGS_H:
+    for kind in _KINDS:
         design = np.concatenate([_features(c.history, c.boundary, c.u, kind, autoregressive) for c in cases])
         scale = np.maximum(design.std(axis=0), 1e-9)
         gram = (design / scale).T @ (design / scale)
         right = (design / scale).T @ target
         for ridge in _RIDGE:
             weights = np.linalg.solve(gram + ridge * np.eye(gram.shape[0]), right) / scale
-            name = f"{kind} covariates, ridge {ridge:g}"
+            name = f"{kind}, ridge {ridge:g}"
             candidates[name] = CovariateForecast(free_response, kind, autoregressive, weights, name)
     return candidates[best(candidates, training.validation)]
 
@@ -83,24 +90,24 @@ def _cases(run: History, first: int, horizon: int, free_response: FreeResponse) 
 
 
 def _features(history: History, boundary: Boundary, u: Array, kind: str, autoregressive: bool) -> Array:
-    """Features of the N steps, shape (N, p): differences from the day before, at once and lagged; decaying AR terms."""
+    """Features of the N steps, shape (N, p): covariates of a kind, at once and lagged; decaying AR terms; 1."""
+    differs, lags_h = _KINDS[kind]
     n, step_s = u.size, boundary.step_s
     per_day = round(DAY_S / step_s)
     # Step k of the horizon against the same step a day earlier.
     day_before = slice(history.n_steps - per_day, history.n_steps - per_day + n)
     sampled_before = slice(history.n_steps - per_day + 1, history.n_steps - per_day + n + 1)
-    differences = np.stack(
-        [
-            u - history.u[day_before],
-            (boundary.T_out_C[1:] - history.T_out_C[sampled_before]) / _OUTDOOR_UNIT_K,
-            (boundary.solar_W_m2[1:] - history.solar_W_m2[sampled_before]) / _SUN_UNIT_W_M2,
-        ],
-        axis=1,
-    )
-    columns = [differences]
-    for tau in _LAGS_H[kind]:
+    ahead = [u, boundary.T_out_C[1:] / _OUTDOOR_UNIT_K, boundary.solar_W_m2[1:] / _SUN_UNIT_W_M2]
+    before = [
+        history.u[day_before],
+        history.T_out_C[sampled_before] / _OUTDOOR_UNIT_K,
+        history.solar_W_m2[sampled_before] / _SUN_UNIT_W_M2,
+    ]
+    covariates = np.stack(ahead, axis=1) - (np.stack(before, axis=1) if differs else 0.0)
+    columns = [covariates]
+    for tau in lags_h:
         pole = np.exp(-step_s / HOUR_S / tau)
-        columns.append(lfilter([1.0 - pole], [1.0, -pole], differences, axis=0))
+        columns.append(lfilter([1.0 - pole], [1.0, -pole], covariates, axis=0))
     if autoregressive:
         hours = np.arange(1, n + 1) * step_s / HOUR_S
         T = history.T_zone_C

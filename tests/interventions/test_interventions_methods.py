@@ -1,0 +1,121 @@
+"""Every method on a zone whose answer is known: what a sound one must find, and what an unsound one cannot."""
+
+import numpy as np
+import pytest
+from paired_windows import GAINS_K, N, data, window
+
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.free_response.registry import build_free_response
+from thermoforce_mpc.interventions.methods.base import best, effect_rmse, plans, true_effect
+from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE, find_method
+from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce, curved
+from thermoforce_mpc.interventions.suite import score_cells, training_of
+
+FREE = build_free_response("persistence")
+
+
+@pytest.fixture(scope="module")
+def climate():
+    return data()
+
+
+@pytest.fixture(scope="module")
+def training(climate):
+    return training_of(climate, 3)
+
+
+@pytest.fixture(scope="module")
+def size(climate):
+    """RMS of the true effects, K."""
+    return float(np.sqrt(np.mean([true_effect(w) ** 2 for w in climate.part("test")])))
+
+
+def test_the_raw_forecast_answers_every_plan_alike(climate, training, size):
+    raw = METHODS["tsfm"].build(training, FREE)
+    assert effect_rmse(raw, climate.part("test")) == pytest.approx(size)
+
+
+@pytest.mark.parametrize(("name", "share"), [("tsfm_covariates", 0.4), ("tsfm_covariates_ar", 0.4), ("rc_probe", 0.05)])
+def test_baselines_find_most_of_the_effect_when_the_data_allow_it(climate, training, size, name, share):
+    """A baseline that cannot learn a linear zone without noise would be a weak one."""
+    daily = build_free_response("seasonal_naive")
+    assert effect_rmse(METHODS[name].build(training, daily), climate.part("test")) < share * size
+
+
+@pytest.mark.parametrize(("name", "share"), [(MONOTONE, 0.15), (TWO_STATE, 0.03), ("thermoforce_unconstrained", 0.2)])
+def test_ours_find_the_effect_with_its_sign_and_without_violations(climate, training, size, name, share):
+    cells = score_cells(name, METHODS[name].build(training, FREE), climate, 3)
+    assert [c.window for c in cells] == ["morning", "afternoon", "evening"]
+    assert max(c.effect_rmse_K for c in cells) < share * size
+    assert min(c.sign_accuracy for c in cells) == 1.0
+    if name != "thermoforce_unconstrained":
+        assert sum(c.violations for c in cells) == 0
+
+
+def test_two_states_find_the_time_constants_and_gains_of_the_zone(training):
+    found = build_thermoforce(training, FREE, orders=(2,), modulation="linear").model.operator
+    assert found.time_constants_h == pytest.approx([1.2, 20.0], rel=0.15)
+    assert found.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
+
+
+def test_a_curve_is_not_found_where_there_is_none(training):
+    predictor = build_thermoforce(training, FREE, orders=(2,), modulation="linear", curvatures=(0.0, 0.1, 0.2))
+    assert predictor.curvature == 0.0
+
+
+def test_the_curve_is_concave_rises_and_keeps_its_ends():
+    u = np.linspace(0.0, 1.0, 101)
+    for curvature in (0.0, 0.1, 0.2):
+        v = curved(u, curvature)
+        assert (v[0], v[-1]) == (0.0, pytest.approx(1.0))
+        assert (np.diff(v) > 0).all()
+        assert (np.diff(v, 2) <= 1e-12).all()
+
+
+def test_a_method_is_told_nothing_of_what_came_of_its_plans(climate, training):
+    """Futures replaced by nonsense must not change an answer."""
+    from dataclasses import replace
+
+    one = climate.part("test")[0]
+    blind = replace(
+        one,
+        factual=replace(one.factual, T_zone_C=np.full(N + 1, 99.0), u=np.full(N, 0.123)),
+        perturbed=replace(one.perturbed, T_zone_C=np.full(N + 1, -99.0)),
+    )
+    for name in ("tsfm", "tsfm_covariates", "rc", TWO_STATE):
+        predictor = METHODS[name].build(training, FREE)
+        asked = plans(one)
+        assert predictor.respond(one, asked).tobytes() == predictor.respond(blind, asked).tobytes(), name
+
+
+def test_the_surrogate_learns_more_than_nothing_and_twice_the_same(climate, training, size, monkeypatch):
+    from thermoforce_mpc.interventions.methods import surrogate
+
+    monkeypatch.setattr(surrogate, "_EPOCHS", 40)
+    monkeypatch.setattr(surrogate, "_SETTINGS", ((0.2, 1e-4),))
+    one, two = (METHODS["surrogate"].build(training, FREE) for _ in range(2))
+    windows = climate.part("test")
+    assert effect_rmse(one, windows) < 0.5 * size
+    assert one.respond(windows[0], plans(windows[0])).tobytes() == two.respond(windows[0], plans(windows[0])).tobytes()
+
+
+def test_choices_follow_the_effect_and_a_diverged_candidate_is_never_chosen():
+    class Times:
+        note = ""
+
+        def __init__(self, factor):
+            self.factor = factor
+
+        def respond(self, window, u):
+            return self.factor * u
+
+    windows = [window(40, "morning", 2.0)]
+    truth = float(true_effect(windows[0]).mean() / (plans(windows[0])[1] - plans(windows[0])[0]).mean())
+    assert best({"nan": Times(np.nan), "far": Times(0.0), "near": Times(truth)}, windows) == "near"
+
+
+def test_names_and_days_that_do_not_exist_say_what_there_is(climate):
+    with pytest.raises(ConfigError, match=rf"unknown method 'magic'.*{BEST}"):
+        find_method("magic")
+    with pytest.raises(DataError, match="7 probe days were not simulated; there are 3"):
+        training_of(climate, 7)
