@@ -161,3 +161,15 @@ def test_same_observation_same_plan():
     a, b = controller().plan(observation()), controller().plan(observation())
     assert a.blocks == b.blocks
     np.testing.assert_array_equal(a.u, b.u)
+
+
+@pytest.mark.parametrize(("sign", "inside"), [(1, (0.22, 0.02)), (-1, (0.02, 0.22))])
+def test_comfort_is_planned_for_a_quantile_on_the_side_that_acting_keeps(sign, inside):
+    model = simple_model()
+    operator = replace(model.operator, gains=sign * model.operator.gains, sign=sign)
+    config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.5)
+    mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
+    seen = observation()
+    problem = mpc._problem(mpc._outlook(seen))
+    np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside[0], atol=1e-9)
+    np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside[1], atol=1e-9)
