@@ -25,8 +25,10 @@ from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, 
 # Fixed on free runs of EnergyPlus and of the embedded plant that no table of the documentation uses.
 _DISTURBANCE_H = (None, 24.0)
 _NAMES = ("without weather", "independent errors", "slow disturbance")
-_PRIOR = np.array([0.15, 0.45, 0.40])
-_STRENGTH = 2.0
+_PRIOR = np.array([0.10, 0.50, 0.40])
+_STRENGTH = 1.0
+# Later trials had a longer history, nearly that of the forecast itself: they count for more.
+_FORGET_S = 3 * DAY_S
 _LEAD_EDGES_H = (3.0, 6.0, 12.0)
 _SPAN_S = 7 * DAY_S
 # No divisor of a day: all hours of the day come up.
@@ -116,16 +118,17 @@ class ResidualFreeResponse:
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))
         lead_h = np.arange(1, boundary.n_steps + 1) * step_s / HOUR_S
         group_of = np.searchsorted(_LEAD_EDGES_H, lead_h - 1e-9)
-        errors = self._trial_errors(free, history, trial_steps)
+        errors, origin_s = self._trial_errors(free, history, trial_steps)
         share = np.repeat(_PRIOR[:, None], boundary.n_steps, axis=1)
         if len(errors) >= _LEAST_TRIALS:
-            learned = stacking_weights(np.array(errors), _PRIOR, _STRENGTH, group_of[:trial_steps])
+            trust = np.exp((origin_s - origin_s[-1]) / _FORGET_S)
+            learned = stacking_weights(np.array(errors), _PRIOR, _STRENGTH, group_of[:trial_steps], trust)
             share[:, :trial_steps] = learned
             share[:, trial_steps:] = learned[:, -1:]
         return Weights(share, len(errors) if len(errors) >= _LEAST_TRIALS else 0, now, step_s)
 
-    def _trial_errors(self, free: Array, history: History, steps: int) -> list[Array]:
-        """Errors of the candidates' medians, (3, steps) each, over what was measured."""
+    def _trial_errors(self, free: Array, history: History, steps: int) -> tuple[list[Array], Array]:
+        """Errors of the candidates' medians, (3, steps) each, over what was measured, and the trials' instants, s."""
         step_s = history.step_s
         last = history.n_steps - steps
         first = max(round(_LEAST_CONTEXT_S / step_s), last - round(_SPAN_S / step_s))
@@ -150,7 +153,7 @@ class ResidualFreeResponse:
         errors = [self._errors[key] for key in keys]
         while len(self._errors) > _REMEMBERED:
             self._errors.popitem(last=False)
-        return errors
+        return errors, history.time_s[origins]
 
 
 def _key(free: Array, history: History, origin: int, steps: int) -> tuple[float, int, bytes]:

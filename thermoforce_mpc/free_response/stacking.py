@@ -15,7 +15,9 @@ from thermoforce_mpc.types import Array
 _SUM_WEIGHT = 1e3
 
 
-def stacking_weights(errors_K: Array, prior: Array, strength: float, group_of: NDArray[np.intp]) -> Array:
+def stacking_weights(
+    errors_K: Array, prior: Array, strength: float, group_of: NDArray[np.intp], trust: Array | None = None
+) -> Array:
     """Weights of k forecasts at N lead times.
 
     Args:
@@ -24,12 +26,15 @@ def stacking_weights(errors_K: Array, prior: Array, strength: float, group_of: N
         strength: how much: a distance of one from the prior costs as much as `strength` times the mean squared error
             of the best forecast.
         group_of: number of the group of each lead time, shape (N,); a group shares its weights.
+        trust: how much each trial counts, shape (T,), positive; equally by default.
 
     Returns:
         Weights, shape (k, N), each column not negative with sum one.
     """
     k = prior.size
     weights = np.repeat(prior[:, None], group_of.size, axis=1)
+    if trust is not None:
+        errors_K = errors_K * np.sqrt(trust / trust.mean())[:, None, None]
     for group in np.unique(group_of):
         lead = group_of == group
         errors = errors_K[:, :, lead].transpose(0, 2, 1).reshape(-1, k)
