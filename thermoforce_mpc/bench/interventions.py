@@ -25,11 +25,16 @@ _AGAINST_BASELINE = 0.8
 _SIGN_GOAL = 0.98
 
 
-def data_for(folder: Path, *, quick: bool, days: Sequence[int] = (), workers: int = 2, say: Say) -> Dataset:
-    """The suite's data, simulated where they are not kept; further numbers of probe `days` are added to the usual."""
+def data_for(
+    folder: Path, *, quick: bool, days: Sequence[int] = (), draw: int = 1, workers: int = 2, say: Say
+) -> Dataset:
+    """The suite's data, simulated where they are not kept; further numbers of probe `days` are added to the usual.
+
+    `draw` is the seed of what people do in the house and of the probing.
+    """
     protocol = QUICK if quick else Protocol()
     wanted = tuple(sorted({*protocol.probe_days, *days}))
-    return load_or_simulate(replace(protocol, probe_days=wanted), folder, workers=workers, say=say)
+    return load_or_simulate(replace(protocol, probe_days=wanted, seed=draw), folder, workers=workers, say=say)
 
 
 def run_interventions_bench(
@@ -42,6 +47,7 @@ def run_interventions_bench(
     seed: int = 1,
     workers: int = 2,
     methods: Sequence[str] = (),
+    draw: int = 1,
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
     """Run the suite and write `interventions.json`, the figures and `index.html` into `out`.
@@ -55,6 +61,7 @@ def run_interventions_bench(
         seed: of networks.
         workers: processes.
         methods: names in `METHODS`, by default all; targets need all.
+        draw: seed of what people do in the house and of the probing: another suite of the same kind.
         progress: told each line.
 
     Raises:
@@ -70,7 +77,7 @@ def run_interventions_bench(
         raise DataError(
             f"probe days {list(days)}: each must be between 1 and {max(PROBE_DAYS)}, the length of the part"
         )
-    data = data_for(data_folder, quick=quick, days=days, workers=workers, say=progress)
+    data = data_for(data_folder, quick=quick, days=days, draw=draw, workers=workers, say=progress)
     suite = run_suite(
         data,
         days,

@@ -42,6 +42,7 @@ def run_study(
     backbone: str = "shipped",
     seed: int = 1,
     workers: int = 2,
+    draw: int = 1,
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
     """Run one study, 'ablation', 'gamma', 'data' or 'efficiency'; writes `<name>.json`, figure and page into `out`.
@@ -57,7 +58,7 @@ def run_study(
     several = name in ("ablation", "data")
     default = ((1, 3) if quick else PROBE_DAYS) if several else (3,)
     days = tuple(days) or default
-    data = data_for(data_folder, quick=quick, days=days, workers=workers, say=progress)
+    data = data_for(data_folder, quick=quick, days=days, draw=draw, workers=workers, say=progress)
     targets: list[Target] = []
     if name == "ablation":
         rows = _ablation(data, days, backbone, seed, progress)

@@ -129,6 +129,7 @@ def backbones_command(
 )
 @click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the networks.")
+@click.option("--draw", default=1, show_default=True, help="Seed of occupants and probing: another suite of its kind.")
 @click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes that work at once.")
 @click.option(
     "--data",
@@ -153,6 +154,7 @@ def interventions_command(
     methods: tuple[str, ...],
     backbone: str,
     seed: int,
+    draw: int,
     workers: int,
     data_folder: Path,
     out: Path,
@@ -164,7 +166,7 @@ def interventions_command(
     from thermoforce_mpc.bench.interventions_studies import run_study
 
     options: dict[str, Any] = {"out": out, "days": days, "quick": quick, "backbone": backbone, "seed": seed}
-    options |= {"workers": workers, "progress": _progress}
+    options |= {"workers": workers, "draw": draw, "progress": _progress}
     if study == "validity":
         show(run_interventions_bench(data_folder, **options, methods=methods), json_file)
     elif methods:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,7 @@ def run_suite(
         methods: names in `METHODS`.
         backbone: weights of the forecaster, the same for every method that has one.
         seed: of the networks.
-        workers: processes; results do not depend on it.
+        workers: processes, this one where it is 1; results do not depend on it.
         say: progress.
 
     Raises:
@@ -75,9 +76,13 @@ def run_suite(
     tasks = [(climate, k, name, backbone, seed) for climate in data.climates.values() for k in days for name in methods]
     scores: list[CellScore] = []
     fans: dict[ClimateName, dict[str, Array]] = {name: {} for name in data.climates}
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=max(1, workers), mp_context=context) as pool:
-        for task, (cells, fan) in zip(tasks, pool.map(_evaluate, tasks), strict=True):
+    with ExitStack() as stack:
+        outcomes: Iterator[tuple[list[CellScore], Array]] = map(_evaluate, tasks)
+        if workers > 1:
+            context = multiprocessing.get_context("spawn")
+            pool = stack.enter_context(ProcessPoolExecutor(max_workers=workers, mp_context=context))
+            outcomes = pool.map(_evaluate, tasks)
+        for task, (cells, fan) in zip(tasks, outcomes, strict=True):
             climate, k, name = task[:3]
             scores += cells
             effect = np.sqrt(np.mean([cell.effect_rmse_K**2 for cell in cells]))
