@@ -62,7 +62,7 @@ class MPCConfig(StrictModel):
         "quantile of the free forecast; 0.5: for the median, none",
     )
     backoff_level_other: float = Field(
-        0.2,
+        0.15,
         gt=0,
         le=0.5,
         description="the same for the bound that only not acting keeps (heating: the upper, against the sun)",

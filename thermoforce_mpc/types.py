@@ -202,9 +202,15 @@ class FreeForecast:
         return np.asarray(self.quantiles_C[index], dtype=np.float64)
 
     def quantile_C(self, level: float) -> Array:
-        """The quantile nearest to `level` that was forecast, shape (N,), °C."""
-        index = int(np.argmin(np.abs(np.asarray(self.levels) - level)))
-        return np.asarray(self.quantiles_C[index], dtype=np.float64)
+        """The quantile of `level`, shape (N,), °C: between levels that were forecast by a straight line, beyond the
+        outermost theirs.
+        """
+        levels = np.asarray(self.levels, dtype=np.float64)
+        place = float(np.interp(level, levels, np.arange(levels.size)))
+        below = min(int(place), levels.size - 2) if levels.size > 1 else 0
+        share = place - below
+        lower, upper = self.quantiles_C[below], self.quantiles_C[min(below + 1, levels.size - 1)]
+        return np.asarray(lower + share * (upper - lower), dtype=np.float64)
 
 
 class PlanStatus(StrEnum):
