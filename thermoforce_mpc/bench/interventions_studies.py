@@ -8,14 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from thermoforce_mpc.bench.interventions import data_for
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.interventions.dataset import Dataset
-from thermoforce_mpc.interventions.methods.registry import METHODS, MONOTONE, TWO_STATE
+from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE
 from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce, identified
+from thermoforce_mpc.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
+from thermoforce_mpc.interventions.office import office_data
 from thermoforce_mpc.interventions.page import write_page
 from thermoforce_mpc.interventions.paper import EFFICIENCY_MS, OPERATOR_ABLATION, PARAMETERS
 from thermoforce_mpc.interventions.plots import bars_figure, curves_figure, save
@@ -45,16 +48,19 @@ def run_study(
     draw: int = 1,
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
-    """Run one study, 'ablation', 'gamma', 'data' or 'efficiency'; writes `<name>.json`, figure and page into `out`.
+    """Run one study: 'ablation', 'gamma', 'data', 'efficiency' or 'office'.
 
+    Writes `<name>.json`, figure and page into `out`.
     Arguments as in `run_interventions_bench`; `days` are by default all four, or the paper's three where there is one.
 
     Raises:
         DataError: the study is not known, or the data cannot be used.
         PlantError: the engine is missing or failed.
     """
-    if name not in ("ablation", "gamma", "data", "efficiency"):
-        raise DataError(f"unknown study '{name}': ablation, gamma, data or efficiency")
+    if name not in ("ablation", "gamma", "data", "efficiency", "office"):
+        raise DataError(f"unknown study '{name}': ablation, gamma, data, efficiency or office")
+    if name == "office":
+        return _office(out, quick, backbone, seed, draw, workers, progress)
     several = name in ("ablation", "data")
     default = ((1, 3) if quick else PROBE_DAYS) if several else (3,)
     days = tuple(days) or default
@@ -76,14 +82,52 @@ def run_study(
             row["component"]: (row["here"], row["paper"]) for row in rows if row["paper"] and row["unit"] == "ms"
         }
         figure = bars_figure(measured, "ms")
-    result = bench_result(f"interventions {name}", rows, targets)
-    result["manifest"] = data.manifest
+    return _written(
+        name, bench_result(f"interventions {name}", rows, targets) | {"manifest": data.manifest}, figure, out, progress
+    )
+
+
+def _written(name: str, result: dict[str, Any], figure: Figure, out: Path, say: Say) -> dict[str, Any]:
+    """Figure, JSON and page of a study in `out`."""
     out.mkdir(parents=True, exist_ok=True)
     drawn = save(figure, out, name)
     write_json(out / f"{name}.json", result)
     write_page(out / f"{name}.html", result, {name: drawn})
-    progress(f"figure, JSON and page: {out / f'{name}.html'}")
+    say(f"figure, JSON and page: {out / f'{name}.html'}")
     return result
+
+
+def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, workers: int, say: Say) -> dict[str, Any]:
+    """Every method on a building that is not ours, after three probe days."""
+    data = office_data(seed=draw, workers=workers, quick=quick, say=say)
+    suite = run_suite(
+        Dataset({"small_office": data}, {}), [PROBE_DAYS_OFFICE], backbone=backbone, seed=seed, workers=workers, say=say
+    )
+    rows: list[Row] = []
+    for name, method in METHODS.items():
+        cells = suite.of(name)
+        row: Row = {"method": method.label, "pairs": sum(c.pairs for c in cells)}
+        row |= {
+            key: float(np.mean([getattr(c, attribute) for c in cells]))
+            for key, attribute in (
+                ("factual_K", "factual_rmse_K"),
+                ("effect_K", "effect_rmse_K"),
+                ("sign", "sign_accuracy"),
+            )
+        }
+        rows.append(row | {"violations": sum(c.violations for c in cells), "fitted": cells[0].note})
+    baselines = [r["effect_K"] for r, m in zip(rows, METHODS.values(), strict=True) if not m.ours]
+    targets = []
+    for name in (MONOTONE, BEST):
+        row = next(r for r in rows if r["method"] == METHODS[name].label)
+        targets.append(
+            Target(f"{METHODS[name].label}: effect RMSE over the best baseline", row["effect_K"] / min(baselines), 1.0)
+        )
+        targets.append(Target(f"{METHODS[name].label}: monotonicity violations", row["violations"], 0))
+    figure = bars_figure(
+        {r["method"]: (r["effect_K"], r["factual_K"]) for r in rows}, "K", ("effect RMSE", "factual RMSE")
+    )
+    return _written("office", bench_result("interventions office", rows, targets), figure, out, say)
 
 
 def _ablation(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Say) -> list[Row]:

@@ -113,10 +113,10 @@ def backbones_command(
 @command.command("interventions")
 @click.option(
     "--study",
-    type=click.Choice(["validity", "ablation", "gamma", "data", "efficiency"]),
+    type=click.Choice(["validity", "ablation", "gamma", "data", "efficiency", "office"]),
     default="validity",
     show_default=True,
-    help="Which table: interventional validity, operator ablation, gamma sweep, data efficiency, or cost.",
+    help="Table: interventional validity, operator ablation, gamma sweep, data efficiency, cost, or DOE small office.",
 )
 @click.option(
     "--days",

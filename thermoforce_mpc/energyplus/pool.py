@@ -7,17 +7,26 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
 
 from thermoforce_mpc.energyplus.engine import engine_folder
-from thermoforce_mpc.energyplus.simulate import Job, simulate
+from thermoforce_mpc.energyplus.simulate import simulate
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.types import History
 
+J = TypeVar("J")
+
 
 def simulate_all(
-    jobs: Sequence[Job], *, workers: int | None = None, on_done: Callable[[int], None] | None = None
+    jobs: Sequence[J],
+    *,
+    run: Callable[[J], History] = simulate,  # type: ignore[assignment]
+    workers: int | None = None,
+    on_done: Callable[[int], None] | None = None,
 ) -> list[History]:
     """Run all jobs, `workers` processes at a time (by default one per core); records in the order of the jobs.
+
+    `run` simulates one job in its process, by default one of our zones (`simulate.Job`).
 
     `on_done` is told how many are finished.
 
@@ -31,7 +40,7 @@ def simulate_all(
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(max_workers=max(1, workers), mp_context=context) as pool:
         try:
-            for record in pool.map(simulate, jobs):
+            for record in pool.map(run, jobs):
                 records.append(record)
                 if on_done:
                     on_done(len(records))

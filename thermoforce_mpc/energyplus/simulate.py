@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -21,8 +21,9 @@ from thermoforce_mpc.energyplus.zone import GAINS, HVAC, ZONE, ZoneSpec, zone_mo
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.types import DAY_S, Array, History
 
-_SENSORS = {
-    "T_zone": ("Zone Mean Air Temperature", ZONE),
+# The engine's number for a run under a weather file.
+_RUN_PERIOD = 3
+WEATHER_SENSORS = {
     "T_out": ("Site Outdoor Air Drybulb Temperature", "Environment"),
     "direct": ("Site Direct Solar Radiation Rate per Area", "Environment"),
     "diffuse": ("Site Diffuse Solar Radiation Rate per Area", "Environment"),
@@ -32,12 +33,39 @@ _SENSORS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """What one step ends with: °C, °C, W/m² global horizontal."""
+    """What one step ends with: °C, °C, W/m² global horizontal; heat given over it, W, where the engine decides it."""
 
     T_zone_C: float
     T_out_C: float
     solar_W_m2: float
+    heat_W: float = float("nan")
 
+
+@dataclass(frozen=True)
+class Wiring:
+    """Where a model is read and moved.
+
+    `sensors` maps our names to (variable, key), `actuators` to (component, control, key); `read` makes a reading of the
+    sensors' values; `suffix` is the model's file format.
+    """
+
+    sensors: Mapping[str, tuple[str, str]]
+    actuators: Mapping[str, tuple[str, str, str]]
+    read: Callable[[Mapping[str, float]], Reading]
+    suffix: str = "epJSON"
+
+
+def weather_reading(value: Mapping[str, float], T_zone_C: float, heat_W: float = float("nan")) -> Reading:
+    """A reading with the weather of `WEATHER_SENSORS`."""
+    up = max(float(np.sin(np.radians(value["altitude"]))), 0.0)
+    return Reading(T_zone_C, value["T_out"], value["diffuse"] + up * value["direct"], heat_W)
+
+
+ZONE_WIRING = Wiring(
+    sensors={"T_zone": ("Zone Mean Air Temperature", ZONE)} | WEATHER_SENSORS,
+    actuators={name: ("OtherEquipment", "Power Level", name) for name in (HVAC, GAINS)},
+    read=lambda value: weather_reading(value, value["T_zone"]),
+)
 
 # Told the step's number (−1 while the engine warms up) and the temperature before it, °C; answers u in [0, 1].
 Policy = Callable[[int, float], float]
@@ -135,7 +163,7 @@ class Driver(Protocol):
         ...
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Heat in W for each actuated source over the coming zone time step."""
+        """Value of each actuator over the coming zone time step (heat in W of a zone's sources)."""
         ...
 
     def end(self, warming_up: bool, reading: Reading) -> bool:
@@ -208,8 +236,8 @@ class Recorder:
         )
 
 
-def run_engine(model: str, weather: Path, recorder: Driver) -> None:
-    """Run an epJSON text under a weather file in this process, with the callbacks of `recorder`.
+def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZONE_WIRING) -> None:
+    """Run a model's text under a weather file in this process, with the callbacks of `recorder`.
 
     Raises:
         PlantError: the engine failed; with its error file.
@@ -226,6 +254,8 @@ def run_engine(model: str, weather: Path, recorder: Driver) -> None:
         def callback(state: Any) -> None:
             if failure or not api.exchange.api_data_fully_ready(state):
                 return
+            if api.exchange.kind_of_sim(state) != _RUN_PERIOD:  # sizing comes first
+                return
             try:
                 action(state)
             except BaseException as error:
@@ -235,10 +265,10 @@ def run_engine(model: str, weather: Path, recorder: Driver) -> None:
         return callback
 
     def find(state: Any) -> None:
-        for name, (variable, key) in _SENSORS.items():
+        for name, (variable, key) in wiring.sensors.items():
             handles[name] = api.exchange.get_variable_handle(state, variable, key)
-        for name in (HVAC, GAINS):
-            handles[name] = api.exchange.get_actuator_handle(state, "OtherEquipment", "Power Level", name)
+        for name, (component, control, key) in wiring.actuators.items():
+            handles[name] = api.exchange.get_actuator_handle(state, component, control, key)
         missing = [name for name, handle in handles.items() if handle < 0]  # 0 is a handle like any other
         if missing:
             raise PlantError(f"EnergyPlus has no sensor or actuator for {', '.join(missing)} in this model")
@@ -246,26 +276,24 @@ def run_engine(model: str, weather: Path, recorder: Driver) -> None:
     def begin(state: Any) -> None:
         if not handles:
             find(state)
-        for name, watts in recorder.begin(bool(api.exchange.warmup_flag(state))).items():
-            api.exchange.set_actuator_value(state, handles[name], watts)
+        for name, told in recorder.begin(bool(api.exchange.warmup_flag(state))).items():
+            api.exchange.set_actuator_value(state, handles[name], told)
 
     def end(state: Any) -> None:
         if not handles:
             return
-        value = {name: api.exchange.get_variable_value(state, handles[name]) for name in _SENSORS}
-        up = max(float(np.sin(np.radians(value["altitude"]))), 0.0)
-        reading = Reading(value["T_zone"], value["T_out"], value["diffuse"] + up * value["direct"])
+        reading = wiring.read({name: api.exchange.get_variable_value(state, handles[name]) for name in wiring.sensors})
         if recorder.end(bool(api.exchange.warmup_flag(state)), reading):
             api.runtime.stop_simulation(state)
 
     try:
         api.runtime.set_console_output_status(state, False)
-        for variable, key in _SENSORS.values():
+        for variable, key in wiring.sensors.values():
             api.exchange.request_variable(state, variable, key)
         api.runtime.callback_begin_zone_timestep_before_set_current_weather(state, guarded(begin))
         api.runtime.callback_end_zone_timestep_after_zone_reporting(state, guarded(end))
         with tempfile.TemporaryDirectory(prefix="energyplus-") as folder:
-            path = Path(folder) / "in.epJSON"
+            path = Path(folder) / f"in.{wiring.suffix}"
             path.write_text(model)
             status = api.runtime.run_energyplus(state, ["-w", str(weather), "-d", folder, str(path)])
             if failure:

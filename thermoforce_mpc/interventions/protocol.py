@@ -14,7 +14,7 @@ import numpy as np
 from thermoforce_mpc.energyplus.zone import ZoneSpec
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array
 
-ClimateName = Literal["heating_chicago", "cooling_phoenix"]
+ClimateName = Literal["heating_chicago", "cooling_phoenix", "small_office"]
 WindowName = Literal["morning", "afternoon", "evening"]
 Part = Literal["validation", "test"]
 
