@@ -52,8 +52,9 @@ def test_the_width_adapts_when_errors_grow() -> None:
     free = 20.0 + np.concatenate([0.2 * rng.standard_normal(400), 0.6 * rng.standard_normal(400)])
     forecasts = run(CalibratedFreeResponse(Level(0.3)), free, 100, 780)
     width = [float(np.mean(f.quantiles_C[-1] - f.quantiles_C[0])) for f in forecasts]
-    assert width[290] == pytest.approx(2.56 * 0.2, rel=0.25)
-    assert width[-1] == pytest.approx(2.56 * 0.6, rel=0.25)
+    # Every hour steers the width up or down: means over two days.
+    assert np.mean(width[242:290]) == pytest.approx(2.56 * 0.2, rel=0.2)
+    assert np.mean(width[-48:]) == pytest.approx(2.56 * 0.6, rel=0.2)
 
 
 def test_silent_sensors_teach_nothing() -> None:

@@ -29,10 +29,9 @@ _LEAD_EDGES_H = (2.0, 6.0, 12.0, 18.0, 24.0)
 # Hourly values a group of lead times must have seen before its width is touched.
 _LEAST_VALUES = 24
 # How much wider or narrower (in its logarithm) an hour makes the interval per unit of share outside the nominal one:
-# 7 % wider when all of a group's values were outside, 2 % narrower when none was. Chosen on EnergyPlus free runs.
-_STEERING = 0.09
+# 10 % wider when all of a group's values were outside, 2 % narrower when none was. Chosen on EnergyPlus free runs.
+_STEERING = 0.12
 _STEERING_RANGE = (-1.1, 1.1)
-_LARGEST_LEVEL = 0.98
 _SCALE_RANGE = (0.25, 5.0)
 
 
@@ -53,7 +52,6 @@ class _Issued:
 class _Group:
     """Lead times that share a width: when what came, its distance from the median in raw half-widths; its steering."""
 
-    level: float
     steering: float = 0.0
     scores: deque[tuple[float, float]] = field(default_factory=deque)
 
@@ -101,7 +99,7 @@ class CalibratedFreeResponse:
     def _start(self, n: int) -> None:
         """Forget everything."""
         self._issued.clear()
-        self._groups = [_Group(level=_starting_level(edge)) for edge in (*_LEAD_EDGES_H, _LEAD_EDGES_H[-1])]
+        self._groups = [_Group() for _ in range(len(_LEAD_EDGES_H) + 1)]
         self._latest_s, self._n = -np.inf, n
 
     def _compare(self, free: Array, history: History, group_of: NDArray[np.intp], step_s: float) -> None:
@@ -135,17 +133,8 @@ class CalibratedFreeResponse:
         """Factor for the distance of each quantile from the median; 1 where too little is known."""
         if len(group.scores) < _LEAST_VALUES:
             return 1.0
-        width = np.quantile([score for _, score in group.scores], group.level) * np.exp(group.steering)
+        width = np.quantile([score for _, score in group.scores], _INSIDE) * np.exp(group.steering)
         return float(np.clip(width, *_SCALE_RANGE))
-
-
-def _starting_level(lead_h: float) -> float:
-    """The level at which n scores hold 80 % of a new one, (n + 1) 0.8 / n (split conformal prediction).
-
-    Errors of one lead time hang together for about as long, so n counts stretches of that length in the window.
-    """
-    n = _WINDOW_S / HOUR_S / lead_h
-    return float(min((n + 1.0) * _INSIDE / n, _LARGEST_LEVEL))
 
 
 def _issued(time_s: float, ends_s: Array, raw: FreeForecast, served: Array) -> _Issued:
