@@ -92,7 +92,7 @@ class Protocol:
         return max(PROBE_DAYS)
 
 
-QUICK = Protocol(probe_days=(1, 3), validation_days=4, test_days=6)
+QUICK = Protocol(probe_days=(1,), validation_days=3, test_days=6)
 
 
 def days_of(protocol: Protocol, climate: Climate, part: Part) -> list[int]:

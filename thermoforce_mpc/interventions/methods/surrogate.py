@@ -23,6 +23,8 @@ _EPOCHS = 150
 _BATCH = 256
 _LEARNING_RATE = 3e-3
 _TEACHER_STRIDE, _MEASURED_STRIDE = 8, 2
+# Courses taken of each measured run, at most: neighbours say nearly the same.
+_MOST_COURSES = 400
 _TEACHER_DAYS = 10
 # (weight of the teacher's courses, weight decay)
 _SETTINGS = ((1.0, 1e-4), (0.2, 1e-4), (0.2, 1e-2))
@@ -112,7 +114,8 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
         forecast = free_response.forecast(past.T_zone_C, past, boundary).median_C
         add(ahead, float(past.T_zone_C[-2]), forecast, True)
     for run in (training.probe.pair.a, training.probe.pair.b):
-        for origin in range(1, run.n_steps - horizon + 1, _MEASURED_STRIDE):
+        last = run.n_steps - horizon + 1
+        for origin in range(1, last, max(_MEASURED_STRIDE, -(-last // _MOST_COURSES))):
             ahead = steps(run, origin, origin + horizon)
             add(ahead, float(run.T_zone_C[origin - 1]), ahead.T_zone_C[1:], False)
     return _Lessons(
