@@ -184,7 +184,9 @@ def _gamma(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Sa
         for k in days:
             for gamma in _GAMMAS:
                 say(f"{climate.climate.label}, {k} probe days, γ = {gamma:g}")
-                predictor = build_thermoforce(training_of(climate, k, seed), free, orders=(1,), gamma=gamma)
+                predictor = build_thermoforce(
+                    training_of(climate, k, seed), free, orders=(1,), gamma=gamma, doubt_network=False
+                )
                 cells = score_cells(f"gamma {gamma:g}", predictor, climate, k)
                 rows.append(
                     {

@@ -89,7 +89,7 @@ def curves_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]],
         axes.set_xscale("log")
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0.0, 1.08 * max(value for _, y in curves.values() for value in y))
     axes.set_xlabel(xlabel)
     axes.set_ylabel("intervention-effect RMSE, K")
     axes.grid(alpha=0.3)

@@ -100,12 +100,13 @@ def build_thermoforce(
     modulation: Literal["neural", "linear"] = "neural",
     gamma: float = 0.75,
     curvatures: tuple[float, ...] = (0.0,),
+    doubt_network: bool = True,
 ) -> SuperpositionPredictor:
     """Identify with each order, centre of its priors and curvature; the best on the validation windows is kept.
 
     The choice is made with m = 1, where the effect does not depend on the free response: the cheapest one will do. A
-    neural m(x) is then trained at the chosen setting, where asked for, and has to be
-    the better of the two on the validation windows, too.
+    neural m(x) is then trained at the chosen setting, where asked for, and has to be the better of the two on the
+    validation windows, too; without `doubt_network` it is taken as identification gives it.
     """
 
     def fitted(
@@ -129,7 +130,7 @@ def build_thermoforce(
         trained = fitted(*settings[name], "neural", free_response)
         if trained.modulated:
             pair = {"linear": chosen, "neural": trained}
-            chosen = pair[best(pair, training.validation)]
+            chosen = pair[best(pair, training.validation)] if doubt_network else trained
     note = describe(chosen.model.operator)
     if modulation == "neural":
         note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
