@@ -55,17 +55,10 @@ class MPCConfig(StrictModel):
     horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
     comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
     backoff_level: float = Field(
-        0.1,
-        gt=0,
-        le=0.5,
-        description="chance level of the bound that acting keeps (heating: the lower): comfort is planned for this "
-        "quantile of the free forecast; 0.5: for the median, none",
-    )
-    backoff_level_other: float = Field(
         0.15,
         gt=0,
         le=0.5,
-        description="the same for the bound that only not acting keeps (heating: the upper, against the sun)",
+        description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none",
     )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
     solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(
