@@ -97,3 +97,27 @@ def test_days_that_cannot_be_probed_are_refused(tmp_path):
     done = CliRunner().invoke(cli, ["bench", "interventions", "--days", "31", "--data", str(tmp_path)])
     assert done.exit_code == 2
     assert "31" in done.output
+
+
+def test_studies_have_their_own_methods_and_names(tmp_path):
+    command = ["bench", "interventions", "--data", str(tmp_path), "--study"]
+    done = CliRunner().invoke(cli, [*command, "gamma", "--method", "tsfm"])
+    assert done.exit_code == 2
+    assert "studies have their own methods" in done.output
+    done = CliRunner().invoke(cli, [*command, "astrology"])
+    assert done.exit_code == 2
+    assert "ablation" in done.output
+
+
+def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_path, monkeypatch):
+    from thermoforce_mpc.bench import interventions_studies as studies
+
+    monkeypatch.setattr(interventions, "QUICK", TINY)
+    monkeypatch.setattr(studies, "_REPEATS", 2)
+    result = studies.run_study("efficiency", folder, out=tmp_path, days=(1,), quick=True)
+    rows = {row["component"]: row for row in result["rows"]}
+    assert rows["trained parameters"]["here"] <= rows["trained parameters"]["paper"] == 195.0
+    assert all(row["here"] > 0 for row in rows.values())
+    assert {"efficiency.png", "efficiency.svg", "efficiency.html", "efficiency.json"} == {
+        f.name for f in tmp_path.iterdir()
+    }
