@@ -16,7 +16,7 @@ from thermoforce_mpc.interventions.protocol import QUICK
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
-TINY = replace(QUICK, probe_days=(1,), validation_days=2, test_days=2, climates=("heating_chicago",))
+TINY = replace(QUICK, probe_days=(1,), validation_days=1, test_days=1, climates=("heating_chicago",))
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def simulated(folder):
 
 def test_pairs_share_everything_but_their_window(simulated):
     data, lines = simulated
-    assert lines[0] == "EnergyPlus: 18 simulations"
+    assert lines[0] == "EnergyPlus: 10 simulations"
     windows = data.climates["heating_chicago"].windows
-    assert len(windows) == 12
+    assert len(windows) == 6
     for w in windows:
         assert w.factual.T_zone_C[0] == w.perturbed.T_zone_C[0] == w.history.T_zone_C[-1]
         assert w.factual.T_out_C.tobytes() == w.perturbed.T_out_C.tobytes()
