@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thermoforce_mpc.types import Array
 
 if TYPE_CHECKING:
@@ -45,3 +48,12 @@ class Backbone(Protocol):
         than one.
         """
         ...
+
+
+def padded_series(contexts: Sequence[Context]) -> NDArray[np.float32]:
+    """The series of all contexts in one array (contexts, longest), NaN on the left of shorter ones: not there."""
+    longest = max(context.free_C.size for context in contexts)
+    series = np.full((len(contexts), longest), np.nan, dtype=np.float32)
+    for row, context in zip(series, contexts, strict=True):
+        row[longest - context.free_C.size :] = context.free_C
+    return series

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.free_response.backbones.base import Context
+from thermoforce_mpc.free_response.backbones.base import Context, padded_series
 from thermoforce_mpc.free_response.checks import LEVELS
 from thermoforce_mpc.types import Array
 
@@ -39,13 +39,11 @@ class BoltBackbone:
         """See `Backbone.quantiles_C`; horizons beyond the trained one are unrolled by the library."""
         import torch
 
-        longest = max(context.free_C.size for context in contexts)
-        series = np.full((len(contexts), longest), np.nan, dtype=np.float32)  # on the left NaN means: not there
-        for row, context in zip(series, contexts, strict=True):
-            row[longest - context.free_C.size :] = context.free_C
         steps = [len(context.ahead_weather) for context in contexts]
         with warnings.catch_warnings():
             # Unrolling is intended here; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
-            values, _ = self._pipeline.predict_quantiles(torch.from_numpy(series), max(steps), LEVELS.round(1).tolist())
+            values, _ = self._pipeline.predict_quantiles(
+                torch.from_numpy(padded_series(contexts)), max(steps), LEVELS.round(1).tolist()
+            )
         return [np.asarray(value[:n].T.double().numpy()) for value, n in zip(values, steps, strict=True)]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermoforce_mpc.errors import BackboneError
-from thermoforce_mpc.free_response.backbones.base import Context
+from thermoforce_mpc.free_response.backbones.base import Context, padded_series
 from thermoforce_mpc.free_response.checks import LEVELS
 from thermoforce_mpc.types import Array
 
@@ -46,11 +46,7 @@ class FracastBackbone:
         return (self._model.core, self._model.head)
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
-        """See `Backbone.quantiles_C`; one after the other, since its batches want series of one length."""
-        return [
-            np.asarray(
-                self._model.forecast(context.free_C.astype(np.float32), horizon=len(context.ahead_weather)).T,
-                dtype=np.float64,
-            )
-            for context in contexts
-        ]
+        """See `Backbone.quantiles_C`."""
+        steps = [len(context.ahead_weather) for context in contexts]
+        values = self._model.forecast_batch(padded_series(contexts), horizon=max(steps))
+        return [np.asarray(value[:n].T, dtype=np.float64) for value, n in zip(values, steps, strict=True)]
