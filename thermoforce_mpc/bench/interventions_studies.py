@@ -125,7 +125,7 @@ def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, workers
         )
         targets.append(Target(f"{METHODS[name].label}: monotonicity violations", row["violations"], 0))
     figure = bars_figure(
-        {r["method"]: (r["effect_K"], r["factual_K"]) for r in rows}, "K", ("effect RMSE", "factual RMSE")
+        {r["method"]: (r["effect_K"], r["factual_K"]) for r in rows}, "K", ("effect RMSE", "factual RMSE"), log=False
     )
     return _written("office", bench_result("interventions office", rows, targets), figure, out, say)
 

@@ -98,16 +98,20 @@ def curves_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]],
 
 
 def bars_figure(
-    values: Mapping[str, tuple[float, float]], ylabel: str, labels: tuple[str, str] = ("here", "paper")
+    values: Mapping[str, tuple[float, float]],
+    ylabel: str,
+    labels: tuple[str, str] = ("here", "paper"),
+    *,
+    log: bool = True,
 ) -> Figure:
-    """Two bars per name on a logarithmic axis; `values` maps a name to both, by default ours and the paper's."""
+    """Two bars per name; `values` maps a name to both, by default ours and the paper's."""
     figure = Figure(figsize=(8.5, 4.2), layout="constrained")
     axes = figure.subplots()
     at = np.arange(len(values))
     ours, paper = np.array(list(values.values())).T
     axes.bar(at - 0.2, ours, 0.4, color="#228b22", label=labels[0])
     axes.bar(at + 0.2, paper, 0.4, color="#8a939c", label=labels[1])
-    axes.set_yscale("log")
+    axes.set_yscale("log" if log else "linear")
     axes.set_xticks(at, [name.replace(" ", "\n") for name in values], fontsize=7)
     axes.set_ylabel(ylabel)
     axes.legend(frameon=False)
