@@ -151,8 +151,11 @@ class ThermoForceMPC:
         aims = c.objective
         price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1])
-        below = np.clip(T_free - outlook.free.quantile_C(c.backoff_level), 0.0, c.backoff_most_K)
-        above = np.clip(outlook.free.quantile_C(1.0 - c.backoff_level) - T_free, 0.0, c.backoff_most_K)
+        low, high = c.backoff_level, c.backoff_level_other
+        if self._operator.sign < 0:
+            low, high = high, low
+        below = np.clip(T_free - outlook.free.quantile_C(low), 0.0, c.backoff_most_K)
+        above = np.clip(outlook.free.quantile_C(1.0 - high) - T_free, 0.0, c.backoff_most_K)
         # Margins wider than half the band would turn the bounds around.
         half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
         return MPCProblem(

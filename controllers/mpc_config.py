@@ -58,7 +58,14 @@ class MPCConfig(StrictModel):
         0.15,
         gt=0,
         le=0.5,
-        description="plan comfort for this quantile of the free forecast (and its mirror); 0.5: none",
+        description="chance level of the bound that acting keeps (heating: the lower): comfort is planned for this "
+        "quantile of the free forecast; 0.5: for the median",
+    )
+    backoff_level_other: float = Field(
+        0.3,
+        gt=0,
+        le=0.5,
+        description="the same for the bound that only not acting keeps (heating: the upper, against the sun)",
     )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
     solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(

@@ -163,9 +163,13 @@ def test_same_observation_same_plan():
     np.testing.assert_array_equal(a.u, b.u)
 
 
-@pytest.mark.parametrize(("level", "inside"), [(0.5, 0.02), (0.3, 0.12), (0.1, 0.22)])
-def test_comfort_is_planned_for_a_quantile_of_the_free_forecast(level, inside):
-    mpc, seen = controller(backoff_level=level), observation()
+@pytest.mark.parametrize(("sign", "inside"), [(1, (0.22, 0.12)), (-1, (0.12, 0.22))])
+def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its_own(sign, inside):
+    model = simple_model()
+    operator = replace(model.operator, gains=sign * model.operator.gains, sign=sign)
+    config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3)
+    mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
+    seen = observation()
     problem = mpc._problem(mpc._outlook(seen))
-    np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside, atol=1e-9)
-    np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside, atol=1e-9)
+    np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside[0], atol=1e-9)
+    np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside[1], atol=1e-9)
