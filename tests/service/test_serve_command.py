@@ -19,8 +19,15 @@ SERVE = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()", "
 
 
 def test_it_says_where_it_serves_and_ends_on_interrupt():
+    def interruptible() -> None:  # whoever runs the tests in the background may have had interrupts ignored
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     with subprocess.Popen(
-        [*SERVE, "--port", "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*SERVE, "--port", "0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=interruptible,
     ) as running:
         try:
             line = running.stdout.readline()
@@ -29,7 +36,11 @@ def test_it_says_where_it_serves_and_ends_on_interrupt():
                 assert client.advance()["time"] == 3600
         finally:
             running.send_signal(signal.SIGINT)
-        _, err = running.communicate(timeout=20)
+        try:
+            _, err = running.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            running.kill()  # else leaving this block would wait for ever
+            raise
     assert running.returncode in (0, 130), err
     assert "Traceback" not in err
 
