@@ -23,11 +23,11 @@ from thermoforce_mpc.energyplus.simulate import Job
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.interventions.protocol import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.testcase import EnergyPlusZone, TestCase
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 from thermoforce_mpc.weather import load_weather
-from thermoforce_mpc.weather.year import YEAR_S
 
 _KELVIN = 273.15
 _STEPS_PER_HOUR = 12
@@ -118,13 +118,7 @@ class EnergyPlusPlant:
         """
         if name in self._zone.periods:
             return Period(name, self._zone.periods[name] * DAY_S)
-        try:
-            day = float(name)
-        except ValueError:
-            raise InputError(f"period '{name}': expected {', '.join(self._zone.periods)} or a start day") from None
-        if not 0.0 <= day < 365.0:
-            raise InputError(f"period '{name}': a start day lies between 0 and 365")
-        return Period(f"day {day:g}", day * DAY_S)
+        return day_period(name, self._zone.periods)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` after `warmup_s` of the thermostat (cut at the beginning of the year).
@@ -133,11 +127,7 @@ class EnergyPlusPlant:
             InputError: a time is no finite nonnegative number inside the year, or the tariff is unknown.
             PlantError: the engine failed.
         """
-        for label, value in (("start", start_s), ("warm-up", warmup_s)):
-            if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
-                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
-        if start_s >= YEAR_S:
-            raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
+        check_start(start_s, warmup_s)
         if price not in self._tariffs:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
         self._stop()
@@ -180,11 +170,7 @@ class EnergyPlusPlant:
             InputError: `u` or `duration_s` is not a number the plant can take, or the plant was not reset.
             PlantError: the engine failed.
         """
-        number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
-        if not number:
-            raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
-        if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < YEAR_S):
-            raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
+        check_level_and_duration(u, duration_s)
         before_s = self._now_s
         self._advance(None if u is None else float(u), float(duration_s))
         return self._measurement(before_s)
@@ -195,10 +181,7 @@ class EnergyPlusPlant:
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
         """
-        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
-            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
-        steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
-        time_s: Array = self._now_s + steps * interval_s
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
         T_out, solar = self.weather.at("T_dry_C", time_s), self.weather.at("global_W_m2", time_s)
         if self._forecast_error:
             hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S

@@ -16,6 +16,7 @@ from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.kpis import compute_kpis
+from thermoforce_mpc.plants.checks import check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
@@ -133,11 +134,7 @@ class EmbeddedPlant:
         Raises:
             InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
         """
-        for label, value in (("start", start_s), ("warm-up", warmup_s)):
-            if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
-                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
-        if start_s >= YEAR_S:
-            raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
+        check_start(start_s, warmup_s)
         self.tariff(price)
         self._price = price
         self._nodes = self._network.start_K.copy()
@@ -189,10 +186,7 @@ class EmbeddedPlant:
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
         """
-        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
-            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
-        steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
-        time_s: Array = self._now_s + steps * interval_s
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
         lower, upper = schedule.bounds_C(time_s)
         T_out, solar = self.weather.at("T_dry_C", time_s), self.weather.at("global_W_m2", time_s)
         if self._forecast_error:

@@ -16,14 +16,14 @@ from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.boptest_points import check_points
+from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
 from thermoforce_mpc.plants.fmu.archive import read_archive
-from thermoforce_mpc.plants.fmu.boundary_data import YEAR_S
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.testcase import PRICES, Price, TestCase
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.types import HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 
 _KELVIN = 273.15
 
@@ -94,18 +94,8 @@ class FmuPlant:
         Raises:
             InputError: neither a scenario in the FMU's days.json nor a day of the year.
         """
-        try:
-            day = float(name)
-        except ValueError:
-            days = self._archive.days
-            if name not in days:
-                raise InputError(
-                    f"period '{name}': expected {', '.join(days) or 'nothing else'} or a start day"
-                ) from None
-            return centred_window(name, days[name])
-        if not 0.0 <= day < 365.0:
-            raise InputError(f"period '{name}': a start day lies between 0 and 365")
-        return Period(f"day {day:g}", day * DAY_S)
+        days = self._archive.days
+        return centred_window(name, days[name]) if name in days else day_period(name, days)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` after `warmup_s` of the FMU's own control (cut at the beginning of the year).
@@ -115,14 +105,10 @@ class FmuPlant:
             WeatherError: `start_s` lies beyond the FMU's boundary data.
             PlantError: the FMU cannot be loaded or failed.
         """
-        for label, value in (("start", start_s), ("warm-up", warmup_s)):
-            if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
-                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
+        check_start(start_s, warmup_s)
         known = next((name for name in PRICES if name == price), None)
         if known is None:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
-        if start_s >= YEAR_S:
-            raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
         self._archive.boundary.at(self.testcase.forecast.outdoor_temperature, np.array([start_s]))
         self._price = known
         self._stop()
@@ -153,11 +139,7 @@ class FmuPlant:
             InputError: `u` or `duration_s` is not a number the plant can take, or the plant was not reset.
             PlantError: the FMU failed.
         """
-        number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
-        if not number:
-            raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
-        if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < YEAR_S):
-            raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
+        check_level_and_duration(u, duration_s)
         before_s = self._now_s if self._worker else 0.0
         stretch = self._run(self.testcase.actuator.inputs(None if u is None else float(u)), float(duration_s))
         edges = np.array([before_s, self._now_s])
@@ -180,11 +162,8 @@ class FmuPlant:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
             WeatherError: the horizon reaches beyond the FMU's boundary data.
         """
-        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
-            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
         f, at = self.testcase.forecast, self._archive.boundary.at
-        steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
-        time_s: Array = self._now_s + steps * interval_s
         T_out, solar = at(f.outdoor_temperature, time_s) - _KELVIN, at(f.solar, time_s)
         if self._forecast_error:
             hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S

@@ -1,0 +1,58 @@
+"""What every simulated plant refuses at its edge, in the same words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.types import DAY_S, Array, Period
+from thermoforce_mpc.weather.year import YEAR_S
+
+
+def day_period(name: str, named: Iterable[str]) -> Period:
+    """The window of two weeks from start day `name`; `named` are the windows that have names, for the message.
+
+    Raises:
+        InputError: not a number, or no day of the year.
+    """
+    try:
+        day = float(name)
+    except ValueError:
+        known = ", ".join(named) or "nothing else"
+        raise InputError(f"period '{name}': expected {known} or a start day") from None
+    if not 0.0 <= day < 365.0:
+        raise InputError(f"period '{name}': a start day lies between 0 and 365")
+    return Period(f"day {day:g}", day * DAY_S)
+
+
+def check_start(start_s: float, warmup_s: float) -> None:
+    """Raises `InputError` unless both are finite nonnegative numbers of seconds and the start lies inside the year."""
+    for label, value in (("start", start_s), ("warm-up", warmup_s)):
+        if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
+            raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
+    if start_s >= YEAR_S:
+        raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
+
+
+def check_level_and_duration(u: float | None, duration_s: float) -> None:
+    """Raises `InputError` unless `u` is None or in [0, 1] and `duration_s` is positive and less than a year."""
+    number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
+    if not number:
+        raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
+    if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < YEAR_S):
+        raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
+
+
+def forecast_times(now_s: float, horizon_s: float, interval_s: float) -> Array:
+    """Instants from `now_s` to `horizon_s` ahead every `interval_s`, s, shape (N + 1,).
+
+    Raises:
+        InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+    """
+    if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
+        raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
+    steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
+    return np.asarray(now_s + steps * interval_s, dtype=np.float64)
