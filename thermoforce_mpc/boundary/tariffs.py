@@ -130,3 +130,8 @@ def _autoregressive(rng: np.random.Generator, n: int, memory: float) -> Array:
     for i in range(1, n):
         out[i] = memory * out[i - 1] + noise[i]
     return out
+
+
+def by_name(highly_dynamic: Tariff | None = None) -> dict[str, Tariff]:
+    """The three tariffs by BOPTEST's names; the highly dynamic one is synthetic unless given."""
+    return {"constant": constant, "dynamic": dynamic, "highly_dynamic": highly_dynamic or synthetic_spot()}

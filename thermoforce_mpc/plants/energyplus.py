@@ -88,11 +88,7 @@ class EnergyPlusPlant:
         self._file = weather_file(self._spec.weather)
         self.weather = load_weather(self._file)
         self._forecast_error = forecast_error
-        self._tariffs: dict[str, tariffs.Tariff] = {
-            "constant": tariffs.constant,
-            "dynamic": tariffs.dynamic,
-            "highly_dynamic": highly_dynamic or tariffs.synthetic_spot(),
-        }
+        self._tariffs = tariffs.by_name(highly_dynamic)
         self._price = "constant"
         self._start_s = self._now_s = 0.0
         self._process: SpawnProcess | None = None

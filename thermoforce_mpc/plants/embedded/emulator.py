@@ -90,11 +90,7 @@ class EmbeddedPlant:
         self._forecast_error = forecast_error
         self._network = build_network()
         self._grid = build_exposure(weather).grid
-        self._tariffs: dict[str, tariffs.Tariff] = {
-            "constant": tariffs.constant,
-            "dynamic": tariffs.dynamic,
-            "highly_dynamic": highly_dynamic or tariffs.synthetic_spot(),
-        }
+        self._tariffs = tariffs.by_name(highly_dynamic)
         self._price = "constant"
         self._periods: dict[str, Period] | None = None
         self.reset(0.0, 0.0)
