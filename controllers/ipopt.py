@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution
+from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
 from thermoforce_mpc.operator.casadi_export import step_function
 from thermoforce_mpc.operator.features import N_FEATURES
 from thermoforce_mpc.operator.parameters import OperatorParameters
@@ -19,8 +19,6 @@ from thermoforce_mpc.types import Array
 
 # Statuses with which Ipopt claims an optimum; anything else is a failed solve, whatever it left in u.
 _ACCEPTED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
-# Constraints on power are scaled to the size of the others.
-_PEAK_UNIT_W = 1000.0
 
 
 class IpoptConfig(StrictModel):
@@ -64,7 +62,7 @@ class IpoptSolver:
         if shape.peak:
             objective += weights[2] * peak
             decisions.append(peak)
-            constraints.append((reached + peak - power) / _PEAK_UNIT_W)
+            constraints.append((reached + peak - power) / PEAK_UNIT_W)
         parameters = ca.veccat(
             F_now, features, T_free, lower, upper, price_W, fixed, per_u, weights, terminal, reached
         )  # fmt: skip

@@ -22,6 +22,8 @@ from thermoforce_mpc.operator.rollout import forced_rollout
 from thermoforce_mpc.types import HOUR_S, Array
 
 J_PER_KWH = 3.6e6
+# Solvers count peak power in this unit, so that its constraints are of the size of the others.
+PEAK_UNIT_W = 1000.0
 
 
 @dataclass(frozen=True)

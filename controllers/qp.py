@@ -16,15 +16,12 @@ from pydantic import Field
 from scipy import sparse
 
 from controllers.errors import ControllerConfigError
-from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution
+from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
 from thermoforce_mpc.operator.parameters import OperatorParameters
 from thermoforce_mpc.testcase import StrictModel
 from thermoforce_mpc.types import Array
 
 QPBackend = Literal["piqp", "clarabel"]
-
-# Constraints on power are scaled to the size of the others.
-_PEAK_UNIT_W = 1000.0
 
 
 class QPConfig(StrictModel):
@@ -149,10 +146,10 @@ class QPSolver:
         c[m + (n - 1) * r : m + n * r] = -np.concatenate([left[:1], left[1:] - left[0]])
         c[m + n * r : m + n * r + n] = p.comfort_price
         if self.shape.peak:
-            entries = np.concatenate([entries, np.ones(n), -power_per_u / _PEAK_UNIT_W])
-            row_low = np.concatenate([row_low, np.full(n, -p.peak_so_far_W / _PEAK_UNIT_W)])
+            entries = np.concatenate([entries, np.ones(n), -power_per_u / PEAK_UNIT_W])
+            row_low = np.concatenate([row_low, np.full(n, -p.peak_so_far_W / PEAK_UNIT_W)])
             row_high = np.concatenate([row_high, np.full(n, np.inf)])
-            c[-1] = p.weights.peak * _PEAK_UNIT_W
+            c[-1] = p.weights.peak * PEAK_UNIT_W
         quadratic = self._quadratic
         quadratic.data[:m] = 2.0 * p.weights.curvature * self._counts
         x_low, x_high = np.zeros(self._n_variables), np.full(self._n_variables, np.inf)
