@@ -110,14 +110,18 @@ def test_studies_have_their_own_methods_and_names(tmp_path):
 
 
 def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_path, monkeypatch):
+    from thermoforce_mpc.bench import interventions_cost as cost
     from thermoforce_mpc.bench import interventions_studies as studies
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
-    monkeypatch.setattr(studies, "_REPEATS", 2)
+    monkeypatch.setattr(cost, "_REPEATS", 2)
     result = studies.run_study("efficiency", folder, out=tmp_path, days=(1,), quick=True)
     rows = {row["component"]: row for row in result["rows"]}
     assert rows["trained parameters"]["here"] <= rows["trained parameters"]["paper"] == 195.0
     assert all(row["here"] > 0 for row in rows.values())
+    solve, step = rows["solve (48 h at 15 min)"], rows["control step (estimate, forecast, solve)"]
+    assert solve["here"] < step["here"]
+    assert solve["paper"] is None
     assert {"efficiency.png", "efficiency.svg", "efficiency.html", "efficiency.json"} == {
         f.name for f in tmp_path.iterdir()
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,20 +10,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thermoforce_mpc.bench.interventions import data_for
+from thermoforce_mpc.bench.interventions_cost import efficiency
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.interventions.dataset import Dataset
 from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE
-from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce, identified
+from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce
 from thermoforce_mpc.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
 from thermoforce_mpc.interventions.office import office_data
 from thermoforce_mpc.interventions.page import write_page
-from thermoforce_mpc.interventions.paper import EFFICIENCY_MS, OPERATOR_ABLATION, PARAMETERS
+from thermoforce_mpc.interventions.paper import OPERATOR_ABLATION
 from thermoforce_mpc.interventions.plots import bars_figure, curves_figure, save
 from thermoforce_mpc.interventions.protocol import PROBE_DAYS
 from thermoforce_mpc.interventions.suite import run_suite, score_cells, training_of
-from thermoforce_mpc.operator.rollout import forced_rollout
 from thermoforce_mpc.run_folder import write_json
 
 Row = dict[str, Any]
@@ -32,7 +31,6 @@ Say = Callable[[str], None]
 
 _GAMMAS = (0.0, 0.25, 0.5, 0.75, 0.9)
 _DATA_METHODS = ("tsfm_covariates", "rc", "rc_probe", "surrogate", MONOTONE, TWO_STATE)
-_REPEATS = 20
 
 
 def run_study(
@@ -77,7 +75,7 @@ def run_study(
         rows = _data_efficiency(data, days, backbone, seed, workers, progress)
         figure = curves_figure(_curves(rows, "method", "days", "effect_K"), "probe days", log=True)
     else:
-        rows, targets = _efficiency(data, days[0], backbone, seed, progress)
+        rows, targets = efficiency(data, days[0], backbone, seed, progress)
         measured = {
             row["component"]: (row["here"], row["paper"]) for row in rows if row["paper"] and row["unit"] == "ms"
         }
@@ -215,49 +213,6 @@ def _data_efficiency(data: Dataset, days: Sequence[int], backbone: str, seed: in
         for name in _DATA_METHODS
         for k in days
     ]
-
-
-def _efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> tuple[list[Row], list[Target]]:
-    say("timing identification, rollout and forecast")
-    climate = next(iter(data.climates.values()))
-    training = training_of(climate, days, seed)
-    free = build_free_response("chronos", backbone=backbone)
-    linear_ms = _milliseconds(lambda: identified(training, (6.0,), modulation="linear"), 3)
-    neural_ms = _milliseconds(lambda: identified(training, (6.0,)), 1)
-    operator = identified(training, (6.0,), modulation="linear").operator
-    window = climate.part("test")[0]
-    history, boundary = window.history.tail(512), window.boundary
-    features = np.tile([20.0, 0.0, 100.0, 0.0], (24, 1))
-    u = np.full(24, 0.5)
-    rollout_ms = _milliseconds(lambda: forced_rollout(operator, np.zeros(1), u, features), _REPEATS)
-    forecast_ms = _milliseconds(lambda: free.forecast(history.T_zone_C, history, boundary), _REPEATS)
-    measured = {
-        "RC identification (3 days)": linear_ms,
-        "operator training": neural_ms,
-        "forced rollout (24 steps)": rollout_ms,
-        "free forecast (512 to 24)": forecast_ms,
-    }
-    rows: list[Row] = [
-        {"component": name, "unit": "ms", "here": value, "paper": EFFICIENCY_MS[name]}
-        for name, value in measured.items()
-    ]
-    rows.append(
-        {"component": "trained parameters", "unit": "1", "here": float(operator.n_trained), "paper": float(PARAMETERS)}
-    )
-    targets = [Target(f"{name}, ms", value, EFFICIENCY_MS[name]) for name, value in measured.items()]
-    targets.append(Target("trained parameters", float(operator.n_trained), float(PARAMETERS)))
-    return rows, targets
-
-
-def _milliseconds(action: Callable[[], Any], repeats: int) -> float:
-    """Median of `repeats` calls after one to warm up."""
-    action()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - start)
-    return 1e3 * float(np.median(times))
 
 
 def _curves(rows: Sequence[Row], name: str, x: str, y: str) -> dict[str, tuple[list[float], list[float]]]:
