@@ -65,7 +65,7 @@ REGISTRY: dict[str, Entry] = {
         horizon_h=24.0,
         solver="ipopt",
         actuation={"mode": "modulating"},
-        free_response={"name": "chronos"},
+        free_response={"name": "chronos", "options": {"looks": "one"}},
     ),
     "rc_mpc": _mpc_entry(
         "the same as thermoforce_mpc with the free response of a linear RC model",
@@ -77,7 +77,7 @@ REGISTRY: dict[str, Entry] = {
         horizon_h=24.0,  # a trajectory of two levels says little about more than a day
         solver="search",
         actuation={"mode": "modulating"},
-        free_response={"name": "chronos"},
+        free_response={"name": "chronos", "options": {"looks": "one"}},
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thermoforce_mpc.configuration import suggestion
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.free_response.backbones.base import Context
 from thermoforce_mpc.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.free_response.persistence import Persistence
+from thermoforce_mpc.free_response.views import FEWEST_VALUES, View, merged, own_view, views_of
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
 
 if TYPE_CHECKING:
@@ -23,9 +24,8 @@ __all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
 
 # With less than a day of measurements a daily course cannot be known: persistence takes over and says so.
 _SHORTEST_HISTORY_S = DAY_S
-# Instance normalisation of fewer values than this says nothing.
-_FEWEST_VALUES = 8
 _SHORTEST_CONTEXT = 16
+_LOOKS = ("several", "one")
 
 
 class ChronosFreeResponse:
@@ -33,22 +33,25 @@ class ChronosFreeResponse:
 
     name = "chronos"
 
-    def __init__(self, backbone: str = SHIPPED, context_steps: int = 512) -> None:
+    def __init__(self, backbone: str = SHIPPED, context_steps: int = 512, looks: str = "several") -> None:
         """Load the weights.
 
         Args:
             backbone: 'shipped', 'fracast', a local directory, or a hub name; see `load_backbone`.
-            context_steps: how much of the history the model sees at most.
+            context_steps: how many values of the history a look shows the model at most (see `views.py`).
+            looks: 'several' at one series, or 'one' at its own step, unrolled where needed (the paper's way).
 
         Raises:
-            ConfigError: `context_steps` is less than the 16 a patch has.
+            ConfigError: `context_steps` is less than the 16 a patch has, or `looks` is neither of the two.
             BackboneError: see `load_backbone`.
         """
         if context_steps < _SHORTEST_CONTEXT:
             raise ConfigError(
                 f"context_steps is {context_steps}: backbones read patches of {_SHORTEST_CONTEXT}, give at least that"
             )
-        self.backbone = backbone
+        if looks not in _LOOKS:
+            raise ConfigError(f"looks is '{looks}'{suggestion(looks, _LOOKS)}: choose one of {', '.join(_LOOKS)}")
+        self.backbone, self._looks = backbone, looks
         self._context_steps = context_steps
         self._model = load_backbone(backbone)
         self._short = Persistence()
@@ -89,7 +92,7 @@ class ChronosFreeResponse:
         import torch
 
         answers: list[FreeForecast | None] = []
-        contexts: list[Context] = []
+        views: list[list[View]] = []
         for free_C, history, boundary in tasks:
             free = checked_free(free_C, history)
             if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
@@ -97,13 +100,16 @@ class ChronosFreeResponse:
             why = self._too_little(free, boundary.step_s)
             answers.append(self._persistence(free, history, boundary, why) if why else None)
             if not why:
-                contexts.append(self._context(free, history, boundary))
-        if contexts:
+                views.append(self._views(free, history, boundary))
+        if views:
             with _one_thread(), torch.inference_mode():
-                found = iter(self._model.quantiles_C(contexts))
+                found = iter(self._model.quantiles_C([view.context for looks in views for view in looks]))
+            of_task = iter(views)
             for index, (_, _, boundary) in enumerate(tasks):
                 if answers[index] is None:
-                    answers[index] = self._checked(np.sort(next(found), axis=0), boundary)
+                    looks = next(of_task)
+                    quantiles = merged(looks, [next(found) for _ in looks])
+                    answers[index] = self._checked(np.sort(quantiles, axis=0), boundary)
         return [answer for answer in answers if answer is not None]
 
     def _too_little(self, free: Array, step_s: float) -> str:
@@ -113,17 +119,17 @@ class ChronosFreeResponse:
         # A day has this many steps, and one more boundary.
         if known < round(_SHORTEST_HISTORY_S / step_s) + 1:
             return f"only {(known - 1) * step_s / HOUR_S:g} h of history measured"
-        if seen_values < _FEWEST_VALUES:
+        if seen_values < FEWEST_VALUES:
             return f"only {seen_values} of the last {context.size} values were measured"
         return ""
 
-    def _context(self, free: Array, history: History, boundary: Boundary) -> Context:
-        context = free[-self._context_steps :]
-        return Context(
-            context,
-            np.stack([history.T_out_C, history.solar_W_m2], axis=1)[-context.size :],
-            np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:],
-        )
+    def _views(self, free: Array, history: History, boundary: Boundary) -> list[View]:
+        past = np.stack([history.T_out_C, history.solar_W_m2], axis=1)
+        ahead = np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:]
+        longest = self._context_steps
+        if self._looks == "one":
+            return [own_view(free, past, ahead, longest)]
+        return views_of(free, past, ahead, boundary.step_s, longest)
 
     def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():

@@ -12,8 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 from scipy.signal import lfilter
 
 from thermoforce_mpc.errors import DataError
@@ -74,7 +75,7 @@ def fit_linear_weather(
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise DataError(f"linear weather model: {name} is not finite at step {bad[0]} ({bad.size} such)")
-    columns, lower, ridge = _columns(time_s, T_out, solar, step_s)
+    columns, bounded, ridge = _columns(time_s, T_out, solar, step_s)
     rows, targets = _equations(columns[: free_C.size], free_C, disturbance_h, step_s)
     modes = TIME_CONSTANTS_H.size
     # Columns 0..modes-1 are the outdoor gains: their sum is the long-run gain.
@@ -82,7 +83,7 @@ def fit_linear_weather(
     long_run[:modes] = _LONG_RUN_GAIN_WEIGHT
     A = np.vstack([rows, np.diag(np.sqrt(ridge)), long_run])
     b = np.concatenate([targets, np.zeros(ridge.size), [_LONG_RUN_GAIN_WEIGHT]])
-    weights = _bounded_least_squares(A, b, lower)
+    weights = _bounded_least_squares(A, b, bounded)
     course = columns @ weights
     return LinearFit(course[: free_C.size], course[free_C.size :], weights)
 
@@ -106,14 +107,22 @@ def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_
     )
 
 
-def _bounded_least_squares(A: Array, b: Array, lower: Array) -> Array:
-    """The weights ≥ `lower` with the least |A w − b|, by way of the normal equations: thousands of rows, few columns.
+def _bounded_least_squares(A: Array, b: Array, bounded: NDArray[np.bool_]) -> Array:
+    """The weights with the least |A w − b|, those of the `bounded` columns ≥ 0, exactly.
 
-    The ridge rows of A make them positive definite.
+    By way of the normal equations, since there are thousands of rows and few columns; the ridge rows of A make them
+    positive definite. With the free columns first in the triangle, the bounded ones are a nonnegative least-squares
+    problem of their own, and the free ones follow.
     """
-    R = cholesky(A.T @ A)
-    z = solve_triangular(R, A.T @ b, trans="T")
-    return np.asarray(lsq_linear(R, z, bounds=(lower, np.inf)).x)
+    order = np.argsort(bounded, kind="stable")
+    free = int((~bounded).sum())
+    R = cholesky(A[:, order].T @ A[:, order])
+    z = solve_triangular(R, A[:, order].T @ b, trans="T")
+    above, _ = nnls(R[free:, free:], z[free:])
+    weights = np.empty(bounded.size)
+    weights[order[free:]] = above
+    weights[order[:free]] = solve_triangular(R[:free, :free], z[:free] - R[:free, free:] @ above)
+    return weights
 
 
 class LinearWeather:
@@ -140,8 +149,8 @@ class LinearWeather:
         return FreeForecast(LEVELS, quantiles_from_errors(center, errors), note)
 
 
-def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[Array, Array, Array]:
-    """Simulated answer to one unit of every unknown, shape (n + N + 1, p), its lower bounds and ridge weights, (p,)."""
+def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Simulated answer to one unit of every unknown, (n + N + 1, p); which must be ≥ 0 and ridge weights, (p,)."""
     poles = np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H)
     hour_angle = 2 * np.pi * time_s / DAY_S
     drives = np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1)
@@ -157,11 +166,11 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
         [states[:, :, 0], states[:, :, 1], np.stack([np.ones(time_s.size), *waves], axis=1), start], axis=1
     )
     q = poles.size
-    lower = np.concatenate([np.zeros(2 * q), np.full(1 + len(waves) + q, -np.inf)])
+    bounded = np.arange(columns.shape[1]) < 2 * q
     ridge = np.concatenate(
         [np.full(2 * q, _RIDGE_WEATHER), [0.0], np.full(len(waves), _RIDGE_WAVE), np.full(q, _RIDGE_START)]
     )
-    return columns, lower, ridge
+    return columns, bounded, ridge
 
 
 def _fading(residual: Array, n: int, step_s: float) -> Array:

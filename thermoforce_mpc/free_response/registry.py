@@ -50,21 +50,21 @@ def _linear_weather() -> FreeResponse:
     return LinearWeather()
 
 
-def _residual(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+def _residual(backbone: str = "shipped", context_steps: int = 512, looks: str = "several") -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.free_response.residual import ResidualFreeResponse
 
-    return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps))
+    return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps, looks))
 
 
-def _selected(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+def _selected(backbone: str = "shipped", context_steps: int = 512, looks: str = "several") -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.free_response.linear_weather import LinearWeather
     from thermoforce_mpc.free_response.persistence import Persistence
     from thermoforce_mpc.free_response.residual import ResidualFreeResponse
     from thermoforce_mpc.free_response.selected import SelectedFreeResponse
 
-    chronos = ChronosFreeResponse(backbone, context_steps)
+    chronos = ChronosFreeResponse(backbone, context_steps, looks)
     candidates: dict[str, FreeResponse] = {
         "persistence": Persistence(),
         "chronos": chronos,
@@ -74,7 +74,9 @@ def _selected(backbone: str = "shipped", context_steps: int = 512) -> FreeRespon
     return SelectedFreeResponse(candidates, first="chronos")
 
 
-def _calibrated(method: str = "residual", backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+def _calibrated(
+    method: str = "residual", backbone: str = "shipped", context_steps: int = 512, looks: str = "several"
+) -> FreeResponse:
     from thermoforce_mpc.free_response.calibrated import CalibratedFreeResponse
 
     if method not in _WITH_BACKBONE:
@@ -82,16 +84,16 @@ def _calibrated(method: str = "residual", backbone: str = "shipped", context_ste
             f"free response 'calibrated': method '{method}' is not one of {', '.join(_WITH_BACKBONE)}"
             f"{suggestion(method, _WITH_BACKBONE)}"
         )
-    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps))
+    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps, looks))
 
 
-def _chronos(backbone: str = "shipped", context_steps: int = 512) -> FreeResponse:
+def _chronos(backbone: str = "shipped", context_steps: int = 512, looks: str = "several") -> FreeResponse:
     from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 
-    return ChronosFreeResponse(backbone, context_steps)
+    return ChronosFreeResponse(backbone, context_steps, looks)
 
 
-_WITH_BACKBONE: dict[str, Callable[[str, int], FreeResponse]] = {
+_WITH_BACKBONE: dict[str, Callable[[str, int, str], FreeResponse]] = {
     "selected": _selected,
     "residual": _residual,
     "chronos": _chronos,
