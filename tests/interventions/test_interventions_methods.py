@@ -1,14 +1,27 @@
 """Every method on a zone whose answer is known: what a sound one must find, and what an unsound one cannot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from paired_windows import GAINS_K, N, data, window
 
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.free_response.registry import build_free_response
-from thermoforce_mpc.interventions.methods.base import best, effect_rmse, plans, true_effect
+from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.interventions.dataset import Probe
+from thermoforce_mpc.interventions.methods.base import (
+    best,
+    clearly_better,
+    effect_rmse,
+    plans,
+    predicted_effect,
+    true_effect,
+)
+from thermoforce_mpc.interventions.methods.curve import EXPONENTS, curved
 from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE, find_method
-from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce, curved
+from thermoforce_mpc.interventions.methods.remembering import Remembering
+from thermoforce_mpc.interventions.methods.thermoforce import LinearEffect, SuperpositionPredictor, build_thermoforce
 from thermoforce_mpc.interventions.suite import score_cells, training_of
 
 FREE = build_free_response("persistence")
@@ -59,23 +72,50 @@ def test_two_states_find_the_time_constants_and_gains_of_the_zone(training):
 
 
 def test_a_curve_is_not_found_where_there_is_none(training):
-    predictor = build_thermoforce(training, FREE, orders=(2,), modulation="linear", curvatures=(0.0, 0.1, 0.2))
-    assert predictor.curvature == 0.0
+    predictor = build_thermoforce(training, FREE, orders=(2,), modulation="linear", exponents=EXPONENTS)
+    assert predictor.exponent == 1.0
 
 
 def test_the_curve_is_concave_rises_and_keeps_its_ends():
     u = np.linspace(0.0, 1.0, 101)
-    for curvature in (0.0, 0.1, 0.2):
-        v = curved(u, curvature)
+    for exponent in EXPONENTS:
+        v = curved(u, exponent)
         assert (v[0], v[-1]) == (0.0, pytest.approx(1.0))
         assert (np.diff(v) > 0).all()
         assert (np.diff(v, 2) <= 1e-12).all()
+    assert curved(u, 1.0) == pytest.approx(u)
+    assert curved(np.array([0.5]), 0.8)[0] == pytest.approx(0.5339, abs=1e-4)
+
+
+def test_a_curve_is_found_where_there_is_one(training):
+    """The zone answers v(u): its records are those of the linear zone, whose control went through the inverse of v."""
+    levels = np.linspace(0.0, 1.0, 4001)
+
+    def bent(record):
+        return replace(record, u=np.interp(record.u, curved(levels, 0.8), levels))
+
+    pair = Pair(bent(training.probe.pair.a), bent(training.probe.pair.b))
+    windows = [
+        replace(w, factual=bent(w.factual), perturbed=bent(w.perturbed), history=bent(w.history))
+        for w in training.validation
+    ]
+    probe = Probe(bent(training.probe.history), pair)
+    predictor = build_thermoforce(
+        replace(training, probe=probe, validation=windows), FREE, orders=(2,), modulation="linear", exponents=EXPONENTS
+    )
+    assert predictor.exponent == 0.8
+    assert predictor.model.operator.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
+
+
+def test_choosing_by_effects_alone_is_choosing_by_the_whole_prediction(climate, training):
+    model = build_thermoforce(training, FREE, orders=(2,), modulation="linear").model
+    alone, whole = LinearEffect(model, "", 0.8), SuperpositionPredictor(model, FREE, "", 0.8)
+    for w in climate.part("test")[:2]:
+        assert predicted_effect(alone, w) == pytest.approx(predicted_effect(whole, w), abs=1e-9)
 
 
 def test_a_method_is_told_nothing_of_what_came_of_its_plans(climate, training):
     """Futures replaced by nonsense must not change an answer."""
-    from dataclasses import replace
-
     one = climate.part("test")[0]
     blind = replace(
         one,
@@ -112,6 +152,57 @@ def test_choices_follow_the_effect_and_a_diverged_candidate_is_never_chosen():
     windows = [window(40, "morning", 2.0)]
     truth = float(true_effect(windows[0]).mean() / (plans(windows[0])[1] - plans(windows[0])[0]).mean())
     assert best({"nan": Times(np.nan), "far": Times(0.0), "near": Times(truth)}, windows) == "near"
+
+
+class Answers:
+    """Predictor whose effect is the true one times a factor, but for the steps of small effects, times another."""
+
+    note = ""
+
+    def __init__(self, large, small):
+        self.large, self.small = large, small
+
+    def respond(self, window, u):
+        truth = true_effect(window)
+        effect = truth * np.where(np.abs(truth) > 0.5 * np.abs(truth).max(), self.large, self.small)
+        return np.stack([np.zeros(truth.size), effect])
+
+
+def test_among_candidates_that_are_level_signs_decide_and_only_among_those():
+    windows = [window(40, "morning", 2.0)]
+    level = {"wrong signs": Answers(0.8, -0.01), "right signs": Answers(0.8, 0.01)}
+    assert best(level, windows) == "right signs"
+    apart = {"wrong signs": Answers(0.8, -0.01), "right signs": Answers(0.5, 0.01)}
+    assert best(apart, windows) == "wrong signs"
+
+
+def test_a_network_must_be_clearly_better_and_lose_no_sign():
+    windows = [window(40, "morning", 2.0)]
+    linear = Answers(0.8, 1.0)
+    assert clearly_better(Answers(0.9, 1.0), linear, windows)
+    assert not clearly_better(Answers(0.805, 1.0), linear, windows)
+    assert not clearly_better(Answers(1.0, -0.01), linear, windows)
+
+
+def test_the_forecaster_is_asked_each_question_once_and_answers_as_before(climate):
+    class Counting:
+        name = "counting"
+        asked = 0
+
+        def forecast(self, free_C, history, boundary):
+            self.asked += 1
+            return FREE.forecast(free_C, history, boundary)
+
+    inner = Counting()
+    remembering = Remembering(inner)
+    one, two = climate.part("test")[:2]
+    for w in (one, two, one):
+        answer = remembering.forecast(w.history.T_zone_C, w.history, w.boundary)
+        again = FREE.forecast(w.history.T_zone_C, w.history, w.boundary)
+        assert answer.quantiles_C.tobytes() == again.quantiles_C.tobytes()
+    assert inner.asked == 2
+    remembering.forecast(one.history.T_zone_C + 1e-9, one.history, one.boundary)
+    assert inner.asked == 3
 
 
 def test_names_and_days_that_do_not_exist_say_what_there_is(climate):

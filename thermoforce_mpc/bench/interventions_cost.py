@@ -41,7 +41,7 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     say("timing identification, rollout, forecast and solve")
     climate = next(iter(data.climates.values()))
     training = training_of(climate, days, seed)
-    free = build_free_response("chronos", backbone=backbone)
+    free = build_free_response("chronos", backbone=backbone, looks="one")
     centre = (_TIME_CONSTANT_H,)
     linear_ms = _milliseconds(lambda: identified(training, centre, modulation="linear"), 3)
     neural_ms = _milliseconds(lambda: identified(training, centre), 1)
@@ -88,7 +88,7 @@ def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]
         raise DataError(f"test case '{testcase.name}' has no `energyplus` section: it has no machine to plan for")
     power = electric_power_W(zone, testcase.mode, past.heat_W, past.T_out_C[:-1])
     lowest = testcase.defaults.actuation.get("lowest_level")
-    powered = replace(model, power=fit_power(replace(past, power_W=power), lowest_level=lowest))
+    powered = replace(model, power=fit_power([replace(past, power_W=power)], lowest_level=lowest))
     options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": {"name": "residual"}}
     controller = build_controller("thermoforce_mpc", options, testcase, powered)
     if not isinstance(controller, ThermoForceMPC):

@@ -13,9 +13,9 @@ from thermoforce_mpc.bench.interventions import data_for
 from thermoforce_mpc.bench.interventions_cost import efficiency
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.interventions.dataset import Dataset
 from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE
+from thermoforce_mpc.interventions.methods.remembering import tsfm
 from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce
 from thermoforce_mpc.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
 from thermoforce_mpc.interventions.office import office_data
@@ -129,7 +129,7 @@ def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, workers
 
 
 def _ablation(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Say) -> list[Row]:
-    free = build_free_response("chronos", backbone=backbone)
+    free = tsfm(backbone)
     rows: list[Row] = []
     for climate in data.climates.values():
         for k in days:
@@ -176,7 +176,7 @@ def _ablation_targets(rows: Sequence[Row]) -> list[Target]:
 
 
 def _gamma(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Say) -> list[Row]:
-    free = build_free_response("chronos", backbone=backbone)
+    free = tsfm(backbone)
     rows: list[Row] = []
     for climate in data.climates.values():
         for k in days:

@@ -81,6 +81,11 @@ class IdentificationConfig(StrictModel):
         27.0, gt=0, description="prior: room to structure per floor area (EN ISO 13790: 9.1 W/m²K times 3 m² per m²)"
     )
     room_coupling_sd: float = Field(0.35, gt=0, description="its relative standard deviation")
+    start_slope_K_per_h: tuple[float, float] | None = Field(
+        None,
+        description="prior: mean and standard deviation of how fast full level moves the zone at first, K/h; by default "
+        "that of heat that has to pass a slab or a radiator, which a room heated by its air exceeds tenfold",
+    )
 
     sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")
     disturbance_sd_K: tuple[float, ...] = Field(
@@ -96,6 +101,8 @@ class IdentificationConfig(StrictModel):
             raise ValueError("heat_map is given, but actuator is identity: drop one of them")
         if self.method == "two_stage" and self.order not in ("auto", 1):
             raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
+        if self.start_slope_K_per_h is not None and self.start_slope_K_per_h[1] <= 0:
+            raise ValueError(f"start_slope_K_per_h has standard deviation {self.start_slope_K_per_h[1]:g}: above 0")
         taus = self.time_constants_h
         if taus is not None:
             if not 1 <= len(taus) <= 3 or min(taus) <= 0 or any(b <= a for a, b in pairwise(taus)):

@@ -74,7 +74,7 @@ def mode_priors(
         above_structure = watts / config.room_coupling_W_m2K
         rate = (per_hour, per_hour * config.heat_capacity_sd)
         gain = (above_structure, above_structure * config.room_coupling_sd)
-    slope = _DELAYED_SLOPE_K_PER_H if order == 3 else _DIRECT_SLOPE_K_PER_H
+    slope = config.start_slope_K_per_h or (_DELAYED_SLOPE_K_PER_H if order == 3 else _DIRECT_SLOPE_K_PER_H)
     middle = [gain] * (order - 2)
     known = [slope, *middle, (0.0, 0.0)][:order] if order > 1 else [slope]
     return ModePriors(

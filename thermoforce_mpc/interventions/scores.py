@@ -10,12 +10,10 @@ from scipy.stats import wilcoxon
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.interventions.dataset import Window
-from thermoforce_mpc.interventions.methods.base import Predictor, plans, true_effect
+from thermoforce_mpc.interventions.methods.base import Predictor, plans, signs_right, true_effect
 from thermoforce_mpc.types import Array
 
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-# Below this a true effect has no sign worth scoring, K.
-LEAST_EFFECT_K = 0.05
 # Rounding of sums may turn equal answers around by this much, K.
 _ROUNDING_K = 1e-9
 
@@ -74,8 +72,7 @@ def score_cell(name: str, predictor: Predictor, windows: Sequence[Window], days:
         factual.append(answer[0] - window.factual.T_zone_C[1:])
         errors.append(effect - truth)
         up.append(sign * window.shift_K > 0)
-        clear = np.abs(truth) > LEAST_EFFECT_K
-        signs.append(np.sign(effect[clear]) == np.sign(truth[clear]))
+        signs.append(signs_right(effect, truth))
         rises = sign * np.diff(answer[2:], axis=0)
         violations += int((rises < -_ROUNDING_K).sum())
         comparisons += rises.size

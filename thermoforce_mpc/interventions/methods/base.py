@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.interventions.dataset import Probe, Window
 from thermoforce_mpc.interventions.protocol import Climate
 from thermoforce_mpc.types import Array, History
+
+# Below this a true effect has no sign worth scoring, K.
+LEAST_EFFECT_K = 0.05
+# Effect RMSE up to this factor above another's is level with it.
+_LEVEL = 1.05
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,9 @@ class Predictor(Protocol):
         Of `window` only the history and the boundary may be used.
         """
         ...
+
+
+P = TypeVar("P", bound=Predictor)
 
 
 def joined(first: History, second: History) -> History:
@@ -92,9 +101,39 @@ def factual_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def best(candidates: Mapping[str, Predictor], windows: Sequence[Window], *, factual: bool = False) -> str:
-    """Name of the candidate with the least effect RMSE (or factual RMSE) on `windows`; the first of equals."""
+def sign_accuracy(predictor: Predictor, windows: Sequence[Window]) -> float:
+    """Share of the steps with an effect beyond `LEAST_EFFECT_K` whose predicted effect has its sign; 1 without any."""
+    right = [signs_right(predicted_effect(predictor, w), true_effect(w)) for w in windows]
+    signs = np.concatenate(right)
+    return float(np.mean(signs)) if signs.size else 1.0
+
+
+def signs_right(predicted: Array, truth: Array) -> NDArray[np.bool_]:
+    """Whether the sign is right, for each step whose true effect is beyond `LEAST_EFFECT_K`."""
+    clear = np.abs(truth) > LEAST_EFFECT_K
+    return np.asarray(np.sign(predicted[clear]) == np.sign(truth[clear]))
+
+
+def best(candidates: Mapping[str, P], windows: Sequence[Window], *, factual: bool = False) -> str:
+    """Name of the best candidate on `windows`; the first of equals.
+
+    The best has the least effect RMSE; among those within 5 % of it, which some dozen windows cannot tell apart, it is
+    the one with the most signs right. Where `factual`, it is the least factual RMSE.
+    """
     score = factual_rmse if factual else effect_rmse
     # A diverged candidate scores infinity instead of poisoning the comparison.
-    scores = {name: np.nan_to_num(score(p, windows), nan=np.inf, posinf=np.inf) for name, p in candidates.items()}
-    return min(scores, key=lambda name: float(scores[name]))
+    scores = {
+        name: float(np.nan_to_num(score(p, windows), nan=np.inf, posinf=np.inf)) for name, p in candidates.items()
+    }
+    least = min(scores, key=lambda name: scores[name])
+    if factual:
+        return least
+    level = {name: p for name, p in candidates.items() if scores[name] <= _LEVEL * scores[least]}
+    signs = {name: sign_accuracy(p, windows) for name, p in level.items()}
+    return max(level, key=lambda name: (signs[name], -scores[name]), default=least)
+
+
+def clearly_better(one: Predictor, other: Predictor, windows: Sequence[Window]) -> bool:
+    """Whether `one` has an effect RMSE more than 5 % lower than `other`, and no more signs wrong, on `windows`."""
+    lower = _LEVEL * effect_rmse(one, windows) < effect_rmse(other, windows)
+    return lower and sign_accuracy(one, windows) >= sign_accuracy(other, windows)

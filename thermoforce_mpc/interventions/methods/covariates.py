@@ -27,7 +27,7 @@ _KINDS: dict[str, tuple[bool, tuple[float, ...]]] = {
     "lagged changes since the day before": (True, _LAGS_H),
 }
 _AR_LAGS_H = (0.5, 2.0, 8.0)
-_RIDGE = (1e-2, 1.0, 1e2, 1e4)
+_RIDGE = (1e-4, 1e-2, 1.0, 1e2, 1e4)
 # Origins of the training forecasts, and the context each of them needs, steps of 15 min.
 _STRIDE = 3
 _SUN_UNIT_W_M2 = 300.0

@@ -65,10 +65,11 @@ def _thermoforce(
     *orders: int, curve: bool = False, residual: bool = False
 ) -> Callable[[Training, FreeResponse], Predictor]:
     def build(training: Training, tsfm: FreeResponse) -> Predictor:
-        from thermoforce_mpc.interventions.methods.thermoforce import CURVES, build_thermoforce
+        from thermoforce_mpc.interventions.methods.curve import EXPONENTS
+        from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce
 
         free = build_free_response("residual") if residual else tsfm
-        return build_thermoforce(training, free, orders=orders, curvatures=CURVES if curve else (0.0,))
+        return build_thermoforce(training, free, orders=orders, exponents=EXPONENTS if curve else (1.0,))
 
     return build
 
@@ -85,7 +86,7 @@ METHODS: dict[str, Method] = {
         Method("rc_probe", "RC on the probe days", False, False, _grey_box_on_probe),
         Method("surrogate", "Distillation surrogate", False, True, _surrogate),
         Method("thermoforce_unconstrained", "ThermoForce (unconstr. gain)", True, True, _unconstrained),
-        Method(MONOTONE, "ThermoForce (monotone)", True, True, _thermoforce(1)),
+        Method(MONOTONE, "ThermoForce (monotone)", True, True, _thermoforce(1, curve=True)),
         Method(TWO_STATE, "ThermoForce (two-state)", True, False, _thermoforce(2)),
         Method(BEST, "ThermoForce (2–3 states, curve)", True, False, _thermoforce(2, 3, curve=True, residual=True)),
     )

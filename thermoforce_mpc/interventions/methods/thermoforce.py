@@ -2,53 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
 
-from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.interventions.dataset import Window
-from thermoforce_mpc.interventions.methods.base import Predictor, Training, best
+from thermoforce_mpc.interventions.methods.base import Training, best, clearly_better
+from thermoforce_mpc.interventions.methods.curve import curved, with_curve
+from thermoforce_mpc.operator.features import N_FEATURES
 from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.operator.rollout import forced_rollout
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import Array, History, Observation
+from thermoforce_mpc.types import Array, Observation
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
-# Centres of the priors tried: an air-heated zone answers within half an hour to hours, its structure within a day.
+# Centres of the priors tried: an air-heated zone answers within an hour or two, its structure within a day.
 _TIME_CONSTANTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
-    1: ((1.0,), (1.6,), (2.4,), (4.0,), (8.0,), (20.0,)),
-    2: ((0.7, 10.0), (1.0, 30.0), (1.5, 30.0)),
-    3: ((0.3, 3.0, 30.0), (0.2, 1.5, 15.0)),
+    1: ((1.2,), (1.5,), (1.8,), (2.1,), (2.5,), (3.0,), (4.0,), (8.0,), (20.0,)),
+    2: ((1.2, 20.0), (0.8, 6.0)),
+    3: ((0.5, 2.0, 20.0), (1.0, 5.0, 30.0)),
 }
 # One mode cannot have the speed of the room and that of its structure: fitted freely to days it settles between them,
-# so its time constant is held near each centre and the validation windows choose. Several modes find their own.
-_LOG_SD: dict[int, float] = {1: 0.1, 2: 1.0, 3: 1.0}
-# Curvatures of v(u) that are tried where the method has a curve.
-CURVES = (0.0, 0.1, 0.2)
-
-
-def curved(u: Array, curvature: float) -> Array:
-    """v(u) = u (1 − β u)/(1 − β), any shape: more heat leaves the room's air the faster; rises with u for β < 1/2.
-
-    Natural convection grows with the temperature difference, so the room answers full power with less than twice what
-    it answers half power with. What comes after v is monotone in it, so the whole stays monotone in u.
-    """
-    return np.asarray(u * (1.0 - curvature * u) / (1.0 - curvature))
-
-
-def with_curve(history: History, curvature: float) -> History:
-    """A record whose control is v(u)."""
-    return replace(history, u=curved(history.u, curvature))
+# so its time constant is held at each centre and the validation windows choose. Several modes find their own.
+_LOG_SD: dict[int, float] = {1: 0.02, 2: 1.0, 3: 1.0}
+# Full power into the air moves it by kelvins within the hour; how many is left to the data.
+_START_SLOPE_K_PER_H = (5.0, 10.0)
 
 
 class SuperpositionPredictor:
     """`Predictor` by a thermal model and a free response (paper eq:compose); the model's input is v(u)."""
 
-    def __init__(self, model: ThermalModel, free_response: FreeResponse, note: str, curvature: float = 0.0) -> None:
-        self.model, self.note, self.curvature = model, note, curvature
+    def __init__(self, model: ThermalModel, free_response: FreeResponse, note: str, exponent: float = 1.0) -> None:
+        self.model, self.note, self.exponent = model, note, exponent
         self._world = WorldModel(model, free_response)
 
     @property
@@ -58,9 +46,26 @@ class SuperpositionPredictor:
 
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`."""
-        history = with_curve(window.history, self.curvature)
+        history = with_curve(window.history, self.exponent)
         outlook = self._world.outlook(Observation(history, window.boundary))
-        return outlook.predict(curved(u, self.curvature)).total_C
+        return outlook.predict(curved(u, self.exponent)).total_C
+
+
+class LinearEffect:
+    """`Predictor` of effects alone, for choosing: with m = 1 they depend neither on the past nor on the free response.
+
+    It answers with the forced response from rest, K; only differences of its answers mean anything.
+    """
+
+    def __init__(self, model: ThermalModel, note: str, exponent: float) -> None:
+        self.model, self.note, self.exponent = model, note, exponent
+
+    def respond(self, window: Window, u: Array) -> Array:
+        """See `Predictor.respond`, up to a course that all plans share."""
+        operator = self.model.operator.resampled(window.boundary.step_s)
+        features = np.zeros((u.shape[1], N_FEATURES))
+        rest = np.zeros(operator.order)
+        return np.asarray(forced_rollout(operator, rest, curved(u, self.exponent), features).sum(axis=-1))
 
 
 def identified(
@@ -69,22 +74,23 @@ def identified(
     *,
     modulation: Literal["neural", "linear"] = "neural",
     gamma: float = 0.75,
-    curvature: float = 0.0,
+    exponent: float = 1.0,
     **options: Any,
 ) -> ThermalModel:
-    """The model of the probe pair with these centres of the priors, driven by v(u) of this curvature."""
+    """The model of the probe pair with these centres of the priors, driven by v(u) of this exponent."""
     pair = training.probe.pair
     settings: dict[str, Any] = {
         "order": len(time_constants_h),
         "time_constants_h": time_constants_h,
         "time_constant_log_sd": _LOG_SD[len(time_constants_h)],
+        "start_slope_K_per_h": _START_SLOPE_K_PER_H,
         "actuator": "identity",
         "modulation": modulation,
         "gamma": gamma,
         "seed": training.seed,
     }
     return identify(
-        pairs=[Pair(with_curve(pair.a, curvature), with_curve(pair.b, curvature), label=pair.label)],
+        pairs=[Pair(with_curve(pair.a, exponent), with_curve(pair.b, exponent), label=pair.label)],
         config=IdentificationConfig(**(settings | options)),
         mode=training.climate.spec.mode,
         floor_area_m2=training.climate.spec.floor_area_m2,
@@ -99,44 +105,36 @@ def build_thermoforce(
     orders: tuple[int, ...],
     modulation: Literal["neural", "linear"] = "neural",
     gamma: float = 0.75,
-    curvatures: tuple[float, ...] = (0.0,),
+    exponents: tuple[float, ...] = (1.0,),
     doubt_network: bool = True,
 ) -> SuperpositionPredictor:
-    """Identify with each order, centre of its priors and curvature; the best on the validation windows is kept.
+    """Identify with each order, centre of its priors and exponent; the best on the validation windows is kept.
 
-    The choice is made with m = 1, where the effect does not depend on the free response: the cheapest one will do. A
-    neural m(x) is then trained at the chosen setting, where asked for, and has to be the better of the two on the
-    validation windows, too; without `doubt_network` it is taken as identification gives it.
+    The choice is made with m = 1. A neural m(x) is then trained at the chosen setting, where asked for, and has to be
+    clearly the better of the two on the validation windows, too; without `doubt_network` it is taken as identification
+    gives it.
     """
-
-    def fitted(
-        taus: tuple[float, ...], curvature: float, kind: Literal["neural", "linear"], free: FreeResponse
-    ) -> SuperpositionPredictor:
-        model = identified(training, taus, modulation=kind, gamma=gamma, curvature=curvature)
-        return SuperpositionPredictor(model, free, f"{taus}, {curvature:g}, {kind}", curvature)
-
-    settings = {
-        f"{taus}, {curvature:g}, linear": (taus, curvature)
-        for order in orders
-        for taus in _TIME_CONSTANTS_H[order]
-        for curvature in curvatures
-    }
-    cheap = build_free_response("persistence")
-    candidates = {name: fitted(*setting, "linear", cheap) for name, setting in settings.items()}
+    candidates = {}
+    settings = {}
+    for taus, exponent in product([taus for order in orders for taus in _TIME_CONSTANTS_H[order]], exponents):
+        name = f"{taus}, exponent {exponent:g}"
+        model = identified(training, taus, modulation="linear", gamma=gamma, exponent=exponent)
+        candidates[name], settings[name] = LinearEffect(model, name, exponent), taus
     name = best(candidates, training.validation)
-    linear = candidates[name]
-    chosen = SuperpositionPredictor(linear.model, free_response, linear.note, linear.curvature)
+    linear, exponent = candidates[name], candidates[name].exponent
+    model = linear.model
     if modulation == "neural":
-        trained = fitted(*settings[name], "neural", free_response)
-        if trained.modulated:
-            pair = {"linear": chosen, "neural": trained}
-            chosen = pair[best(pair, training.validation)] if doubt_network else trained
-    note = describe(chosen.model.operator)
+        trained = identified(training, settings[name], gamma=gamma, exponent=exponent)
+        network = SuperpositionPredictor(trained, free_response, name, exponent)
+        if network.modulated and (not doubt_network or clearly_better(network, linear, training.validation)):
+            model = trained
+    chosen = SuperpositionPredictor(model, free_response, "", exponent)
+    chosen.note = describe(model.operator)
     if modulation == "neural":
-        note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
-    if len(curvatures) > 1:
-        note += f", curvature {chosen.curvature:g}"
-    return SuperpositionPredictor(chosen.model, free_response, note, chosen.curvature)
+        chosen.note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
+    if len(exponents) > 1:
+        chosen.note += f", exponent {exponent:g}"
+    return chosen
 
 
 def describe(operator: OperatorParameters) -> str:
@@ -144,6 +142,3 @@ def describe(operator: OperatorParameters) -> str:
     hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
     gains = ", ".join(f"{gain:+.1f} K" for gain in operator.steady_gains_K)
     return f"order {operator.order} ({hours}; {gains})"
-
-
-__all__ = ["Predictor", "SuperpositionPredictor", "build_thermoforce", "describe", "identified"]

@@ -22,7 +22,7 @@ from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import Array, History
 from thermoforce_mpc.world_model import forced_history
 
-_DECAY = (10.0, 1.0, 1e-1, 1e-2, 1e-3)
+_DECAY = (100.0, 10.0, 1.0, 1e-1, 1e-2)
 _EPOCHS = 300
 _START_H = 6.0
 
