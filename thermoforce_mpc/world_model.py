@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from scipy.signal import lfilter
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.rc import RcParameters
@@ -226,6 +227,11 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
     features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
     forced = np.empty((n + 1, operator.order))
     forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
+    if not operator.output_weight.any():  # the modulation sees nothing: all steps at once
+        drive = operator.modulation(features[0]) * heat
+        for i, (a, g) in enumerate(zip(operator.poles, operator.gains, strict=True)):
+            forced[1:, i] = lfilter([g], [1.0, -a], drive, zi=[a * forced[0, i]])[0]
+        return forced
     for t in range(n):
         features[t, 0] = T_zone[t] - forced[t].sum()
         forced[t + 1] = operator.advance(forced[t], heat[t], features[t])

@@ -180,7 +180,7 @@ def test_a_network_must_be_clearly_better_and_lose_no_sign():
     windows = [window(40, "morning", 2.0)]
     linear = Answers(0.8, 1.0)
     assert clearly_better(Answers(0.9, 1.0), linear, windows)
-    assert not clearly_better(Answers(0.805, 1.0), linear, windows)
+    assert not clearly_better(Answers(0.81, 1.0), linear, windows)
     assert not clearly_better(Answers(1.0, -0.01), linear, windows)
 
 

@@ -18,7 +18,7 @@ from thermoforce_mpc.interventions.methods.base import Training, best
 from thermoforce_mpc.types import Array, History
 
 # Lags of temperature and of control; the first is the paper's model.
-_ORDERS = ((1, 1), (2, 2), (4, 4))
+_ORDERS = ((1, 1), (2, 2), (4, 4), (6, 6))
 _OBSERVATIONAL_ORDERS = ((1, 1),)
 _RIDGE = 1e-6
 _STRIDE = 2

@@ -27,7 +27,7 @@ _TEACHER_STRIDE, _MEASURED_STRIDE = 8, 2
 _MOST_COURSES = 400
 _TEACHER_DAYS = 10
 # (weight of the teacher's courses, weight decay)
-_SETTINGS = ((1.0, 1e-4), (0.2, 1e-4), (0.2, 1e-2))
+_SETTINGS = ((1.0, 1e-4), (0.2, 1e-4), (0.05, 1e-4), (0.2, 1e-2))
 _INPUTS = 7
 
 
