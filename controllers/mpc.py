@@ -18,7 +18,7 @@ from thermoforce_mpc.forced_state import ForcedStateEstimator
 from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.operator.features import ZONE
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus
+from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, History, Observation, Plan, PlanStatus
 from thermoforce_mpc.world_model import Outlook, ThermalModel, WorldModel
 
 # A bound nearer than this shapes the plan, K.
@@ -78,7 +78,7 @@ class ThermoForceMPC:
         if model.power is None:
             raise ControllerConfigError("the model was identified without measured power: energy cannot be planned")
         self._actuation = Actuation(c.actuation)
-        self._power = model.power.load.at_lowest_level(self._actuation.lowest_level)
+        self._power = model.power.at_lowest_level(self._actuation.lowest_level)
         self._adaptation = OnlineAdaptation(model, c.adaptation)
         self._use(model, free_response or _build_free_response(c.free_response, model))
         self._peak_W = 0.0
@@ -109,7 +109,7 @@ class ThermoForceMPC:
             if adapted is not self.model:
                 self._use(adapted, self.world.free_response)
             outlook = self._outlook(observation)
-            problem = self._problem(outlook)
+            problem = self._problem(outlook, observation.history)
         except _SURVIVABLE as error:
             return self._fall_back(observation, f"no prediction ({error})", "not started", {})
         began = time.perf_counter()
@@ -145,12 +145,12 @@ class ThermoForceMPC:
             raise DataError(f"free response '{self.world.free_response.name}' is not {self._n_steps} finite values")
         return outlook
 
-    def _problem(self, outlook: Outlook) -> MPCProblem:
+    def _problem(self, outlook: Outlook, history: History) -> MPCProblem:
         """Put all numbers of this instance together."""
         c, boundary, T_free = self.config, outlook.boundary, outlook.free.median_C
         aims = c.objective
         price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
-        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1])
+        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(outlook, history))
         low, high = c.backoff_level, c.backoff_level_other
         if self._operator.sign < 0:
             low, high = high, low
@@ -174,6 +174,18 @@ class ThermoForceMPC:
             terminal_price_per_K=self._terminal_price(outlook.features[-1], price[-1] * (fixed_W + per_u_W)[-1]),
             peak_so_far_W=self._peak_W,
         )
+
+    def _return_water_C(self, outlook: Outlook, history: History) -> Array | float:
+        """Return water of a running machine over the steps, (N,), °C; NaN where the power does not know it.
+
+        The zone is taken to be where comfort ends or the free response carries it: to let the water follow
+        the planned temperature would make the problem bilinear for less than a percent of the power.
+        """
+        if self._power.water is None:
+            return float("nan")
+        boundary, T_free_C = outlook.boundary, outlook.free.median_C
+        held_C = np.clip(T_free_C, boundary.lower_C[1:], boundary.upper_C[1:])
+        return self._power.water.expected_C(history, held_C)
 
     def _terminal_price(self, features: Array, cost_per_kW_h: float) -> Array:
         """What a kelvin of each mode is worth at the end, (r,): only the slowest keeps its heat beyond the horizon.

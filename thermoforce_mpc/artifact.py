@@ -30,6 +30,7 @@ from thermoforce_mpc.operator.actuator import ActuatorMap, OnLoad
 from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.operator.parameters import OperatorParameters
 from thermoforce_mpc.power import PowerModel
+from thermoforce_mpc.return_water import ReturnWater
 from thermoforce_mpc.types import Array
 from thermoforce_mpc.world_model import ModelCard, ThermalModel
 
@@ -194,6 +195,13 @@ def _load(data: Mapping[str, Any]) -> OnLoad:
     return OnLoad((c0, c1, c2, c3), (low, high), float(data["lowest_level"]), bool(data["levels_seen"]))
 
 
+def _water(data: Mapping[str, Any] | None) -> ReturnWater | None:
+    if data is None:
+        return None
+    low, high = (float(T) for T in data["range_C"])
+    return ReturnWater(float(data["per_K"]), float(data["reference_C"]), (low, high), float(data["above_zone_K"]))
+
+
 def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> ThermalModel:
     op, free, power, card = (document[key] for key in ("operator", "free", "power", "card"))
     heat = op["actuator"]["heat"]
@@ -219,7 +227,14 @@ def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> Thermal
         ),
         power=None
         if power is None
-        else PowerModel(_load(power["load"]), _number(power["rmse_W"]), _number(power["r2"]), str(power["source"])),
+        else PowerModel(
+            _load(power["load"]),
+            _number(power["rmse_W"]),
+            _number(power["r2"]),
+            str(power["source"]),
+            # Models from before the return water was looked at have none.
+            _water(power.get("water")),
+        ),
         card=ModelCard(
             source=card["source"],
             data=card["data"],

@@ -76,6 +76,14 @@ class Measurements(StrictModel):
         min_length=1, description="points whose sum is the power that is paid for at `forecast.price`: electric, or gas"
     )
     heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat; empty if not measured")
+    return_water: str | None = Field(
+        None, description="temperature of the water that returns from the emitters, for the power model"
+    )
+
+    @property
+    def flows(self) -> list[str]:
+        """Points that are averaged over a step instead of sampled."""
+        return [*self.electric_power, *self.heat, *([self.return_water] if self.return_water else [])]
 
 
 class ForecastPoints(StrictModel):

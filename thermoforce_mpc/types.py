@@ -22,6 +22,11 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
+# What a `History` holds: values at the boundaries, and means over the steps between them.
+SAMPLED = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
+ACTING = ("u", "power_W", "heat_W", "T_return_C")
+
+
 def _freeze(value: object, name: str, length: int) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.shape != (length,):
@@ -83,8 +88,8 @@ class History:
 
     Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent),
     `T_out_C`, `solar_W_m2`.
-    Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat (NaN
-    where not measured).
+    Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat, `T_return_C`
+    return water from the emitters (NaN where not measured; all of `T_return_C` where it is not given).
     """
 
     time_s: Array
@@ -94,14 +99,17 @@ class History:
     u: Array
     power_W: Array
     heat_W: Array
+    T_return_C: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
         if n < 1:
             raise DataError("a history needs at least one instant")
-        for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2"):
+        if not np.size(self.T_return_C):
+            object.__setattr__(self, "T_return_C", np.full(n - 1, np.nan))
+        for name in SAMPLED:
             object.__setattr__(self, name, _freeze(getattr(self, name), name, n))
-        for name in ("u", "power_W", "heat_W"):
+        for name in ACTING:
             object.__setattr__(self, name, _freeze(getattr(self, name), name, n - 1))
 
     @property
@@ -116,35 +124,23 @@ class History:
 
     def tail(self, n_steps: int) -> History:
         """The last `n_steps` steps (all of it when shorter)."""
-        n = min(n_steps, self.n_steps)
-        start = self.n_steps - n
-        return History(
-            **{name: getattr(self, name)[start:] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-            **{name: getattr(self, name)[start:] for name in ("u", "power_W", "heat_W")},
-        )
+        start = self.n_steps - min(n_steps, self.n_steps)
+        return History(**{name: getattr(self, name)[start:] for name in (*SAMPLED, *ACTING)})
 
     def extended(self, measurement: Measurement) -> History:
         """This history with one more step, the one that `measurement` closes."""
-        m = measurement
-        sampled = {
-            "time_s": m.time_s,
-            "T_zone_C": m.T_zone_C,
-            "T_out_C": m.T_out_C,
-            "solar_W_m2": m.solar_W_m2,
-        }
-        acting = {"u": m.u, "power_W": m.power_W, "heat_W": m.heat_W}
-        return History(**{k: np.append(getattr(self, k), v) for k, v in (sampled | acting).items()})
+        return History(
+            **{name: np.append(getattr(self, name), getattr(measurement, name)) for name in (*SAMPLED, *ACTING)}
+        )
 
 
 @dataclass(frozen=True)
 class Measurement:
     """What the plant reports at one instant.
 
-    `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W`
-    (total electric) and
-    `heat_W` are means over the interval just advanced (NaN right after a reset). `points` holds the plant's
-    own signals by
-    their own names and units, as at the wire.
+    `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W` (total
+    electric), `heat_W` and `T_return_C` (return water) are means over the interval just advanced (NaN right after a
+    reset, and where not measured). `points` holds the plant's own signals by their own names and units, as at the wire.
     """
 
     time_s: float
@@ -154,16 +150,17 @@ class Measurement:
     u: float = float("nan")
     power_W: float = float("nan")
     heat_W: float = float("nan")
+    T_return_C: float = float("nan")
     points: Mapping[str, float] = field(default_factory=dict)
 
     def averaged_with(self, parts: list[tuple[float, Measurement]]) -> Measurement:
-        """This measurement with the means of `u`, `power_W`, `heat_W` taken over `(duration_s, part)`."""
+        """This measurement with the means of what acts over a step taken over `(duration_s, part)`."""
         weights = np.array([duration for duration, _ in parts])
 
         def mean(name: str) -> float:
             return float(np.average([getattr(part, name) for _, part in parts], weights=weights))
 
-        return replace(self, u=mean("u"), power_W=mean("power_W"), heat_W=mean("heat_W"))
+        return replace(self, u=mean("u"), power_W=mean("power_W"), heat_W=mean("heat_W"), T_return_C=mean("T_return_C"))
 
 
 @dataclass(frozen=True)

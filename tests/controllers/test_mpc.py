@@ -15,6 +15,7 @@ from controllers.problem import Solution
 from controllers.thermostat import Thermostat
 from thermoforce_mpc.closed_loop import run_closed_loop
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.return_water import ReturnWater
 from thermoforce_mpc.types import HOUR_S, Observation, PlanStatus
 
 
@@ -170,6 +171,24 @@ def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its
     config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3)
     mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
     seen = observation()
-    problem = mpc._problem(mpc._outlook(seen))
+    problem = mpc._problem(mpc._outlook(seen), seen.history)
     np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside[0], atol=1e-9)
     np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside[1], atol=1e-9)
+
+
+def test_planned_power_follows_the_return_water_expected_over_the_zone():
+    model = simple_model()
+    water = ReturnWater(0.01, reference_C=30.0, range_C=(0.0, 60.0), above_zone_K=9.0)
+    powered = replace(model, power=replace(model.power, water=water))
+    seen = observation()
+    history = replace(seen.history, T_return_C=seen.history.T_zone_C[:-1] + 5.0)
+    plain = controller().plan(seen)
+    mpc = ThermoForceMPC(powered, MPCConfig(horizon_h=24.0), free_response=OutdoorResponse())
+    outlook = mpc._outlook(seen)
+    problem = mpc._problem(outlook, history)
+    zone = np.clip(outlook.free.median_C, seen.boundary.lower_C[1:], seen.boundary.upper_C[1:])
+    above = 5.0 if (history.u > 0.02).any() else 9.0
+    expected = model.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))
+    np.testing.assert_allclose(problem.power_per_u_W, expected)
+    assert plain.status is PlanStatus.SOLVED
+    assert mpc.plan(Observation(history, seen.boundary)).status is PlanStatus.SOLVED

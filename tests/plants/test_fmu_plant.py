@@ -47,7 +47,7 @@ def test_it_measures_forecasts_and_scores_as_the_emulator_inside(file, inside):
         for u, duration in ((0.5, 900.0), (1.0, 3600.0), (0.0, 600.0), (None, 2100.0)):
             a, b = plant.advance(u, duration), inside.advance(u, duration)
             assert a.time_s == b.time_s
-            for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u", "power_W", "heat_W"):
+            for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u", "power_W", "heat_W", "T_return_C"):
                 assert getattr(a, name) == pytest.approx(getattr(b, name), abs=1e-9), name
         assert a.points["reaTZon_y"] == pytest.approx(a.T_zone_C + 273.15)
         for name, value in inside.kpis().items():

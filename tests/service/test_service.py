@@ -58,7 +58,7 @@ def test_the_plant_on_the_service_is_the_embedded_plant(url, house):
             assert a.power_W == pytest.approx(b.power_W)
             assert a.heat_W == pytest.approx(b.heat_W)
         a, b = served.past(HOUR_S), house.past(HOUR_S)
-        for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2", "u", "power_W", "heat_W"):
+        for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2", "u", "power_W", "heat_W", "T_return_C"):
             np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-9, atol=1e-6, err_msg=name)
         a, b = served.forecast(DAY_S, HOUR_S), house.forecast(DAY_S, HOUR_S)
         for name in a.__dataclass_fields__:

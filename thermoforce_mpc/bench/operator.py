@@ -21,7 +21,7 @@ from thermoforce_mpc.bench.training_speed import compare_many_buildings, compare
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.two_stage import fit_two_stage
-from thermoforce_mpc.types import History
+from thermoforce_mpc.types import ACTING, History
 
 FLOOR_AREA_M2 = 192.0
 """Heated floor area of the reference building, m² (BOPTEST test case documentation)."""
@@ -210,7 +210,7 @@ def _paper_estimate(record: History, pairs: Sequence[ReferencePair]) -> PairScor
 def _hourly(record: History) -> History:
     k = round(3600.0 / record.step_s)
     n = record.n_steps // k
-    mean = {name: getattr(record, name)[: n * k].reshape(n, k).mean(axis=1) for name in ("u", "power_W", "heat_W")}
+    mean = {name: getattr(record, name)[: n * k].reshape(n, k).mean(axis=1) for name in ACTING}
     sampled = {name: getattr(record, name)[: n * k + 1 : k] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
     return History(**sampled, **mean)
 

@@ -15,7 +15,7 @@ import pandas as pd
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.types import DAY_S, HOUR_S, History
+from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, History
 
 _POWERS = ["reaPHeaPum_y", "reaPFan_y", "reaPPumEmi_y"]
 
@@ -65,7 +65,7 @@ def cut(history: History, first_day: float, days: float) -> History:
     start, n = round(first_day * per_day), round(days * per_day)
     return History(
         **{k: getattr(history, k)[start : start + n + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-        **{k: getattr(history, k)[start : start + n] for k in ("u", "power_W", "heat_W")},
+        **{k: getattr(history, k)[start : start + n] for k in ACTING},
     )
 
 

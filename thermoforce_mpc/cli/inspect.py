@@ -64,8 +64,10 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     say(effects)
     if thermal.power:
         c0, c1, c2, c3 = thermal.power.coefficients
+        water = thermal.power.water
+        times = f", times 1 {water.per_K:+.4f} (T_return - {water.reference_C:.1f})" if water else ""
         say(
-            f"Power: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; "
+            f"Power: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W{times}; "
             f"RMSE {thermal.power.rmse_W:.0f} W, R2 {thermal.power.r2:.4f}"
         )
     rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}

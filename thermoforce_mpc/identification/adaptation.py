@@ -28,7 +28,7 @@ from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.operator.features import feature_matrix
 from thermoforce_mpc.operator.parameters import OperatorParameters
 from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, History
+from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, Array, History
 from thermoforce_mpc.world_model import ThermalModel, forced_history, heat_drive
 
 # Steps that are on, and hours of them, from which measured heat can be compared with the map.
@@ -282,7 +282,7 @@ def _response(operator: OperatorParameters, drive: Array) -> Array:
 
 def _part(history: History, start: int, stop: int) -> History:
     sampled = {k: getattr(history, k)[start : stop + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
-    return History(**sampled, **{k: getattr(history, k)[start:stop] for k in ("u", "power_W", "heat_W")})
+    return History(**sampled, **{k: getattr(history, k)[start:stop] for k in ACTING})
 
 
 def _held(values: Array) -> Array:

@@ -14,7 +14,7 @@ from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, spli
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
 from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
-from thermoforce_mpc.power import HEAT_SLOPE, POWER_SLOPE, LoadFit, PowerModel, SlopePrior, fit_load
+from thermoforce_mpc.power import HEAT_SLOPE, PowerModel, fit_load, fit_power
 from thermoforce_mpc.types import HOUR_S, Array, History
 
 # Share of the steps in which heat or power must have been measured to be used.
@@ -49,26 +49,17 @@ def actuator_map(
                 "name the heat points in the test case, or use actuator: identity"
             )
         return IDENTITY, [f"actuator map: identity, heat was measured in {100 * measured:.0f} % of the steps"]
-    fit = _fitted(histories, heat, "delivered heat", config, HEAT_SLOPE)
+    u = np.concatenate([h.u for h in histories])
+    T_out = np.concatenate([h.T_out_C[:-1] for h in histories])
+    fit = fit_load(u, T_out, heat, what="delivered heat", lowest_level=config.lowest_level, slope=HEAT_SLOPE)
     return ActuatorMap(heat=fit.load), [f"actuator map: heat, RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"]
 
 
 def power_model(histories: Sequence[History], config: IdentificationConfig) -> PowerModel | None:
-    """Electric power of (u, T_out), where it was measured in half of the steps."""
-    power = np.concatenate([h.power_W for h in histories])
-    if np.isfinite(power).mean() < _MEASURED:
+    """Electric power of (u, T_out, return water), where it was measured in half of the steps."""
+    if np.isfinite(np.concatenate([h.power_W for h in histories])).mean() < _MEASURED:
         return None
-    fit = _fitted(histories, power, "electric power", config, POWER_SLOPE)
-    return PowerModel(load=fit.load, rmse_W=fit.rmse_W, r2=fit.r2, source=f"fitted to {fit.n_samples} steps")
-
-
-def _fitted(
-    histories: Sequence[History], load_W: Array, what: str, config: IdentificationConfig, slope: SlopePrior
-) -> LoadFit:
-    """A load as a function of u and T_out over all steps of `histories`."""
-    u = np.concatenate([h.u for h in histories])
-    T_out = np.concatenate([h.T_out_C[:-1] for h in histories])
-    return fit_load(u, T_out, load_W, what=what, lowest_level=config.lowest_level, slope=slope)
+    return fit_power(histories, lowest_level=config.lowest_level)
 
 
 def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]:

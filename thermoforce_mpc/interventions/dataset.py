@@ -263,7 +263,9 @@ def _read(protocol: Protocol, arrays_file: Path, manifest_file: Path) -> Dataset
         raise DataError(f"{arrays_file}: its numbers do not have the hash in {manifest_file.name}; {advice}")
 
     def record(label: str) -> History:
-        return History(**{item.name: arrays[f"{label}/{item.name}"] for item in fields(History)})
+        # Data of earlier versions hold no return temperature.
+        kept = [item.name for item in fields(History) if f"{label}/{item.name}" in arrays]
+        return History(**{name: arrays[f"{label}/{name}"] for name in kept})
 
     climates = {}
     for name in protocol.climates:

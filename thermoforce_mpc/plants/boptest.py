@@ -23,7 +23,7 @@ from boptest_client import (
 )
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest_points import check_points
-from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
 from thermoforce_mpc.testcase import PRICES, TestCase
 from thermoforce_mpc.types import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
 
@@ -189,14 +189,10 @@ class BoptestPlant:
             if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
                 # Whatever is asked past the end may cost the results, so they are taken first.
                 self._final_kpis = self._read_kpis()
-            record = self._recorded(before_s, self._now_s, [f"{actuator.point}_u", *self._flows()])
+            record = self._recorded(before_s, self._now_s, [f"{actuator.point}_u", *self.testcase.measurements.flows])
         edges = np.array([before_s, self._now_s])
-        return self._measurement(
-            points,
-            u=float(self._levels(record, edges)[0]),
-            power_W=float(interval_means(record, self.testcase.measurements.electric_power, edges)[0]),
-            heat_W=float(interval_means(record, self.testcase.measurements.heat, edges)[0]),
-        )
+        m = self.testcase.measurements
+        return measurement(self._now_s, points, m, acting_means(record, m, self._levels(record, edges), edges))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Boundary conditions from now to `horizon_s` ahead every `interval_s`, as the service forecasts them.
@@ -239,7 +235,7 @@ class BoptestPlant:
             raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
         m = self.testcase.measurements
         sampled = [m.zone_temperature, m.outdoor_temperature, m.solar]
-        names = [*sampled, f"{self.testcase.actuator.point}_u", *self._flows()]
+        names = [*sampled, f"{self.testcase.actuator.point}_u", *m.flows]
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, names)
         # The record begins with the warm-up on services that keep it, with the present on those that do not.
@@ -251,9 +247,7 @@ class BoptestPlant:
             T_zone_C=T_zone - _KELVIN,
             T_out_C=T_out - _KELVIN,
             solar_W_m2=solar,
-            u=self._levels(record, edges),
-            power_W=interval_means(record, m.electric_power, edges),
-            heat_W=interval_means(record, m.heat, edges),
+            **acting_means(record, m, self._levels(record, edges), edges),
         )
 
     def kpis(self) -> dict[str, float]:
@@ -319,24 +313,7 @@ class BoptestPlant:
         self._end_s = end_s
         self._final_kpis = None
         self._step_s = math.nan  # initialising may have put the service's own step back
-        return self._measurement(points, math.nan, math.nan, math.nan)
-
-    def _measurement(self, points: dict[str, float], u: float, power_W: float, heat_W: float) -> Measurement:
-        m = self.testcase.measurements
-        return Measurement(
-            time_s=self._now_s,
-            T_zone_C=points.get(m.zone_temperature, math.nan) - _KELVIN,
-            T_out_C=points.get(m.outdoor_temperature, math.nan) - _KELVIN,
-            solar_W_m2=points.get(m.solar, math.nan),
-            u=u,
-            power_W=power_W,
-            heat_W=heat_W,
-            points=points,
-        )
-
-    def _flows(self) -> list[str]:
-        m = self.testcase.measurements
-        return [*m.electric_power, *m.heat]
+        return measurement(self._now_s, points, self.testcase.measurements)
 
     def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
         data = self._client.results(list(dict.fromkeys(names)), start_s, final_s)

@@ -44,6 +44,7 @@ def check_points(
         _Wanted("measurements.solar", m.solar, measured, _IRRADIANCE),
         *(_Wanted("measurements.electric_power", name, measured, _POWER) for name in m.electric_power),
         *(_Wanted("measurements.heat", name, measured, _POWER) for name in m.heat),
+        *([_Wanted("measurements.return_water", m.return_water, measured, _KELVIN)] if m.return_water else []),
         _Wanted("forecast.outdoor_temperature", f.outdoor_temperature, forecast, _KELVIN),
         _Wanted("forecast.solar", f.solar, forecast, _IRRADIANCE),
         _Wanted("forecast.occupancy", f.occupancy, forecast),

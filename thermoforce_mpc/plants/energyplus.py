@@ -334,4 +334,4 @@ class EnergyPlusPlant:
             return Measurement(self._now_s, T, T_out, solar, points=points)
         edges = np.array([before_s, self._now_s])
         u, power, heat = (float(interval_means(record, [name], edges)[0]) for name in ("u", "power", "heat"))
-        return Measurement(self._now_s, T, T_out, solar, u, power, heat, points)
+        return Measurement(self._now_s, T, T_out, solar, u, power, heat, points=points)

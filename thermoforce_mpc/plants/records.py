@@ -1,4 +1,4 @@
-"""What a plant recorded, turned into means over control steps."""
+"""What a plant reported and recorded at its points, in the words and units of the package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.testcase import Measurements
+from thermoforce_mpc.types import Array, Measurement
+
+_KELVIN = 273.15
 
 
 def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Array) -> Array:
@@ -22,3 +25,35 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Ar
     total = np.sum([record[name] for name in points], axis=0)
     integral = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * total[1:])])
     return np.asarray(np.diff(np.interp(edges, time_s, integral)) / np.diff(edges))
+
+
+def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: Array) -> dict[str, Array]:
+    """Means between `edges` of all that acts over a step, by the names of a `History`; `u` is given, (n,)."""
+    water = [m.return_water] if m.return_water else []
+    return {
+        "u": u,
+        "power_W": interval_means(record, m.electric_power, edges),
+        "heat_W": interval_means(record, m.heat, edges),
+        "T_return_C": interval_means(record, water, edges) - _KELVIN,
+    }
+
+
+def measurement(
+    time_s: float, points: Mapping[str, float], m: Measurements, acting: Mapping[str, Array] | None = None
+) -> Measurement:
+    """What is sampled now (NaN where a point is missing) and the one step of `acting` before it (NaN without)."""
+
+    def mean(name: str) -> float:
+        return math.nan if acting is None else float(acting[name][0])
+
+    return Measurement(
+        time_s=time_s,
+        T_zone_C=points.get(m.zone_temperature, math.nan) - _KELVIN,
+        T_out_C=points.get(m.outdoor_temperature, math.nan) - _KELVIN,
+        solar_W_m2=points.get(m.solar, math.nan),
+        u=mean("u"),
+        power_W=mean("power_W"),
+        heat_W=mean("heat_W"),
+        T_return_C=mean("T_return_C"),
+        points=dict(points),
+    )

@@ -222,6 +222,7 @@ class EmbeddedPlant:
             u=means[:, _COLUMN["level"]],
             power_W=_total_power(means),
             heat_W=means[:, _COLUMN["Q_condenser"]],
+            T_return_C=means[:, _COLUMN["T_return"]] - _KELVIN,
         )
 
     def kpis(self) -> dict[str, float]:
@@ -358,6 +359,7 @@ class EmbeddedPlant:
             u=float(means[_COLUMN["level"]]),
             power_W=float(_total_power(means)),
             heat_W=float(means[_COLUMN["Q_condenser"]]),
+            T_return_C=float(means[_COLUMN["T_return"]]) - _KELVIN,
             points=points,
         )
 

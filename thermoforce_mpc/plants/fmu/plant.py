@@ -21,7 +21,7 @@ from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
-from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
 from thermoforce_mpc.testcase import PRICES, Price, TestCase
 from thermoforce_mpc.types import HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 
@@ -62,7 +62,7 @@ class FmuPlant:
             raise ConfigError(f"the FMU {path} has no output '{self._echo}': the level that acts cannot be recorded")
         self._scores = Scores(archive, testcase)
         m = testcase.measurements
-        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, self._echo, *m.electric_power, *m.heat]
+        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, self._echo, *m.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
         self._price: Price = "constant"
         self._worker: WorkerProcess | None = None
@@ -130,7 +130,7 @@ class FmuPlant:
         self._stretches = [stretch]
         if self._start_s > self._now_s:
             stretch = self._run({}, self._start_s - self._now_s)
-        return self._measurement(stretch.final)
+        return measurement(self._now_s, stretch.final, self.testcase.measurements)
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
         """Hold `u` in [0, 1] (None: the FMU's own control) for `duration_s`.
@@ -148,12 +148,8 @@ class FmuPlant:
             np.concatenate([previous.time_s[-1:], stretch.time_s]), np.vstack([previous.rows[-1:], stretch.rows])
         )
         m = self.testcase.measurements
-        return self._measurement(
-            stretch.final,
-            u=float(interval_means(record, ["u"], edges)[0]),
-            power_W=float(interval_means(record, m.electric_power, edges)[0]),
-            heat_W=float(interval_means(record, m.heat, edges)[0]),
-        )
+        acting = acting_means(record, m, interval_means(record, ["u"], edges), edges)
+        return measurement(self._now_s, stretch.final, m, acting)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
@@ -200,9 +196,7 @@ class FmuPlant:
             T_zone_C=T_zone - _KELVIN,
             T_out_C=T_out - _KELVIN,
             solar_W_m2=solar,
-            u=interval_means(record, ["u"], edges),
-            power_W=interval_means(record, m.electric_power, edges),
-            heat_W=interval_means(record, m.heat, edges),
+            **acting_means(record, m, interval_means(record, ["u"], edges), edges),
         )
 
     def kpis(self) -> dict[str, float]:
@@ -247,18 +241,3 @@ class FmuPlant:
         """Recorded signals by name, with 'time' and the level 'u' in [0, 1] that acted, whoever decided it."""
         record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
         return record | {"u": self.testcase.actuator.level(record[self._echo])}
-
-    def _measurement(
-        self, final: Mapping[str, float], u: float = math.nan, power_W: float = math.nan, heat_W: float = math.nan
-    ) -> Measurement:
-        m = self.testcase.measurements
-        return Measurement(
-            time_s=self._now_s,
-            T_zone_C=final[m.zone_temperature] - _KELVIN,
-            T_out_C=final[m.outdoor_temperature] - _KELVIN,
-            solar_W_m2=final[m.solar],
-            u=u,
-            power_W=power_W,
-            heat_W=heat_W,
-            points=dict(final),
-        )
