@@ -13,6 +13,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
 from thermoforce_mpc.operator import certificate
+from thermoforce_mpc.types import ACTING, SAMPLED
 
 HOUSE = House(machine_W=(0.0, 10000.0), slope_per_K=0.0)
 LINEAR = IdentificationConfig(order=3, modulation="linear")
@@ -72,8 +73,8 @@ def test_step_by_step_is_the_same_as_at_once(model, measured):
     for n in range(1, run.n_steps + 1):
         part = replace(
             run,
-            **{k: getattr(run, k)[: n + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-            **{k: getattr(run, k)[:n] for k in ("u", "power_W", "heat_W")},
+            **{k: getattr(run, k)[: n + 1] for k in SAMPLED},
+            **{k: getattr(run, k)[:n] for k in ACTING},
         )
         piecewise.update(part)
     assert [s.time_s for s in piecewise.steps] == [s.time_s for s in whole.steps]
