@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
@@ -67,9 +68,9 @@ class Live:
         gains = float(self._job.gains[max(step, 0)])
         return {HVAC: self._sign * self._acting * spec.capacity_W, GAINS: gains * spec.gains_W}
 
-    def end(self, warming_up: bool, reading: Reading) -> bool:
+    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
         """Take in what the step ended with; True when the run may stop."""
-        self._last = reading
+        self._last = reading = read()
         if not warming_up and not self._closed:
             self._step += 1
             self._answer.append((reading, self._acting))

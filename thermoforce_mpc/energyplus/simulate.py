@@ -166,8 +166,8 @@ class Driver(Protocol):
         """Value of each actuator over the coming zone time step (heat in W of a zone's sources)."""
         ...
 
-    def end(self, warming_up: bool, reading: Reading) -> bool:
-        """Take in what a zone time step ended with; True when the run may stop."""
+    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
+        """Take in what a zone time step ended with, where it is wanted; True when the run may stop."""
         ...
 
 
@@ -204,16 +204,18 @@ class Recorder:
         spec = self._job.spec
         return {HVAC: self._sign * self._acting * spec.capacity_W, GAINS: gains * spec.gains_W}
 
-    def end(self, warming_up: bool, reading: Reading) -> bool:
-        """Take in what the step ended with; True when the run may stop.
+    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
+        """Take in what the step ended with, once per step of the data; True when the run may stop.
 
         It may from the step after the last one wanted: what is read in the very step of a stop is 0.
         """
         self._within = (self._within + 1) % self._per_step
+        if self._within:
+            return self.done
         if warming_up:
-            self._before = reading
-        elif not self.done and self._within == 0:
-            self._readings.append(reading)
+            self._before = read()
+        elif not self.done:
+            self._readings.append(read())
             self._u.append(self._acting)
             return False
         return self.done
@@ -282,8 +284,11 @@ def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZON
     def end(state: Any) -> None:
         if not handles:
             return
-        reading = wiring.read({name: api.exchange.get_variable_value(state, handles[name]) for name in wiring.sensors})
-        if recorder.end(bool(api.exchange.warmup_flag(state)), reading):
+
+        def read() -> Reading:
+            return wiring.read({name: api.exchange.get_variable_value(state, handles[name]) for name in wiring.sensors})
+
+        if recorder.end(bool(api.exchange.warmup_flag(state)), read):
             api.runtime.stop_simulation(state)
 
     try:

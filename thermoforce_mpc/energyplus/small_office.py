@@ -8,7 +8,7 @@ building is looked at as one zone: mean air temperature by floor area, and the s
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date, timedelta
 
@@ -102,11 +102,11 @@ class _Recorder:
         step = 0 if warming_up or self.done else len(self.readings)
         return {"HTGSETP_SCH": float(self._job.setpoint_C[step]), "CLGSETP_SCH": _COOLING_C}
 
-    def end(self, warming_up: bool, reading: Reading) -> bool:
+    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
         if warming_up:
-            self.before = reading
+            self.before = read()
         elif not self.done:
-            self.readings.append(reading)
+            self.readings.append(read())
             return False
         return self.done
 
