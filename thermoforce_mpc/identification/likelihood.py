@@ -31,6 +31,9 @@ class Residuals:
 
     def whitener(self) -> Array:
         """L⁻¹, shape (rows, rows): row i gives what is new in it after all rows before, in standard deviations."""
+        variance = np.diagonal(self.covariance)
+        if np.count_nonzero(self.covariance) == np.count_nonzero(variance):  # rows of a pair are independent
+            return np.diag(1.0 / np.sqrt(variance))
         factor = cholesky(self.covariance, lower=True)
         return np.asarray(solve_triangular(factor, np.eye(factor.shape[0]), lower=True))
 
@@ -38,16 +41,27 @@ class Residuals:
         """Map from the residual over `past` and `ahead` to what the past does not predict of `ahead`."""
         if past.size == 0:
             return np.eye(ahead.size)
+        shared = self.covariance[np.ix_(past, ahead)]
+        if not shared.any():  # the past says nothing
+            return np.concatenate([np.zeros((ahead.size, past.size)), np.eye(ahead.size)], axis=1)
         factor = cholesky(self.covariance[np.ix_(past, past)], lower=True)
-        weights = cho_solve((factor, True), self.covariance[np.ix_(past, ahead)]).T
+        weights = cho_solve((factor, True), shared).T
         return np.concatenate([-weights, np.eye(ahead.size)], axis=1)
+
+
+def whitened(episode: Episode, values: Array) -> Array:
+    """`values` (rows, ...) of an episode in standard deviations of its disturbances, what came before taken out."""
+    if episode.is_pair:  # independent rows: no matrix is solved, however many days there are
+        sd = np.diagonal(episode.factor)
+        return np.asarray(values / (sd if values.ndim == 1 else sd[:, None]))
+    return np.asarray(solve_triangular(episode.factor, values, lower=True))
 
 
 def residuals(episode: Episode, log_tau: Array) -> Residuals:
     """Mean and covariance of what is not forced in `episode`, for these time constants."""
-    noise = episode.factor @ episode.factor.T
     if episode.is_pair:
-        return Residuals(mean=np.zeros(episode.rows.size), covariance=noise)
+        return Residuals(np.zeros(episode.rows.size), np.diag(np.diagonal(episode.factor) ** 2))
+    noise = episode.factor @ episode.factor.T
     shared, start = free_columns(episode, log_tau, free_time_constants(log_tau))
     mean, sd, _ = free_prior(free_time_constants(log_tau).size)
     columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)
