@@ -83,7 +83,7 @@ class IdentificationConfig(StrictModel):
     room_coupling_sd: float = Field(0.35, gt=0, description="its relative standard deviation")
     start_slope_K_per_h: tuple[float, float] | None = Field(
         None,
-        description="prior: mean and standard deviation of how fast full level moves the zone at first, K/h; by default "
+        description="prior: mean and standard deviation of how fast full level moves the zone at first, K/h; else "
         "that of heat that has to pass a slab or a radiator, which a room heated by its air exceeds tenfold",
     )
 
