@@ -55,7 +55,7 @@ class MPCConfig(StrictModel):
     horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
     comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
     backoff_level: float = Field(
-        0.15,
+        0.25,
         gt=0,
         le=0.5,
         description="chance level of the bound that acting keeps (heating: the lower): comfort is planned for this "
