@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.bench import free_response, free_response_runs
-from thermoforce_mpc.bench.free_response_runs import context_rows, cost_rows, interval_runs
+from thermoforce_mpc.bench.free_response_runs import context_rows, cost_rows, interval_runs, look_rows
 from thermoforce_mpc.bench.free_response_score import forecast_origins, mae_K, score, window
 from thermoforce_mpc.bench.free_response_sources import Source
 from thermoforce_mpc.free_response.persistence import Persistence
@@ -153,3 +153,11 @@ def test_a_backbone_that_is_not_there_stops_the_bench_at_once():
 
     with pytest.raises(BackboneError, match=r"no config\.json"):
         run_backbone_bench(["shipped", "./nowhere"], quick=True)
+
+
+def test_several_looks_keep_the_second_day_of_15_minute_forecasts_honest():
+    one, several = look_rows("shipped", 6)
+    assert one["48 h at 15 min, embedded"] == "one look"
+    assert several["inside 80 %, second day"] > one["inside 80 %, second day"] + 0.05
+    assert several["error in K, first day"] < 1.05 * one["error in K, first day"]
+    assert several["error in K, second day"] > several["error in K, first day"] > 0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.bench import free_response_energyplus as energyplus
-from thermoforce_mpc.bench.free_response_runs import context_rows, cost_rows, interval_runs
+from thermoforce_mpc.bench.free_response_runs import context_rows, cost_rows, interval_runs, look_rows
 from thermoforce_mpc.bench.free_response_score import Score, forecast_origins, mae_K, score
 from thermoforce_mpc.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
 from thermoforce_mpc.bench.result import Target, bench_result
@@ -85,6 +85,7 @@ def run_free_response_bench(
     if not quick:
         runs = interval_runs([s for s in sources if s.group != "Mons"], backbone, progress)
     contexts = context_rows(sources, backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
+    looks = look_rows(backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
     costs = cost_rows(sources[0], backbone)
     groups = {source.name: source.group for source in sources}
     if out is not None:
@@ -95,7 +96,7 @@ def run_free_response_bench(
         Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
         *runs[1],
     ]
-    return bench_result("free-response", [*rows, *runs[0], *contexts, *costs], targets)
+    return bench_result("free-response", [*rows, *runs[0], *contexts, *looks, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.bench.free_response_score import forecast_origins, mae_K, score, window
-from thermoforce_mpc.bench.free_response_sources import Source
+from thermoforce_mpc.bench.free_response_sources import Source, embedded_sources
 from thermoforce_mpc.bench.result import Target
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.free_response.registry import build_free_response
-from thermoforce_mpc.types import HOUR_S
+from thermoforce_mpc.types import DAY_S, HOUR_S
 
 Row = dict[str, Any]
 
@@ -27,6 +27,7 @@ _START_STEP, _SETTLING_STEPS, _LEAST_STEPS = 14 * 24, 48, 10 * 24
 _OFF_BY = 0.03
 _CONTEXTS_H = (48, 96, 168, 336)
 _BUILDINGS, _REPEATS = 32, 15
+_FINE_STEP_S, _LONG_H = 900.0, 48.0
 
 
 def interval_runs(
@@ -79,6 +80,22 @@ def context_rows(sources: Sequence[Source], backbone: str, at_most: int) -> list
             row[f"{hours} h"] = float(np.mean(errors)) if errors else None
         if row[f"{longest} h"] is not None:
             rows.append(row)
+    return rows
+
+
+def look_rows(backbone: str, at_most: int) -> list[Row]:
+    """48 h at 15 minutes on the embedded plant: what one unrolled look at the series gives, and several."""
+    sources = embedded_sources(_FINE_STEP_S, _LONG_H)
+    day = round(DAY_S / _FINE_STEP_S)
+    rows: list[Row] = []
+    for looks in ("one", "several"):
+        method = build_free_response("chronos", backbone=backbone, looks=looks)
+        found = [score(method, source, forecast_origins(source, at_most)) for source in sources]
+        row: Row = {"48 h at 15 min, embedded": f"{looks} look{'s' if looks == 'several' else ''}"}
+        for label, part in (("first day", slice(0, day)), ("second day", slice(day, None))):
+            row[f"error in K, {label}"] = float(np.mean([one.errors_K[:, part].mean() for one in found]))
+            row[f"inside 80 %, {label}"] = float(np.mean([one.inside[:, part].mean() for one in found]))
+        rows.append(row)
     return rows
 
 

@@ -30,7 +30,7 @@ class Source:
     """One series.
 
     `group` is what targets are stated for, `free_C` (n + 1,) the control-free temperature at the boundaries of
-    `history`; every forecast is given between `least_context_steps` and `context_steps` of it.
+    `history`; every forecast is given between `least_context_steps` and `context_steps` of it, for `horizon_h` hours.
     """
 
     name: str
@@ -39,11 +39,12 @@ class Source:
     free_C: Array
     context_steps: int
     least_context_steps: int
+    horizon_h: float = 24.0
 
     @property
     def horizon(self) -> int:
-        """Steps in 24 h."""
-        return round(DAY_S / self.history.step_s)
+        """Steps in a forecast."""
+        return round(self.horizon_h * HOUR_S / self.history.step_s)
 
 
 def boptest_sources(folder: Path) -> list[Source]:
@@ -84,22 +85,24 @@ def mons_sources(folder: Path) -> list[Source]:
     return sources
 
 
-def embedded_sources() -> list[Source]:
+def embedded_sources(step_s: float = HOUR_S, horizon_h: float = 24.0) -> list[Source]:
     """Free runs of the embedded plant under the synthetic year, machine off throughout: winter and spring."""
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
     from thermoforce_mpc.weather import synthetic_weather
 
     sources = []
+    per_day = round(DAY_S / step_s)
     for name, day in (("embedded winter", 20), ("embedded spring", 100)):
         plant = EmbeddedPlant(synthetic_weather())
         rows = [plant.reset(day * DAY_S, 7 * DAY_S)]
-        rows += [plant.advance(0.0, HOUR_S) for _ in range(28 * 24)]
+        rows += [plant.advance(0.0, step_s) for _ in range(28 * per_day)]
         plant.close()
         time_s, T, T_out, solar = (
             np.array([getattr(row, key) for row in rows]) for key in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
         )
         off = np.zeros(time_s.size - 1)
-        sources.append(Source(name, "embedded", History(time_s, T, T_out, solar, off, off, off), T, 14 * 24, 7 * 24))
+        history = History(time_s, T, T_out, solar, off, off, off)
+        sources.append(Source(name, "embedded", history, T, 14 * per_day, 7 * per_day, horizon_h))
     return sources
 
 
