@@ -57,6 +57,20 @@ def test_a_number_is_a_start_day(tmp_path):
     assert load_scenario(write(tmp_path, "testcase: x\nperiod: 44\n"), {}).period == "44"
 
 
+@pytest.mark.parametrize(
+    ("testcase", "period"),
+    [
+        ("energyplus:cooling_phoenix", "peak_cool_day"),
+        ("bestest_air_cooling", "peak_cool_day"),
+        ("energyplus:heating_chicago", "peak_heat_day"),
+        ("no_such_case", "peak_heat_day"),
+    ],
+)
+def test_without_a_period_the_season_of_the_building_decides(tmp_path, testcase, period):
+    assert load_scenario(None, {"testcase": testcase}).period == period
+    assert load_scenario(write(tmp_path, f"testcase: {testcase}\nperiod: 200\n"), {}).period == "200"
+
+
 def test_overrides_win_key_by_key(tmp_path):
     path = write(tmp_path, "testcase: x\ncontroller: {name: rc_mpc, options: {horizon_h: 12, solver: ipopt}}\n")
     scenario = load_scenario(path, parse_overrides(["controller.options.horizon_h=36", "seed=4"]))

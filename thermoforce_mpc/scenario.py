@@ -9,6 +9,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.configuration import find_config, merge, read_yaml, validate
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.testcase import Price, StrictModel, TestCase
 
 
@@ -64,7 +65,11 @@ class Scenario(StrictModel):
 
     testcase: str = Field(description="name in configs/testcases, or a YAML file")
     plant: PlantSpec = PlantSpec()
-    period: str = Field("peak_heat_day", description="peak_heat_day, typical_heat_day, or a start day such as 44")
+    period: str = Field(
+        "peak_heat_day",
+        description="peak_heat_day, typical_heat_day, or a start day such as 44; left out, it is peak_cool_day "
+        "for a building that is cooled",
+    )
     days: float = Field(14.0, gt=0, le=365, description="scored days")
     step_s: float | None = Field(
         None, ge=300, le=14400, description="control step of all model-based controllers, s; by default their own"
@@ -91,7 +96,21 @@ def load_testcase(name: str) -> TestCase:
 
 
 def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
-    """Read a scenario file (or none) and lay `overrides` on top; raises `ConfigError` naming file and key."""
-    data = read_yaml(path) if path else {}
+    """Read a scenario file (or none) and lay `overrides` on top; raises `ConfigError` naming file and key.
+
+    A scenario without a period gets the peak of its building's season.
+    """
+    data = merge(read_yaml(path) if path else {}, overrides)
     source = str(path) if path else "options"
-    return validate(Scenario, merge(data, overrides), source)
+    scenario = validate(Scenario, data, source)
+    if "period" not in data and _is_cooled(scenario.testcase):
+        return scenario.model_copy(update={"period": "peak_cool_day"})
+    return scenario
+
+
+def _is_cooled(testcase: str) -> bool:
+    """Whether a test case is cooled; one that cannot be read is reported by whoever goes on to use it."""
+    try:
+        return load_testcase(testcase).mode == "cooling"
+    except ConfigError:
+        return False

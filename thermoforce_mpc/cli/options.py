@@ -20,7 +20,12 @@ def scenario_options(function: Function) -> Function:
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
             click.option("--config", metavar="FILE", help="Scenario: a YAML file or a shipped name."),
-            click.option("--period", metavar="P", help="peak_heat_day, typical_heat_day, or a start day such as 44."),
+            click.option(
+                "--period",
+                metavar="P",
+                help="peak_heat_day, typical_heat_day, or a start day such as 44.  "
+                "[default: the peak of the building's season]",
+            ),
             click.option("--days", type=float, help="Scored days.  [default: 14]"),
             click.option("--price", metavar="TARIFF", help="constant, dynamic or highly_dynamic."),
             click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
