@@ -85,9 +85,7 @@ def run_study(
         figure = curves_figure(_curves(rows, "method", "days", "effect_K"), "probe days", log=True)
     else:
         rows, targets = efficiency(data, days[0], backbone, seed, progress)
-        measured = {
-            row["component"]: (row["here"], row["paper"]) for row in rows if row["paper"] and row["unit"] == "ms"
-        }
+        measured = {row["component"]: (row["here"], row["paper"]) for row in rows if row["unit"] == "ms"}
         figure = bars_figure(measured, "ms")
     return _written(
         name, bench_result(f"interventions {name}", rows, targets) | {"manifest": data.manifest}, figure, out, progress

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from thermoforce_mpc.interventions.methods.registry import BEST, METHODS, MONOTONE
 from thermoforce_mpc.interventions.protocol import CLIMATES
@@ -32,7 +33,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 def scatter_figure(result: SuiteResult, days: int) -> Figure:
     """Factual against effect RMSE, one marker per method and climate: accuracy does not imply validity."""
-    figure = Figure(figsize=(8.5, 5.2), layout="constrained")
+    figure = Figure(figsize=(8.5, 4.6), layout="constrained")
     axes = figure.subplots()
     shown = [name for name in METHODS if result.of(name, days=days)]
     for name, colour in zip(METHODS, _COLOURS, strict=True):
@@ -41,11 +42,14 @@ def scatter_figure(result: SuiteResult, days: int) -> Figure:
             if cells:
                 x, y = (np.mean([getattr(c, key) for c in cells]) for key in ("factual_rmse_K", "effect_rmse_K"))
                 label = METHODS[name].label if climate == _first_climate(result) else None
-                axes.scatter(x, y, color=colour, marker=marker, s=60, label=label, zorder=3)
+                axes.scatter(x, y, color=colour, marker=marker, s=60, alpha=0.8, label=label, zorder=3)
     axes.set_xlabel("factual RMSE, K (mean over the climate's cells)")
     axes.set_ylabel("intervention-effect RMSE, K")
     axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.grid(alpha=0.3)
     axes.set_title(f"{len(shown)} methods, {days} probe days; circles: heating, squares: cooling", fontsize=10)
     figure.legend(loc="outside right upper", frameon=False, fontsize=8)
@@ -68,11 +72,12 @@ def fan_figure(fans: Sequence[Fan], methods: Sequence[str] = ("tsfm", "rc", MONO
                 hours = (ahead.time_s[1:] - start) / HOUR_S
                 axes.plot(hours, course, color=colour, linewidth=1.1, linestyle="--", label=f"u = {level:g}")
             axes.axvline(0.0, color="#8a939c", linewidth=0.7)
+            axes.xaxis.set_major_locator(MultipleLocator(3.0))
             axes.grid(alpha=0.25)
             axes.set_title(f"{METHODS[name].label}\n{CLIMATES[fan.climate].label}", fontsize=8)
         row[0].set_ylabel("zone, °C")
     for axes in grid[-1]:
-        axes.set_xlabel("hours")
+        axes.set_xlabel("hours since the shift began")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     return figure
@@ -98,23 +103,29 @@ def curves_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]],
 
 
 def bars_figure(
-    values: Mapping[str, tuple[float, float]],
-    ylabel: str,
+    values: Mapping[str, tuple[float, float | None]],
+    xlabel: str,
     labels: tuple[str, str] = ("here", "paper"),
     *,
     log: bool = True,
 ) -> Figure:
-    """Two bars per name; `values` maps a name to both, by default ours and the paper's."""
-    figure = Figure(figsize=(8.5, 4.2), layout="constrained")
+    """Two horizontal bars per name with their numbers, the first name on top; None where there is no second.
+
+    `values` maps a name to both, by default ours and the paper's.
+    """
+    figure = Figure(figsize=(7.5, 0.9 + 0.5 * len(values)), layout="constrained")
     axes = figure.subplots()
-    at = np.arange(len(values))
-    ours, paper = np.array(list(values.values())).T
-    axes.bar(at - 0.2, ours, 0.4, color="#228b22", label=labels[0])
-    axes.bar(at + 0.2, paper, 0.4, color="#8a939c", label=labels[1])
-    axes.set_yscale("log" if log else "linear")
-    axes.set_xticks(at, [name.replace(" ", "\n") for name in values], fontsize=7)
-    axes.set_ylabel(ylabel)
-    axes.legend(frameon=False)
+    for index, (label, colour) in enumerate(zip(labels, ("#228b22", "#8a939c"), strict=True)):
+        drawn = [(at, value) for at, pair in enumerate(values.values()) if (value := pair[index]) is not None]
+        at, lengths = zip(*drawn, strict=True) if drawn else ((), ())
+        bars = axes.barh(np.array(at) + 0.4 * index - 0.2, lengths, 0.38, color=colour, label=label)
+        axes.bar_label(bars, labels=[f"{float(f'{length:.3g}'):g}" for length in lengths], padding=3, fontsize=7)
+    axes.set_yticks(range(len(values)), list(values), fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xscale("log" if log else "linear")
+    axes.margins(x=0.12)
+    axes.set_xlabel(xlabel)
+    figure.legend(loc="outside upper right", ncols=2, frameon=False, fontsize=8)
     return figure
 
 
