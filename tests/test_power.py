@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.power import HEAT_SLOPE, fit_load, fit_power
+from thermoforce_mpc.power import fit_load, fit_power
 from thermoforce_mpc.return_water import ReturnWater
 from thermoforce_mpc.types import History
 
@@ -41,18 +41,6 @@ def test_levels_recover_fixed_and_proportional_part():
     assert fit.r2 == pytest.approx(1.0)
     model = fit_power([_history(u, T, _machine(u, T))])
     np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)], rtol=1e-3)
-
-
-def test_a_narrow_range_leans_on_the_slope_known_beforehand():
-    rng = np.random.default_rng(3)
-    u, T = rng.choice([0, 0.2, 0.4, 0.7, 1.0], 96), rng.uniform(4.5, 5.5, 96)
-    y = u * 9000 * (1 + 0.025 * T) * (1 + 0.02 * rng.normal(size=96))
-    truth = 9000 * (1 - 0.025 * 5)
-    with_prior = fit_load(u, T, y, what="heat", slope=HEAT_SLOPE).load(np.array(1.0), np.array(-5.0))
-    without = fit_load(u, T, y, what="heat").load(np.array(1.0), np.array(-5.0))
-    # Ten kelvin away, one prior standard deviation is 15 %.
-    assert abs(with_prior / truth - 1) < 0.2
-    assert abs(without - truth) > 1.5 * abs(with_prior - truth)
 
 
 def test_duty_data_give_a_load_proportional_to_the_share_of_time():

@@ -42,9 +42,6 @@ class SlopePrior:
     sd_per_K: float
 
 
-HEAT_SLOPE = SlopePrior(0.025, 0.015)
-"""Heating capacity of air-source heat pumps: A−7/W35 is some 65 to 80 % of A7/W35 in EN 14511 data sheets."""
-
 POWER_SLOPE = SlopePrior(0.0, 0.015)
 """Electric power at a given speed hardly depends on the outdoor temperature."""
 

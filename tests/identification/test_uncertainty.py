@@ -34,6 +34,35 @@ def test_bands_hold_the_truth(models):
     assert np.median(widths) < 0.25, "a band that says nothing holds everything"
 
 
+@pytest.mark.parametrize("area_m2", [150.0, 235.0])
+def test_bands_allow_for_a_building_that_is_not_what_the_priors_expect(area_m2):
+    """A floor area that is a quarter off puts the priors of capacity and coupling about one standard deviation off."""
+    truth = HOUSE.effect_K(np.ones(48), 3600.0)
+    errors, deviations = [], []
+    for seed in range(3):
+        run = record(HOUSE, 3.0, seed=seed, noise_K=0.01)
+        known = identify([run], config=LINEAR, floor_area_m2=area_m2).card.uncertainty
+        for hours in (1, 2, 4, 8, 12, 24):
+            errors.append((known[f"step_response_{hours}h_K"] - truth[hours]) / truth[hours])
+            deviations.append(known[f"step_response_{hours}h_sd_K"] / truth[hours])
+    off = np.array(errors) / np.array(deviations)
+    assert np.sqrt(np.mean(off**2)) < 1.3
+    assert np.abs(errors).max() > 0.08, "the priors were meant to mislead"
+
+
+def test_less_is_assumed_where_little_is_left_unexplained():
+    """A house without disturbances: by the margin, the data may say more than the (misleading) priors."""
+    truth = HOUSE.effect_K(np.ones(48), 3600.0)
+    run = record(HOUSE, 3.0, noise_K=0.01)
+
+    def error(margin: float) -> float:
+        config = IdentificationConfig(order=3, modulation="linear", disturbance_margin=margin)
+        known = identify([run], config=config, floor_area_m2=260.0).card.uncertainty
+        return abs(known["step_response_12h_K"] / truth[12] - 1)
+
+    assert error(5.0) < 0.7 * error(1000.0)
+
+
 def test_more_days_make_narrower_bands():
     def sd(days: float) -> float:
         model = identify([record(HOUSE, days, seed=3, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)

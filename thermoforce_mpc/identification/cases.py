@@ -8,17 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.heat_map import KINDS, HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.episode import Episode
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
 from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
-from thermoforce_mpc.power import HEAT_SLOPE, PowerModel, fit_load, fit_power
+from thermoforce_mpc.power import PowerModel, fit_power
 from thermoforce_mpc.types import HOUR_S, Array, History
 
 # Share of the steps in which heat or power must have been measured to be used.
 _MEASURED = 0.5
+# Level from which full actuation counts as seen.
+_NEARLY_FULL = 0.9
 # Narrowest spread that features are normalised by: °C, °C, W/m², 1.
 LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
 
@@ -49,10 +52,27 @@ def actuator_map(
                 "name the heat points in the test case, or use actuator: identity"
             )
         return IDENTITY, [f"actuator map: identity, heat was measured in {100 * measured:.0f} % of the steps"]
-    u = np.concatenate([h.u for h in histories])
-    T_out = np.concatenate([h.T_out_C[:-1] for h in histories])
-    fit = fit_load(u, T_out, heat, what="delivered heat", lowest_level=config.lowest_level, slope=HEAT_SLOPE)
-    return ActuatorMap(heat=fit.load), [f"actuator map: heat, RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"]
+    fit = fit_heat(
+        np.concatenate([h.u for h in histories]),
+        np.concatenate([h.T_out_C[:-1] for h in histories]),
+        heat,
+        kinds=kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],),
+        step_s=histories[0].step_s,
+        lowest_level=config.lowest_level,
+    )
+    note = f"actuator map: heat of a machine of kind '{fit.kind}', RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"
+    return ActuatorMap(heat=fit.load), [note, *_unseen(histories, fit)]
+
+
+def _unseen(histories: Sequence[History], fit: HeatFit) -> list[str]:
+    """What a user should know where full actuation was hardly seen."""
+    highest = max(float(np.max(h.u)) for h in histories)
+    if highest >= _NEARLY_FULL:
+        return []
+    return [
+        f"full heat was never seen: from levels up to {highest:.2g} and what is known of a {fit.kind} it is "
+        f"known to ± {100 * fit.full_sd:.0f} % only; probe at full"
+    ]
 
 
 def power_model(histories: Sequence[History], config: IdentificationConfig) -> PowerModel | None:

@@ -48,6 +48,9 @@ class IdentificationConfig(StrictModel):
         "auto", description="what drives the modes: u itself, or the heat map of (u, T_out); auto: heat if measured"
     )
     heat_map: HeatMapConfig | None = Field(None, description="heat map by data sheet instead of an identified one")
+    machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
+        "auto", description="prior of the heat map: what gives the heat; auto: by mode and by what the data say"
+    )
     lowest_level: float | None = Field(
         None, gt=0, le=1, description="level below which the probed machine was switched; by default found in the data"
     )
@@ -83,8 +86,8 @@ class IdentificationConfig(StrictModel):
     room_coupling_sd: float = Field(0.35, gt=0, description="its relative standard deviation")
     start_slope_K_per_h: tuple[float, float] | None = Field(
         None,
-        description="prior: mean and standard deviation of how fast full level moves the zone at first, K/h; else "
-        "that of heat that has to pass a slab or a radiator, which a room heated by its air exceeds tenfold",
+        description="prior: mean and standard deviation of how fast full level moves the zone at first, K/h; by "
+        "default that of heat that has to pass a slab or a radiator, which a room heated by its air exceeds tenfold",
     )
 
     sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")
@@ -92,6 +95,11 @@ class IdentificationConfig(StrictModel):
         (0.02, 0.2, 2.0), description="what weather inputs leave unexplained, by time constant, K"
     )
     disturbance_hours: tuple[float, ...] = Field((0.5, 3.0, 50.0), description="these time constants, h")
+    disturbance_margin: float = Field(
+        10.0,
+        gt=0,
+        description="where less than that is left unexplained, how many times what is left is assumed instead",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> IdentificationConfig:

@@ -109,7 +109,16 @@ def calibrated(episodes: Sequence[Episode], misfit: float) -> list[Episode]:
 
     What a pair leaves unexplained is the model's own error, so pairs stay as they are.
     """
-    scale = float(np.clip(_ROOM * misfit, _LEAST_DISTURBED, 1.0))
+    return scaled(episodes, likely_scale(misfit))
+
+
+def likely_scale(misfit: float) -> float:
+    """How large disturbances are, as a share of what was assumed, where the fit found `misfit`."""
+    return float(np.clip(_ROOM * misfit, _LEAST_DISTURBED, 1.0))
+
+
+def scaled(episodes: Sequence[Episode], scale: float) -> list[Episode]:
+    """Runs with disturbances `scale` times as large; pairs stay as they are."""
     return [e if e.is_pair else replace(e, factor=e.factor * scale) for e in episodes]
 
 

@@ -3,7 +3,8 @@
 A run gives T = F + T_free at every boundary. Both share the building's slow modes; given the time constants everything
 else enters linearly: gains, weights of weather and clock, the state the run starts in. So the time constants are
 searched (maximum a posteriori, Nelder-Mead from the prior's centre), and the rest is bounded Gaussian regression with
-correlated disturbances. A pair gives D = T_a − T_b, in which all of the free part cancels (paper eq:paired).
+correlated disturbances: first as large as assumed, then, where far less is left over, nearer to that. A pair gives
+D = T_a − T_b, in which all of the free part cancels (paper eq:paired).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear, minimize
 
 from thermoforce_mpc.free_response.rc import INPUTS, RcParameters
@@ -20,14 +22,14 @@ from thermoforce_mpc.identification.episode import (
     FREE_PRIOR,
     REFERENCE_C,
     Episode,
-    calibrated,
     forced_columns,
     free_columns,
     free_prior,
     free_time_constants,
+    likely_scale,
+    scaled,
     start_sd,
 )
-from thermoforce_mpc.identification.likelihood import whitened
 from thermoforce_mpc.identification.modes import ModePriors, poles
 from thermoforce_mpc.types import Array
 
@@ -83,6 +85,32 @@ class _Solution:
 
 def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: IdentificationConfig, sign: int) -> JointFit:
     """Fit time constants, gains and free part to all episodes at once."""
+    log_tau = _search(episodes, priors, sign, priors.log_tau)
+    solution = _solve(episodes, log_tau, priors, sign)
+    # Disturbances nobody foresaw may be as large as assumed; where they are far smaller, the data say more than that.
+    scale = min(1.0, config.disturbance_margin * solution.whitened_rms)
+    used = episodes
+    if scale < 1.0 and any(not e.is_pair for e in episodes):
+        used = scaled(episodes, scale)
+        log_tau = _search(used, priors, sign, log_tau)
+        solution = _solve(used, log_tau, priors, sign)
+    misfit = _misfit(episodes, log_tau, solution.values, priors, sign)
+    found = min(1.0, likely_scale(misfit) / scale)
+    r = priors.order
+    free_log_tau = free_time_constants(log_tau)
+    return JointFit(
+        log_tau=log_tau,
+        gains=solution.values[:r],
+        covariance=_joint_covariance(used, log_tau, solution.values, priors, sign, found),
+        free_log_tau=free_log_tau,
+        free_gains=_free_gains(solution.values[r:], free_log_tau.size, with_free=any(not b.is_pair for b in episodes)),
+        misfit=misfit,
+        objective=solution.objective,
+    )
+
+
+def _search(episodes: Sequence[Episode], priors: ModePriors, sign: int, start: Array) -> Array:
+    """Time constants ln(τ/h) (r,) of the highest posterior, searched from `start` (r,)."""
     log_bounds = np.log(priors.bounds_h())
 
     def objective(log_tau: Array) -> float:
@@ -91,10 +119,10 @@ def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: Identific
             return _OUTSIDE * (1.0 + float(outside.sum()))
         return _solve(episodes, log_tau, priors, sign).objective
 
-    simplex = np.vstack([priors.log_tau, priors.log_tau + np.eye(priors.order) * priors.log_tau_sd])
+    simplex = np.vstack([start, start + np.eye(priors.order) * priors.log_tau_sd])
     found = minimize(
         objective,
-        priors.log_tau,
+        start,
         method="Nelder-Mead",
         options={
             "maxfev": _MAX_EVALUATIONS * priors.order,
@@ -103,21 +131,13 @@ def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: Identific
             "initial_simplex": np.clip(simplex, log_bounds[:, 0] + 1e-6, log_bounds[:, 1] - 1e-6),
         },
     )
-    log_tau = np.asarray(found.x)
-    solution = _solve(episodes, log_tau, priors, sign)
-    r = priors.order
-    free_log_tau = free_time_constants(log_tau)
-    return JointFit(
-        log_tau=log_tau,
-        gains=solution.values[:r],
-        covariance=_joint_covariance(
-            calibrated(episodes, solution.whitened_rms), log_tau, solution.values, priors, sign
-        ),
-        free_log_tau=free_log_tau,
-        free_gains=_free_gains(solution.values[r:], free_log_tau.size, with_free=any(not b.is_pair for b in episodes)),
-        misfit=solution.whitened_rms,
-        objective=solution.objective,
-    )
+    return np.asarray(found.x)
+
+
+def _misfit(episodes: Sequence[Episode], log_tau: Array, values: Array, priors: ModePriors, sign: int) -> float:
+    """RMS of the whitened residual under disturbances as large as assumed."""
+    design, target, _, rows = _system(episodes, log_tau, priors, sign)
+    return float(np.sqrt(np.mean((design @ values - target)[:rows] ** 2)))
 
 
 def _system(
@@ -148,8 +168,8 @@ def _system(
             columns[:, r : r + shared.shape[1]] = shared
             first = r + shared.shape[1] + runs.index(i) * n_starts
             columns[:, first : first + n_starts] = start
-        designs.append(whitened(episode, columns))
-        targets.append(whitened(episode, episode.target))
+        designs.append(solve_triangular(episode.factor, columns, lower=True))
+        targets.append(solve_triangular(episode.factor, episode.target, lower=True))
     design = np.concatenate([*designs, np.diag(1.0 / sd)])
     target = np.concatenate([*targets, mean / sd])
     return design, target, low, sum(t.size for t in targets)
@@ -182,11 +202,15 @@ def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
 
 
 def _joint_covariance(
-    episodes: Sequence[Episode], log_tau: Array, values: Array, priors: ModePriors, sign: int
+    episodes: Sequence[Episode], log_tau: Array, values: Array, priors: ModePriors, sign: int, found: float
 ) -> Array:
-    """Posterior covariance of [ln τ, gains], shape (2r, 2r), with all that is estimated besides integrated out.
+    """Covariance of the errors of [ln τ, gains], shape (2r, 2r), with all that is estimated besides integrated out.
 
-    The inverse of the Gauss-Newton Hessian of the negative log posterior at its maximum (Laplace's approximation).
+    With the Gauss-Newton Hessian H of the negative log posterior at its maximum (Laplace's approximation), which is
+    the precision P of the priors plus what the data add, D, the estimate errs by H⁻¹ times the prior's error in P and
+    the disturbances' in D. Where runs are disturbed by only a share `found` of what the estimate assumed, D counts with
+    its square, and the covariance is H⁻¹ (P + found² D) H⁻¹: the data were trusted less than they could have been, so
+    that an error of the prior stays in the estimate. It is H⁻¹ for found = 1.
     """
     r = log_tau.size
 
@@ -198,7 +222,12 @@ def _joint_covariance(
     slopes = np.stack([residual(log_tau + d) - residual(log_tau - d) for d in shifts], axis=1) / (
         2.0 * _DERIVATIVE_STEP
     )
-    jacobian = np.concatenate([slopes, _system(episodes, log_tau, priors, sign)[0]], axis=1)
-    hessian = jacobian.T @ jacobian
-    hessian[:r, :r] += np.eye(r) / priors.log_tau_sd**2
-    return np.linalg.inv(hessian)[: 2 * r, : 2 * r]
+    design, _, _, rows = _system(episodes, log_tau, priors, sign)
+    jacobian = np.concatenate([slopes, design], axis=1)
+    errors = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else found) for e in episodes])
+    prior = jacobian[rows:].T @ jacobian[rows:]
+    prior[:r, :r] += np.eye(r) / priors.log_tau_sd**2
+    data = jacobian[:rows]
+    inverse = np.linalg.inv(data.T @ data + prior)
+    scaled_data = data * errors[:, None]
+    return np.asarray(inverse @ (scaled_data.T @ scaled_data + prior) @ inverse)[: 2 * r, : 2 * r]
