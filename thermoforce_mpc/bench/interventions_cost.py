@@ -44,7 +44,7 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     free = build_free_response("chronos", backbone=backbone, looks="one")
     centre = (_TIME_CONSTANT_H,)
     linear_ms = _milliseconds(lambda: identified(training, centre, modulation="linear"), 3)
-    neural_ms = _milliseconds(lambda: identified(training, centre), 1)
+    neural_ms = _milliseconds(lambda: identified(training, centre), 1, warm=False)
     model = identified(training, centre, modulation="linear")
     window = climate.part("test")[0]
     history, boundary = window.history.tail(512), window.boundary
@@ -123,9 +123,10 @@ def _observation(probe: Probe, climate: Climate, band_K: float) -> Observation:
     return Observation(history, boundary)
 
 
-def _milliseconds(action: Callable[[], Any], repeats: int) -> float:
-    """Median of `repeats` calls after one to warm up."""
-    action()
+def _milliseconds(action: Callable[[], Any], repeats: int, *, warm: bool = True) -> float:
+    """Median of `repeats` calls, after one to `warm` up where the first would take clearly longer than the others."""
+    if warm:
+        action()
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
