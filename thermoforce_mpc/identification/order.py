@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student_t
 
 from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -14,25 +15,36 @@ from thermoforce_mpc.identification.episode import Episode, follows_action, forc
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.types import HOUR_S, Array
 
-# A lower order must beat a higher one on the held-out rows by this many standard errors and by this share of the
+# A lower order must beat a higher one on the held-out rows with this probability (Student's t) and by this share of the
 # squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.
-_SIGNIFICANT = 2.0
+_SIGNIFICANT = 0.975
 _CLEARLY = 0.2
+# One cloud or one meal misleads all rows of some hours alike, so what counts as one observation is this long, h.
+_PIECE_H = 4.0
 # Orders are told apart by rows that follow an action within hours, and only by enough of them: the others tell how the
 # weather was.
 _AFTER_ACTION_H = 6.0
-_LEAST_JUDGED = 24
+_LEAST_PIECES = 4
+# Squared residual that counts as none.
+_NOTHING = 1e-9
+# Pieces of different cases must not share a number.
+_PIECES_PER_CASE = 10**6
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit to the training rows: whitened residuals of the rows judged by, and RMSE of the held-out rollouts, K."""
+    """A fit to the training rows, and how it did on the others.
+
+    `judged` (rows,) are the whitened residuals of the rows judged by and `pieces` (rows,) which hours each belongs to;
+    `rollout_rmse_K` is the RMSE of the held-out rollouts, K.
+    """
 
     fit: JointFit
     priors: ModePriors
     judged: Array
+    pieces: NDArray[np.intp]
     rollout_rmse_K: float
 
     @property
@@ -53,18 +65,20 @@ def fit_and_judge(
     """Fit to the training rows, judge by the held-out rollouts."""
     training = [_part(c.episode, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
     fit = fit_joint(training, priors, config, sign)
-    judged, errors = [], []
-    for case, split in zip(cases, splits, strict=True):
+    judged, pieces, errors = [], [], []
+    for index, (case, split) in enumerate(zip(cases, splits, strict=True)):
         if not split.judged.size:
             continue
         rest = residuals(case.episode, fit.log_tau)
         residual = case.episode.target - rest.mean - forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
         after_action = split.judged[follows_action(case.episode, _AFTER_ACTION_H)[split.judged]]
         judged.append((rest.whitener() @ residual)[after_action])
+        hours = case.episode.rows[after_action] * case.episode.step_s / HOUR_S
+        pieces.append(index * _PIECES_PER_CASE + (hours // _PIECE_H).astype(np.intp))
         for past, ahead in split.rollouts:
             errors.append(rest.innovation(past, ahead) @ residual[np.concatenate([past, ahead])])
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return Fitted(fit, priors, np.concatenate(judged), rollout_rmse_K)
+    return Fitted(fit, priors, np.concatenate(judged), np.concatenate(pieces), rollout_rmse_K)
 
 
 def explained_share(cases: Sequence[Case], fit: JointFit, sign: int) -> float:
@@ -83,13 +97,22 @@ def explained_share(cases: Sequence[Case], fit: JointFit, sign: int) -> float:
 def choose_order(candidates: dict[int, Fitted]) -> int:
     """Highest order, unless a lower one predicts the held-out rows clearly and significantly better."""
     chosen = max(candidates)
-    if candidates[chosen].judged.size < _LEAST_JUDGED:
-        return chosen
     for order in sorted(candidates, reverse=True):
-        gain = candidates[chosen].judged ** 2 - candidates[order].judged ** 2
-        needed = max(
-            _SIGNIFICANT * float(np.std(gain)) / np.sqrt(gain.size), _CLEARLY * float(candidates[chosen].score) ** 2
-        )
-        if float(np.mean(gain)) > needed:
+        if _better(candidates[order], candidates[chosen]):
             chosen = order
     return chosen
+
+
+def _better(lower: Fitted, higher: Fitted) -> bool:
+    """Whether the held-out rows speak clearly for the lower order.
+
+    The rows of one piece are one observation; logarithms, as single pieces are off by very different amounts.
+    """
+    pieces, piece = np.unique(higher.pieces, return_inverse=True)
+    if pieces.size < _LEAST_PIECES or higher.score**2 - lower.score**2 <= _CLEARLY * higher.score**2:
+        return False
+    saved = np.log(np.bincount(piece, higher.judged**2) + _NOTHING) - np.log(
+        np.bincount(piece, lower.judged**2) + _NOTHING
+    )
+    least = float(student_t.ppf(_SIGNIFICANT, pieces.size - 1)) * float(np.std(saved, ddof=1)) / np.sqrt(pieces.size)
+    return bool(np.mean(saved) > least)
