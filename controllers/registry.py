@@ -56,8 +56,8 @@ REGISTRY: dict[str, Entry] = {
         "the same with a level held over an hour, off or at least 0.7 (below that a heat pump loses most)",
         step_s=3600.0,
         # An hour at 0.7 or more is much heat at once: rather a little late than on top of the sun.
-        backoff_level=0.3,
-        backoff_level_other=0.15,
+        comfort_margin_K=0.0,
+        backoff_level=0.45,
         actuation={"mode": "modulating", "lowest_level": 0.7},
     ),
     "thermoforce_paper": _mpc_entry(
