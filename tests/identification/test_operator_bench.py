@@ -110,3 +110,14 @@ def test_cut_keeps_boundaries_and_steps_together(reference):
     assert part.n_steps == 192
     assert part.time_s[0] == run.time_s[96]
     np.testing.assert_array_equal(part.u, run.u[96:288])
+
+
+def test_own_factors_are_what_a_gain_of_each_pair_could_still_explain(reference):
+    pairs = read_hourly_pairs(reference)
+    one = score_pairs(linear_operator(np.array([0.9]), np.array([1.0]), step_s=3600.0), pairs)
+    # Four times the gain is four times the prediction: best with a quarter of the factor, and then the same.
+    four = score_pairs(linear_operator(np.array([0.9]), np.array([4.0]), step_s=3600.0), pairs)
+    assert four.rmse_K > 2 * one.rmse_K
+    assert one.own_factor_rmse_K < one.rmse_K
+    assert four.own_factor_rmse_K == pytest.approx(one.own_factor_rmse_K, rel=1e-6)
+    assert four.own_factor_sd == pytest.approx(0.25 * one.own_factor_sd, rel=1e-6)

@@ -109,6 +109,8 @@ def _trained_on_pairs(
                     "rmse_K": scores.rmse_K,
                     "sign": scores.sign_accuracy,
                     "effect_K": scores.effect_K,
+                    "own_factor_rmse_K": scores.own_factor_rmse_K,
+                    "own_factor_sd": scores.own_factor_sd,
                     "seconds": seconds,
                 }
             )
@@ -195,7 +197,7 @@ def _stride(days: int, quick: bool) -> float:
     """Days between the starts of windows."""
     if quick:
         return 9.0
-    return {1: 2.0, 3: 2.0, 7: 3.0}.get(days, 1.0)
+    return {7: 3.0}.get(days, 1.0)
 
 
 def _paper_estimate(record: History, pairs: Sequence[ReferencePair]) -> PairScores | None:
@@ -227,6 +229,8 @@ def _summary(days: int, given: str, gain: str, scores: Sequence[PairScores], ref
         "worst_K": float(errors.max()),
         "sign": float(np.mean([s.sign_accuracy for s in scores])),
         "effect_K": scores[0].effect_K,
+        "own_factor_rmse_K": float(np.median([s.own_factor_rmse_K for s in scores])),
+        "own_factor_sd": float(np.median([s.own_factor_sd for s in scores])),
     }
 
 

@@ -18,13 +18,20 @@ SIGN_FROM_K = 0.05
 
 @dataclass(frozen=True)
 class PairScores:
-    """Effect error over all pairs and lags: RMSE K, sign accuracy where |effect| > 0.05 K (NaN if nowhere), RMS of the
-    effect K, number of lags."""
+    """Effect error over all pairs and lags.
+
+    `rmse_K` K; `sign_accuracy` where |effect| > 0.05 K (NaN if nowhere); `effect_K` RMS of the effect, K; `n` lags;
+    `own_factor_rmse_K` the RMSE that would be left if the prediction of every pair were multiplied by the factor that
+    suits that very pair best, and `own_factor_sd` how much these factors differ: what the weather, the zone or the hour
+    of a pair could explain by a gain m(x) that hardly changes within a day lies between the two errors.
+    """
 
     rmse_K: float
     sign_accuracy: float
     effect_K: float
     n: int
+    own_factor_rmse_K: float
+    own_factor_sd: float
 
 
 def predicted_effect(operator: OperatorParameters, reference: ReferencePair) -> Array:
@@ -53,10 +60,17 @@ def score_pairs(
         predicted.append(predicted_effect(operator, reference)[window])
         measured.append((run.T_zone_C - reference.pair.b.T_zone_C)[1:][window])
     p, m = np.concatenate(predicted), np.concatenate(measured)
+    # A pair without effect in the window (an action that came too late) keeps the factor 1.
+    seen = [(x, y) for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() > SIGN_FROM_K]
+    factors = np.array([float(x @ y) / float(x @ x) for x, y in seen])
+    left = [f * x - y for f, (x, y) in zip(factors, seen, strict=True)]
+    left += [x - y for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() <= SIGN_FROM_K]
     strong = np.abs(m) > SIGN_FROM_K
     return PairScores(
         rmse_K=float(np.sqrt(np.mean((p - m) ** 2))),
         sign_accuracy=float(np.mean(np.sign(p[strong]) == np.sign(m[strong]))) if strong.any() else float("nan"),
         effect_K=float(np.sqrt(np.mean(m**2))),
         n=int(p.size),
+        own_factor_rmse_K=float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
+        own_factor_sd=float(np.std(factors)) if factors.size else float("nan"),
     )
