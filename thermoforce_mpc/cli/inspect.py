@@ -15,6 +15,20 @@ from thermoforce_mpc.world_model import ThermalModel
 
 _SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
+# What the numbers of a model card mean, in the order in which they are told.
+_MEANING = {
+    "explained_by_actuation": "share of the temperature's movement, beyond weather and drift, that the action explains",
+    "held_out_rollout_rmse_K": "error on held-out data, predicted up to a day ahead with the weather known, K",
+    "held_out_order_1": "held-out error with one mode, in standard deviations of the assumed disturbances",
+    "held_out_order_2": "the same with two modes",
+    "held_out_order_3": "the same with three modes",
+    "misfit": "what stays unexplained, as a share of the assumed disturbances",
+    "held_out_linear": "held-out error with a constant gain, in standard deviations",
+    "held_out_neural": "the same with a network as gain",
+    "neural_improvement_in_standard_errors": "what the network saves, in standard errors",
+    "modulation_kept": "network kept (1) or not (0)",
+}
+_UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 
 
 @click.command(short_help="Show a saved model: parameters, certificate, data it has seen.")
@@ -41,6 +55,8 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         tau_sd, gain_sd = (card.uncertainty.get(f"{name}_{i}_sd_{unit}") for name, unit in _SDS)
         modes.add_row(str(i), f"{tau:.2f}{_give_or_take(tau_sd)}", f"{gain:.2f}{_give_or_take(gain_sd)}")
     say(modes)
+    if operator.order > 1 and operator.steady_gains_K[0] * operator.sign < 0:
+        say("  the first gain is of the other sign: it is the delay with which the others' heat arrives")
     _show_step_response(card.uncertainty, operator.sign, console)
     low, high = proof.modulation_bounds
     say(
@@ -53,7 +69,10 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
             "  the modulation sees the predicted temperature; proven with its feedback v dm/dT within "
             f"[{least:.4f}, {most:.4f}] per K, for the {len(proof.effect_low_K)} steps below"
         )
-    effects = Table(title="One full step of action changes the zone by, K (proven interval)", title_justify="left")
+    effects = Table(
+        title=f"Full action for one step of {operator.step_s / 3600:g} h changes the zone by, K (proven interval)",
+        title_justify="left",
+    )
     effects.add_column("hours later", justify="right")
     effects.add_column("at least", justify="right")
     effects.add_column("at most", justify="right")
@@ -62,6 +81,12 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         if 0 <= k < len(proof.effect_low_K):
             effects.add_row(f"{hours:g}", f"{proof.effect_low_K[k]:.4f}", f"{proof.effect_high_K[k]:.4f}")
     say(effects)
+    if operator.actuator.heat is not None:
+        c0, c1, c2, c3 = operator.actuator.heat.coefficients
+        say(
+            f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full action above means "
+            f"{operator.actuator.reference_W:.0f} W, as at {operator.actuator.reference_C:g} °C outdoors"
+        )
     if thermal.power:
         c0, c1, c2, c3 = thermal.power.coefficients
         water = thermal.power.water
@@ -71,11 +96,16 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
             f"RMSE {thermal.power.rmse_W:.0f} W, R2 {thermal.power.r2:.4f}"
         )
     rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}
-    for title, numbers in (("Scores", card.scores), ("Uncertainty", rest)):
-        if numbers:
-            say(f"{title}: " + ", ".join(f"{key} {value:.4g}" for key, value in numbers.items()))
-    for name, (least, most) in card.ranges.items():
-        say(f"  seen {name}: {least:.4g} to {most:.4g}")
+    if card.scores:
+        say("How good it is:")
+    for key in sorted(card.scores, key=lambda k: list(_MEANING).index(k) if k in _MEANING else len(_MEANING)):
+        say(f"  {card.scores[key]:.3g}  {_MEANING.get(key, key)}")
+    if rest:
+        say("In numbers of the operator: " + ", ".join(f"{key} {value:.4g}" for key, value in rest.items()))
+    seen = [f"{_UNITS.get(k, k)} {least:.4g} to {most:.4g}" for k, (least, most) in card.ranges.items() if k != "days"]
+    if seen:
+        days = card.ranges.get("days")
+        say(f"Seen{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(seen))
     for name, digest in card.data.items():
         say(f"  data {name}: sha256 {digest[:16]}")
     for note in card.notes:

@@ -65,17 +65,18 @@ def plot_identification(path: Path, model: ThermalModel, record: History) -> Non
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 1, 3])
     days = record.time_s / DAY_S
+    top.set_title("The record, and the model on it", loc="left")
     top.plot(days, record.T_zone_C, color="black", linewidth=1.2, label="measured")
     found = rollouts(model, record)
     if found is not None:
-        label = f"rollouts of {_ROLLOUT_H:g} h, RMSE {found.rmse_K:.2f} K"
+        label = f"predicted {_ROLLOUT_H:g} h at a time, weather known; RMSE {found.rmse_K:.2f} K"
         top.plot(days, found.predicted_C, color="tab:red", linewidth=1.2, label=label)
     top.set_ylabel("zone temperature, °C")
-    top.legend(loc="best", frameon=False)
+    top.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, frameon=False)
     middle.stairs(record.u, days, color="tab:blue", fill=True, alpha=0.5)
-    middle.set_ylabel("u")
+    middle.set_ylabel("action u")
     middle.set_ylim(0, 1.05)
-    middle.set_xlabel("day of the year")
+    middle.set_xlabel("days since 1 January")
     _plot_answer(bottom, model)
     figure.savefig(path, dpi=120, metadata={"Software": None})
 
@@ -85,16 +86,26 @@ def _plot_answer(axes: Axes, model: ThermalModel) -> None:
     steps = round(STEP_RESPONSE_H[-1] * HOUR_S / operator.step_s)
     hours = np.arange(steps + 1) * operator.step_s / HOUR_S
     answer = np.concatenate([[0.0], np.cumsum(operator.impulse(steps))])
-    axes.plot(hours, answer, color="tab:red", label="full actuation from hour 0, at m = 1")
+    heat = operator.actuator.heat
+    full = "" if heat is None else f" ({operator.actuator.reference_W / 1000:.1f} kW)"
+    axes.set_title(f"What full action adds, held from hour 0{full}", loc="left")
+    axes.axhline(0.0, color="black", linewidth=0.5)
+    axes.plot(hours, answer, color="tab:red", label="expected")
     names = [f"step_response_{h}h" for h in STEP_RESPONSE_H]
     if all(f"{name}_sd_K" in known for name in names):
         mean = operator.sign * np.array([0.0, *(known[f"{name}_K"] for name in names)])
         sd = np.array([0.0, *(known[f"{name}_sd_K"] for name in names)])
         at = np.array([0.0, *STEP_RESPONSE_H])
         axes.fill_between(
-            at, mean - _BAND * sd, mean + _BAND * sd, color="tab:red", alpha=0.2, linewidth=0, label="90 % band"
+            at,
+            mean - _BAND * sd,
+            mean + _BAND * sd,
+            color="tab:red",
+            alpha=0.2,
+            linewidth=0,
+            label="90 % band",
         )
         axes.plot(at, mean, "o", color="tab:red", markersize=3)
-    axes.set_xlabel("hours")
+    axes.set_xlabel("hours since the action began")
     axes.set_ylabel("change of the zone temperature, K")
     axes.legend(loc="best", frameon=False)
