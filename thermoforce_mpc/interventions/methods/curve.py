@@ -15,7 +15,7 @@ from thermoforce_mpc.types import Array, History
 
 # Heat that the air passes on anyway, as a share of the capacity; fixed on validation windows of the first two draws.
 _OFFSET = 0.3
-EXPONENTS = (1.0, 0.9, 0.85, 0.8, 0.75, 0.7, 0.6)
+EXPONENTS = (1.0, 0.9, 0.85, 0.8, 0.75, 0.7, 0.6, 0.5)
 """Exponents that are tried where a method has a curve; 1 is v(u) = u."""
 
 

@@ -21,7 +21,7 @@ from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
 # Centres of the priors tried: an air-heated zone answers within an hour or two, its structure within a day.
 _TIME_CONSTANTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
-    1: ((1.5,), (1.8,), (2.1,), (2.4,), (2.8,), (3.5,), (5.0,), (10.0,), (20.0,)),
+    1: ((0.3,), (0.6,), (1.0,), (1.5,), (1.8,), (2.1,), (2.4,), (2.8,), (3.5,), (5.0,), (10.0,), (20.0,)),
     2: ((1.2, 20.0), (0.8, 6.0)),
     3: ((0.5, 2.0, 20.0), (1.0, 5.0, 30.0)),
 }
