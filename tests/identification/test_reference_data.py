@@ -41,6 +41,26 @@ def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
     assert scores.sign_accuracy >= 0.995
 
 
+@pytest.mark.parametrize(("month", "day"), [("jan", 11), ("apr", 3), ("apr", 10)])
+def test_the_days_that_tell_least_of_the_machine_are_enough(shared, pairs, month, day):
+    """Cold ones with a narrow range outdoors, mild ones that never saw full: what is missing is the heat map."""
+    run = read_run(shared / "boptest_hp" / f"excite_{month}.csv.gz")
+    config = IdentificationConfig(modulation="linear")
+    scores = score_pairs(identify([cut(run, day, 1)], config=config, floor_area_m2=AREA_M2).operator, pairs)
+    assert scores.rmse_K <= 0.12
+    assert scores.sign_accuracy >= 0.995
+
+
+@pytest.mark.parametrize("day", [0, 19])
+def test_feedback_does_not_drop_the_delay(shared, pairs, day):
+    """Three days of the native controller, in which a few hours would have spoken for a single mode."""
+    run = read_run(shared / "boptest_hp" / "native_d7_28d.csv.gz")
+    config = IdentificationConfig(modulation="linear")
+    model = identify([cut(run, day, 3)], config=config, floor_area_m2=AREA_M2)
+    assert model.operator.order == 3
+    assert score_pairs(model.operator, pairs).rmse_K <= 0.1
+
+
 def test_a_day_without_heating_is_refused(shared):
     run = read_run(shared / "boptest_hp" / "excite_apr.csv.gz")
     quiet = next(cut(run, d, 1) for d in range(27) if np.ptp(cut(run, d, 1).u) == 0)

@@ -1,8 +1,9 @@
-"""`tf-mpc bench probing`: is chosen probing worth it, and does adaptation notice a machine that weakens?
+"""`tf-mpc bench probing`: is chosen probing worth it, do wrong priors show, is a machine that weakens noticed?
 
-Both on the embedded plant. The first identifies from probed days, drawn at random or chosen for what they tell, and
-scores the effect on pairs of probed runs. The second runs the plant for weeks under a switching thermostat while its
-heat pump, after the first third, gives what a fifth less compressor speed gives.
+All on the embedded plant. The first part identifies from probed days, drawn at random or chosen for what they tell, and
+scores the effect on pairs of probed runs. The second tells the identification a wrong floor area. The third runs the
+plant for weeks under a switching thermostat while its heat pump, after the first third, gives what a fifth less
+compressor speed gives.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from thermoforce_mpc.bench.misleading_priors import run_misleading_priors
 from thermoforce_mpc.bench.operator_data import ReferencePair
 from thermoforce_mpc.bench.operator_score import score_pairs
 from thermoforce_mpc.bench.result import Target, bench_result
@@ -39,7 +41,7 @@ Row = dict[str, Any]
 
 
 def run_probing_bench(*, quick: bool = False, progress: Callable[[str], None] | None = None) -> dict[str, Any]:
-    """Run both parts on the embedded plant with the synthetic year.
+    """Run all parts on the embedded plant with the synthetic year.
 
     Args:
         quick: fewer days and one seed.
@@ -47,18 +49,31 @@ def run_probing_bench(*, quick: bool = False, progress: Callable[[str], None] | 
     """
     say = progress or (lambda text: None)
     plant = EmbeddedPlant(synthetic_weather())
-    rows, targets = _designs(plant, quick, say)
-    more_rows, more_targets = _adaptation(plant, say)
-    return bench_result("probing", [*rows, *more_rows], [*targets, *more_targets])
+    pairs = _pairs(plant, quick, say)
+    rows, targets, records = _designs(plant, pairs, quick, say)
+    for more_rows, more_targets in (
+        run_misleading_priors({d: r[:1] if quick else r for d, r in records.items()}, pairs, FLOOR_AREA_M2, say),
+        _adaptation(plant, say),
+    ):
+        rows, targets = [*rows, *more_rows], [*targets, *more_targets]
+    return bench_result("probing", rows, targets)
 
 
-def _designs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> tuple[list[Row], list[Target]]:
+def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> list[ReferencePair]:
     say("pairs to score by")
     config = ProbingConfig(design="random", warmup_days=2.0)
     pairs = []
     for day in _PAIR_DAYS[:4] if quick else _PAIR_DAYS:
         pair = probe_pair(plant, day * DAY_S, 1.25, seeds=(day, day + 1000), config=config)
         pairs.append(ReferencePair(day, "probed", 0, Pair(_hourly(pair.a), _hourly(pair.b))))
+    return pairs
+
+
+def _designs(
+    plant: EmbeddedPlant, pairs: list[ReferencePair], quick: bool, say: Callable[[str], None]
+) -> tuple[list[Row], list[Target], dict[int, list[History]]]:
+    """Rows, targets, and the records of the chosen draws by their days."""
+    records: dict[int, list[History]] = {1: [], 3: []}
     rows: list[Row] = []
     found: dict[tuple[int, str], list[float]] = {}
     designs: tuple[Literal["random", "informative"], ...] = ("random", "informative")
@@ -70,6 +85,8 @@ def _designs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> t
                 for seed in (1,) if quick else (1, 2):
                     probing = ProbingConfig(design=design, levels=_LEVELS, warmup_days=3.0)
                     record = probe(plant, day * DAY_S, days, seed=seed, config=probing)
+                    if design == "informative":
+                        records[days].append(record)
                     extremes += [float(record.T_zone_C.min()), float(record.T_zone_C.max())]
                     information.append(Designer().information(record))
                     try:
@@ -100,7 +117,7 @@ def _designs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> t
         )
         for days in (1, 3)
     ]
-    return rows, targets
+    return rows, targets, records
 
 
 def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[Row], list[Target]]:
