@@ -17,6 +17,9 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, History
 
+FLOOR_AREA_M2 = 192.0
+"""Heated floor area of the reference building, m² (BOPTEST test case documentation)."""
+
 _POWERS = ["reaPHeaPum_y", "reaPFan_y", "reaPPumEmi_y"]
 
 
