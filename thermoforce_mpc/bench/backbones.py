@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.bench.operator_data import FLOOR_AREA_M2
-from thermoforce_mpc.bench.operator_data import cut, read_run
+from thermoforce_mpc.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.free_response.backbones.loading import FRACAST, SHIPPED, parameter_count
 from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
