@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear, minimize
 
 from thermoforce_mpc.free_response.rc import INPUTS, RcParameters
@@ -30,6 +29,7 @@ from thermoforce_mpc.identification.episode import (
     scaled,
     start_sd,
 )
+from thermoforce_mpc.identification.likelihood import whitened
 from thermoforce_mpc.identification.modes import ModePriors, poles
 from thermoforce_mpc.types import Array
 
@@ -168,8 +168,8 @@ def _system(
             columns[:, r : r + shared.shape[1]] = shared
             first = r + shared.shape[1] + runs.index(i) * n_starts
             columns[:, first : first + n_starts] = start
-        designs.append(solve_triangular(episode.factor, columns, lower=True))
-        targets.append(solve_triangular(episode.factor, episode.target, lower=True))
+        designs.append(whitened(episode, columns))
+        targets.append(whitened(episode, episode.target))
     design = np.concatenate([*designs, np.diag(1.0 / sd)])
     target = np.concatenate([*targets, mean / sd])
     return design, target, low, sum(t.size for t in targets)
