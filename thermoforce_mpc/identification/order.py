@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
 
 from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -15,22 +14,15 @@ from thermoforce_mpc.identification.episode import Episode, follows_action, forc
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.types import HOUR_S, Array
+from thermoforce_mpc.identification.pieces import is_significant, piece_numbers, standard_errors_saved
+from thermoforce_mpc.types import Array
 
 # A lower order must beat a higher one on the held-out rows with this probability (Student's t) and by this share of the
 # squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.
 _SIGNIFICANT = 0.975
 _CLEARLY = 0.2
-# One cloud or one meal misleads all rows of some hours alike, so what counts as one observation is this long, h.
-_PIECE_H = 4.0
-# Orders are told apart by rows that follow an action within hours, and only by enough of them: the others tell how the
-# weather was.
+# Orders are told apart by rows that follow an action within hours: the others tell how the weather was.
 _AFTER_ACTION_H = 6.0
-_LEAST_PIECES = 4
-# Squared residual that counts as none.
-_NOTHING = 1e-9
-# Pieces of different cases must not share a number.
-_PIECES_PER_CASE = 10**6
 
 
 @dataclass(frozen=True)
@@ -73,8 +65,7 @@ def fit_and_judge(
         residual = case.episode.target - rest.mean - forced_columns(case.episode, fit.log_tau, sign) @ fit.gains
         after_action = split.judged[follows_action(case.episode, _AFTER_ACTION_H)[split.judged]]
         judged.append((rest.whitener() @ residual)[after_action])
-        hours = case.episode.rows[after_action] * case.episode.step_s / HOUR_S
-        pieces.append(index * _PIECES_PER_CASE + (hours // _PIECE_H).astype(np.intp))
+        pieces.append(piece_numbers(index, case.episode.rows[after_action], case.episode.step_s))
         for past, ahead in split.rollouts:
             errors.append(rest.innovation(past, ahead) @ residual[np.concatenate([past, ahead])])
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
@@ -104,15 +95,7 @@ def choose_order(candidates: dict[int, Fitted]) -> int:
 
 
 def _better(lower: Fitted, higher: Fitted) -> bool:
-    """Whether the held-out rows speak clearly for the lower order.
-
-    The rows of one piece are one observation; logarithms, as single pieces are off by very different amounts.
-    """
-    pieces, piece = np.unique(higher.pieces, return_inverse=True)
-    if pieces.size < _LEAST_PIECES or higher.score**2 - lower.score**2 <= _CLEARLY * higher.score**2:
+    """Whether the held-out rows speak clearly for the lower order."""
+    if not higher.judged.size or higher.score**2 - lower.score**2 <= _CLEARLY * higher.score**2:
         return False
-    saved = np.log(np.bincount(piece, higher.judged**2) + _NOTHING) - np.log(
-        np.bincount(piece, lower.judged**2) + _NOTHING
-    )
-    least = float(student_t.ppf(_SIGNIFICANT, pieces.size - 1)) * float(np.std(saved, ddof=1)) / np.sqrt(pieces.size)
-    return bool(np.mean(saved) > least)
+    return is_significant(*standard_errors_saved(higher.judged, lower.judged, higher.pieces), _SIGNIFICANT)
