@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from controllers.actuation import Actuation
+from controllers.backoff import backoff_K
 from controllers.errors import ControllerConfigError
 from controllers.ladder import Ladder
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
@@ -154,8 +155,12 @@ class ThermoForceMPC:
         low, high = c.backoff_level, c.backoff_level_other
         if self._operator.sign < 0:
             low, high = high, low
-        below = np.clip(T_free - outlook.free.quantile_C(low), 0.0, c.backoff_most_K)
-        above = np.clip(outlook.free.quantile_C(1.0 - high) - T_free, 0.0, c.backoff_most_K)
+        below, above = (
+            np.minimum(
+                backoff_K(outlook.free, self.step_s, level, c.backoff_violation_K, below=is_lower), c.backoff_most_K
+            )
+            for level, is_lower in ((low, True), (high, False))
+        )
         # Margins wider than half the band would turn the bounds around.
         half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
         return MPCProblem(

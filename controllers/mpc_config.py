@@ -67,6 +67,12 @@ class MPCConfig(StrictModel):
         le=0.5,
         description="the same for the bound that only not acting keeps (heating: the upper, against the sun)",
     )
+    backoff_violation_K: float | None = Field(
+        0.0135,
+        gt=0,
+        description="expected violation of a bound, K in the mean over the next 6 h, above which the chance levels are "
+        "lowered: it rules where forecasts are uncertain; null leaves it to the chance levels",
+    )
     backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
     solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(
         "auto",

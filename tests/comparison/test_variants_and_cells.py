@@ -39,7 +39,7 @@ def test_the_ablation_changes_one_part_at_a_time():
     variants = load_comparison("ablation").variants
     changed = [v for v in variants.values() if v.controller == "thermoforce_mpc" and (v.options or v.identification)]
     assert len(changed) >= 8
-    parts = [{key.removesuffix("_other") for key in v.options} | set(v.identification) for v in changed]
+    parts = [{key.split("_")[0] for key in v.options} | set(v.identification) for v in changed]
     assert all(len(part) == 1 for part in parts)
 
 

@@ -168,7 +168,7 @@ def test_same_observation_same_plan():
 def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its_own(sign, inside):
     model = simple_model()
     operator = replace(model.operator, gains=sign * model.operator.gains, sign=sign)
-    config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3)
+    config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3, backoff_violation_K=None)
     mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
     seen = observation()
     problem = mpc._problem(mpc._outlook(seen), seen.history)
