@@ -37,8 +37,8 @@ def test_levels_recover_fixed_and_proportional_part():
     fit = fit_load(u, T, _machine(u, T), what="power")
     np.testing.assert_allclose(fit.load.coefficients, (1500, 5, 2000, 40), rtol=1e-6)
     assert fit.load.lowest_level == 0.2
-    assert fit.rmse_W < 1e-6
-    assert fit.r2 == pytest.approx(1.0)
+    assert fit.quality.rmse_W < 1e-6
+    assert fit.quality.r2 == pytest.approx(1.0)
     model = fit_power([_history(u, T, _machine(u, T))])
     np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)], rtol=1e-3)
 

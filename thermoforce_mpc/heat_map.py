@@ -13,21 +13,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.load_law import LEAST_W, LEVEL_EDGE, EndValues, Quality, Steps, levels_to_try, usable_steps
 from thermoforce_mpc.operator.actuator import OnLoad
 from thermoforce_mpc.types import HOUR_S, Array
 
-# A level between these shares of full is an intermediate level; outside, off or full.
-_LEVEL_EDGE = 0.02
-# Intermediate samples needed before the fixed and the proportional part can be told apart.
-_MIN_LEVELS = 3
-# Bound below, a hair above zero so that rounding in the affine law cannot make a load negative.
-_LEAST_W = 1e-3
-# How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.
-_TRUST_K = 15.0
 # Share of full heat that a step's measurement is off by (dynamics inside the step, return temperature), and how long
 # such a deviation lasts, h: what the machine warms takes hours to cool again, so steps are not independent.
 _MISFIT, _MISFIT_H = 0.02, 3.0
@@ -81,16 +72,13 @@ def kinds_for(sign: int) -> tuple[MachinePrior, ...]:
 class HeatFit:
     """A fitted heat map and how good it is.
 
-    `rmse_W` and `bias_W` over the steps while on, `r2` over all `n_samples` steps; `full_sd` the standard deviation of
-    the heat at full in the middle of the outdoor temperatures seen, as a share of it; `kind` is what the machine was
-    taken for, and `evidence` the logarithm of the probability of the data under it, up to a constant.
+    `full_sd` is the standard deviation of the heat at full in the middle of the outdoor temperatures seen, as a share
+    of it; `kind` is what the machine was taken for, and `evidence` the logarithm of the probability of the data under
+    it, up to a constant.
     """
 
     load: OnLoad
-    rmse_W: float
-    bias_W: float
-    r2: float
-    n_samples: int
+    quality: Quality
     full_sd: float
     kind: str
     evidence: float
@@ -119,22 +107,9 @@ def fit_heat(
     Raises:
         DataError: fewer than ten usable steps, or heat was given in fewer than five.
     """
-    u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, heat_W))
-    usable = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
-    if usable.sum() < 10:
-        raise DataError(f"delivered heat: only {int(usable.sum())} of {u.size} steps were measured, need at least 10")
-    u, T, y = u[usable], T[usable], y[usable]
-    running = u > _LEVEL_EDGE
-    if running.sum() < 5 or np.mean(y[running]) <= 0:
-        raise DataError(f"delivered heat: the actuator was on in {int(running.sum())} measured steps, need at least 5")
-    levels = running & (u < 1.0 - _LEVEL_EDGE)
-    if lowest_level is not None:
-        candidates = [lowest_level]
-    else:
-        candidates = [1.0] + ([float(np.min(u[levels]))] if levels.sum() >= _MIN_LEVELS else [])
-    counted_once = max(1.0, 2.0 * _MISFIT_H * HOUR_S / step_s)
-    data = _Samples(u, T, y, running, _MISFIT * float(np.sqrt(counted_once)))
-    fits = [_fit_at(data, lowest, kind) for kind in kinds for lowest in candidates]
+    steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
+    misfit = _MISFIT * float(np.sqrt(max(1.0, 2.0 * _MISFIT_H * HOUR_S / step_s)))
+    fits = [_fit_at(steps, misfit, lowest, kind) for kind in kinds for lowest in levels_to_try(steps, lowest_level)]
 
     def posterior(fit: HeatFit) -> float:
         odds = (_FIRST_KIND if fit.kind == kinds[0].name else 1.0) * (_LEVELS_ARE_RUN if fit.load.levels_seen else 1.0)
@@ -143,47 +118,29 @@ def fit_heat(
     return max(fits, key=posterior)
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """Usable steps: u (n,), T °C (n,), y W (n,), where the machine runs (n,); error of a step as a share of full."""
-
-    u: Array
-    T: Array
-    y: Array
-    running: NDArray[np.bool_]
-    misfit: float
-
-
-def _fit_at(data: _Samples, lowest_level: float, kind: MachinePrior) -> HeatFit:
-    u, T, y = data.u, data.T, data.y
+def _fit_at(steps: Steps, misfit: float, lowest_level: float, kind: MachinePrior) -> HeatFit:
+    """`misfit` is the error of a step as a share of full heat."""
+    u, y, ends = steps.u, steps.load_W, EndValues.around(steps)
     levels_seen = lowest_level < 1.0
-    seen_low, seen_high = float(T[data.running].min()), float(T[data.running].max())
-    low, high = seen_low - _TRUST_K, seen_high + _TRUST_K
-    span = high - low
-
-    # An affine law is nonnegative on an interval exactly when it is at both ends: fit the end values, bounded below.
-    share = (np.clip(T, low, high) - low) / span
     carriers = [np.minimum(u / lowest_level, 1.0), u] if levels_seen else [u]
-    straight = np.stack([c * w for c in carriers for w in (1.0 - share, share)], axis=1)
+    straight = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
 
     # A law that bends lies above its chord from the lowest level to full; only the chord is returned.
     above = np.maximum(u - lowest_level, 0.0) * (1.0 - u)
     design = np.column_stack([straight, above]) if levels_seen else straight
 
-    at = (0.5 * (seen_low + seen_high) - low) / span
-    middle = np.array([1.0 - at, at])
     full = _full_load(u, y, lowest_level, kind)
-    relations, sds = _prior_rows(kind, lowest_level, middle, span, design.shape[1])
+    relations, sds = _prior_rows(kind, lowest_level, ends, design.shape[1])
     # In shares of full heat, so that the evidence does not depend on the unit.
-    rows = np.concatenate([design / data.misfit, relations / sds[:, None]])
-    values = np.concatenate([y / full / data.misfit, np.zeros(sds.size)])
-    least = np.full(design.shape[1], _LEAST_W / full)
+    rows = np.concatenate([design / misfit, relations / sds[:, None]])
+    values = np.concatenate([y / full / misfit, np.zeros(sds.size)])
+    least = np.full(design.shape[1], LEAST_W / full)
     least[straight.shape[1] :] = -np.inf
     solution = np.asarray(lsq_linear(rows, values, bounds=(least, np.inf)).x)
     residual = rows @ solution - values
 
     at_full = np.zeros(design.shape[1])
-    at_full[: straight.shape[1]] = np.tile(middle, len(carriers))
+    at_full[: straight.shape[1]] = np.tile(ends.weights(ends.middle_C), len(carriers))
     precision = rows.T @ rows
     variance = float(at_full @ np.linalg.solve(precision, at_full))
     full_sd = float(np.sqrt(max(variance, 0.0))) / float(at_full @ solution)
@@ -191,22 +148,10 @@ def _fit_at(data: _Samples, lowest_level: float, kind: MachinePrior) -> HeatFit:
     jacobian = np.linalg.slogdet(np.vstack([relations, at_full]))[1]
     evidence = -0.5 * (residual @ residual + np.linalg.slogdet(precision)[1]) - np.log(sds).sum() + jacobian
 
-    ends = np.maximum(solution[: straight.shape[1]] * full, _LEAST_W)
-    laws = [(a - (b - a) / span * low, (b - a) / span) for a, b in ends.reshape(-1, 2)]
-    fixed = laws[0] if levels_seen else (0.0, 0.0)
-    error = straight @ ends - y
-    spread = float(np.var(y))
+    values_W = np.maximum(solution[: straight.shape[1]] * full, LEAST_W)
     return HeatFit(
-        load=OnLoad(
-            coefficients=(float(fixed[0]), float(fixed[1]), float(laws[-1][0]), float(laws[-1][1])),
-            T_out_range_C=(low, high),
-            lowest_level=lowest_level,
-            levels_seen=levels_seen,
-        ),
-        rmse_W=float(np.sqrt(np.mean(error[data.running] ** 2))),
-        bias_W=float(np.mean(error[data.running])),
-        r2=1.0 - float(np.mean(error**2)) / spread if spread > 0 else float("nan"),
-        n_samples=int(u.size),
+        load=ends.load(values_W, lowest_level),
+        quality=Quality.of(straight @ values_W, steps),
         full_sd=full_sd,
         kind=kind.name,
         evidence=float(evidence),
@@ -217,17 +162,16 @@ def _full_load(u: Array, y: Array, lowest_level: float, kind: MachinePrior) -> f
     """Rough size of the heat at full, W: the largest step, scaled up where it was not one at full."""
     top = int(np.argmax(y))
     fixed = kind.fixed[0] if lowest_level < 1.0 else 0.0
-    return float(y[top] / (fixed + (1.0 - fixed) * max(float(u[top]), _LEVEL_EDGE)))
+    return float(y[top] / (fixed + (1.0 - fixed) * max(float(u[top]), LEVEL_EDGE)))
 
 
-def _prior_rows(kind: MachinePrior, lowest_level: float, middle: Array, span: float, n: int) -> tuple[Array, Array]:
+def _prior_rows(kind: MachinePrior, lowest_level: float, ends: EndValues, n: int) -> tuple[Array, Array]:
     """What is known beforehand as relations that are zero, give or take: rows (m, n) and deviations (m,).
 
     Columns are the end values of each part, then the height above the chord; all in shares of full heat.
     """
     slope, slope_sd = kind.slope
-    # Slope minus its mean times the value in the middle.
-    sloping = np.array([-1.0, 1.0]) / span - slope * middle
+    sloping, middle = ends.sloping(slope), ends.weights(ends.middle_C)
     if lowest_level == 1.0:
         return sloping[None, :], np.array([slope_sd])
     rows = np.zeros((4, n))

@@ -11,22 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.load_law import LEAST_W, EndValues, Quality, Steps, levels_to_try, usable_steps
 from thermoforce_mpc.operator.actuator import OnLoad
 from thermoforce_mpc.return_water import ReturnWater, fit_return_water
 from thermoforce_mpc.types import Array, History
 
-# A level between these shares of full is an intermediate level; outside, off or full.
-_LEVEL_EDGE = 0.02
-# Intermediate samples needed before the fixed and the proportional part can be told apart.
-_MIN_LEVELS = 3
-# Bound below, a hair above zero so that rounding in the affine law cannot make a load negative.
-_LEAST_W = 1e-3
-# How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.
-_TRUST_K = 15.0
 # Share of full load that a step's measurement is off by (dynamics inside the step, return temperature).
 _MISFIT = 0.02
 
@@ -48,14 +39,10 @@ POWER_SLOPE = SlopePrior(0.0, 0.015)
 
 @dataclass(frozen=True)
 class LoadFit:
-    """A fitted load and how good it is: `rmse_W`, `bias_W` over `n_running` steps, `r2` over all `n_samples`."""
+    """A fitted load and how good it is."""
 
     load: OnLoad
-    rmse_W: float
-    bias_W: float
-    r2: float
-    n_samples: int
-    n_running: int
+    quality: Quality
 
 
 @dataclass(frozen=True)
@@ -120,10 +107,11 @@ def fit_power(
     plain = fit(np.ones_like(u))
     full_W = float(np.nanmax(power))
     water = fit_return_water(
-        T_return, T_zone, u, lambda factor: fit(factor).rmse_W ** 2 * plain.n_running, full_W=full_W
+        T_return, T_zone, u, lambda factor: fit(factor).quality.rmse_W ** 2 * plain.quality.n_running, full_W=full_W
     )
     found = plain if water is None else fit(water.factor(T_return))
-    return PowerModel(found.load, found.rmse_W, found.r2, f"fitted to {found.n_samples} steps", water)
+    quality = found.quality
+    return PowerModel(found.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
 
 
 def fit_load(
@@ -151,71 +139,24 @@ def fit_load(
     Raises:
         DataError: fewer than ten usable steps, or the load was on in fewer than five.
     """
-    u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, load_W))
-    times = np.ones_like(y) if factor is None else np.asarray(factor, dtype=np.float64)
-    usable = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
-    if usable.sum() < 10:
-        raise DataError(f"{what}: only {int(usable.sum())} of {u.size} steps were measured, need at least 10")
-    u, T, y, times = u[usable], T[usable], y[usable], times[usable]
-    running = u > _LEVEL_EDGE
-    if running.sum() < 5 or np.mean(y[running]) <= 0:
-        raise DataError(f"{what}: the actuator was on in {int(running.sum())} measured steps, need at least 5")
-    levels = running & (u < 1.0 - _LEVEL_EDGE)
-    if lowest_level is not None:
-        candidates = [lowest_level]
-    else:
-        candidates = [1.0] + ([float(np.min(u[levels]))] if levels.sum() >= _MIN_LEVELS else [])
-    fits = [_fit_at(u, T, y, times, lowest, running, slope) for lowest in candidates]
-    return min(fits, key=lambda fit: fit.rmse_W)
+    steps = usable_steps(u, T_out_C, load_W, what)
+    times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]
+    fits = [_fit_at(steps, times, lowest, slope) for lowest in levels_to_try(steps, lowest_level)]
+    return min(fits, key=lambda fit: fit.quality.rmse_W)
 
 
-def _fit_at(
-    u: Array,
-    T: Array,
-    y: Array,
-    times: Array,
-    lowest_level: float,
-    running: NDArray[np.bool_],
-    slope: SlopePrior | None,
-) -> LoadFit:
-    levels_seen = lowest_level < 1.0
-    on, level = times * np.minimum(u / lowest_level, 1.0), times * u
-    seen_low, seen_high = float(T[running].min()), float(T[running].max())
-    low, high = seen_low - _TRUST_K, seen_high + _TRUST_K
-    middle = 0.5 * (seen_low + seen_high)
-
-    # An affine law is nonnegative on an interval exactly when it is at both ends: fit the end values, bounded below.
-    share = (np.clip(T, low, high) - low) / (high - low)
-    carriers = [on, level] if levels_seen else [level]
-    design = np.stack([c * w for c in carriers for w in (1.0 - share, share)], axis=1)
-    full = float(np.max(y[running]))
+def _fit_at(steps: Steps, times: Array, lowest_level: float, slope: SlopePrior | None) -> LoadFit:
+    ends = EndValues.around(steps)
+    on, level = times * np.minimum(steps.u / lowest_level, 1.0), times * steps.u
+    carriers = [on, level] if lowest_level < 1.0 else [level]
+    design = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
+    full = float(np.max(steps.load_W[steps.running]))
     rows: list[Array] = [design / (_MISFIT * full)]
-    values: list[Array] = [y / (_MISFIT * full)]
+    values: list[Array] = [steps.load_W / (_MISFIT * full)]
     if slope is not None:
-        # Slope minus mean times the value in the middle is zero, give or take; the load's own size sets the scale.
-        at_middle = (middle - low) / (high - low)
-        relation = np.array([-1.0, 1.0]) / (high - low) - slope.mean_per_K * np.array([1.0 - at_middle, at_middle])
+        # Zero, give or take; the load's own size sets the scale.
         per_part = slope.sd_per_K * full / len(carriers)
-        rows.append(np.asarray(np.kron(np.eye(len(carriers)), relation) / per_part))
+        rows.append(np.asarray(np.kron(np.eye(len(carriers)), ends.sloping(slope.mean_per_K)) / per_part))
         values.append(np.zeros(len(carriers)))
-    solution = lsq_linear(np.concatenate(rows), np.concatenate(values), bounds=(_LEAST_W, np.inf)).x
-    parts = [
-        (at_low - (at_high - at_low) / (high - low) * low, (at_high - at_low) / (high - low))
-        for at_low, at_high in solution.reshape(-1, 2)
-    ]
-    fixed = parts[0] if levels_seen else (0.0, 0.0)
-    residual = design @ solution - y
-    variance = float(np.var(y))
-    return LoadFit(
-        load=OnLoad(
-            coefficients=(float(fixed[0]), float(fixed[1]), float(parts[-1][0]), float(parts[-1][1])),
-            T_out_range_C=(low, high),
-            lowest_level=lowest_level,
-            levels_seen=levels_seen,
-        ),
-        rmse_W=float(np.sqrt(np.mean(residual[running] ** 2))),
-        bias_W=float(np.mean(residual[running])),
-        r2=1.0 - float(np.mean(residual**2)) / variance if variance > 0 else float("nan"),
-        n_samples=int(u.size),
-        n_running=int(running.sum()),
-    )
+    solution = lsq_linear(np.concatenate(rows), np.concatenate(values), bounds=(LEAST_W, np.inf)).x
+    return LoadFit(ends.load(solution, lowest_level), Quality.of(design @ solution, steps))

@@ -60,7 +60,8 @@ def actuator_map(
         step_s=histories[0].step_s,
         lowest_level=config.lowest_level,
     )
-    note = f"actuator map: heat of a machine of kind '{fit.kind}', RMSE {fit.rmse_W:.0f} W while on, R² {fit.r2:.4f}"
+    rmse_W, r2 = fit.quality.rmse_W, fit.quality.r2
+    note = f"actuator map: heat of a machine of kind '{fit.kind}', RMSE {rmse_W:.0f} W while on, R² {r2:.4f}"
     return ActuatorMap(heat=fit.load), [note, *_unseen(histories, fit)]
 
 
