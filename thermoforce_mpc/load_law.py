@@ -38,7 +38,7 @@ class Steps:
 
 
 def usable_steps(u: Array, T_out_C: Array, load_W: Array, what: str) -> Steps:
-    """Steps where all was measured; raises `DataError` with numbers where they are too few or the machine hardly ran."""
+    """Steps where all was measured; raises `DataError` where they are too few or the machine hardly ran."""
     u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, load_W))
     kept = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
     if kept.sum() < _MIN_STEPS:
