@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from machine_history import machine_history
 
 from thermoforce_mpc.bench.operator_data import cut, read_run
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.heat_map import AIR_CONDITIONER, DIRECT, HEAT_PUMP, OTHER, fit_heat, kinds_for
 from thermoforce_mpc.identification import IdentificationConfig
 from thermoforce_mpc.identification.cases import actuator_map
-from thermoforce_mpc.types import History
 
 HEATS = kinds_for(1)
 
@@ -112,27 +112,17 @@ def test_unusable_heat_is_refused_with_numbers():
         _fit(0 * u, T, np.zeros(50))
 
 
-def _history(u, T):
-    n = len(u)
-    nothing = np.full(n, np.nan)
-    return History(
-        time_s=np.arange(n + 1) * 900.0,
-        T_zone_C=np.full(n + 1, 21.0),
-        T_out_C=np.append(T, T[-1]),
-        solar_W_m2=np.zeros(n + 1),
-        u=u,
-        power_W=nothing,
-        heat_W=_heat_pump(u, T),
-    )
+def _run(u):
+    return machine_history(u, _day(2, 8), heat_W=_heat_pump(u, _day(2, 8)))
 
 
 def test_the_note_says_that_full_was_never_seen_and_the_kind_can_be_given():
     u = _levels(1, (0, 0.2, 0.4, 0.6))
-    _, notes = actuator_map([_history(u, _day(2, 8))], IdentificationConfig(), 1)
+    _, notes = actuator_map([_run(u)], IdentificationConfig(), 1)
     assert any("full heat was never seen" in note and "0.6" in note for note in notes)
     full = _levels(1, (0, 0.2, 0.4, 1.0))
     chosen = IdentificationConfig(machine="direct")
-    _, notes = actuator_map([_history(full, _day(2, 8))], chosen, 1)
+    _, notes = actuator_map([_run(full)], chosen, 1)
     assert len(notes) == 1
     assert "'direct'" in notes[0]
 

@@ -7,28 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from machine_history import machine_history
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.power import fit_load, fit_power
 from thermoforce_mpc.return_water import ReturnWater
-from thermoforce_mpc.types import History
 
 
 def _machine(u, T):
     return (u > 0) * (1500 + 5 * T) + u * (2000 + 40 * T)
-
-
-def _history(u, T, power) -> History:
-    n = len(u)
-    return History(
-        time_s=np.arange(n + 1) * 900.0,
-        T_zone_C=np.full(n + 1, 21.0),
-        T_out_C=np.append(T, T[-1]),
-        solar_W_m2=np.zeros(n + 1),
-        u=u,
-        power_W=power,
-        heat_W=np.full(n, np.nan),
-    )
 
 
 def test_levels_recover_fixed_and_proportional_part():
@@ -39,7 +26,7 @@ def test_levels_recover_fixed_and_proportional_part():
     assert fit.load.lowest_level == 0.2
     assert fit.quality.rmse_W < 1e-6
     assert fit.quality.r2 == pytest.approx(1.0)
-    model = fit_power([_history(u, T, _machine(u, T))])
+    model = fit_power([machine_history(u, T, power_W=_machine(u, T))])
     np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)], rtol=1e-3)
 
 
@@ -65,7 +52,7 @@ def _water_history(rng, n=300):
     u, T = rng.choice([0, 0.2, 0.4, 0.7, 1.0], n), rng.uniform(-5, 12, n)
     T_return = 27 + 4 * u + rng.normal(0, 1.5, n)
     power = _machine(u, T) * (1 + 0.008 * (T_return - 30))
-    return replace(_history(u, T, power), T_return_C=T_return)
+    return replace(machine_history(u, T, power_W=power), T_return_C=T_return)
 
 
 def test_the_return_water_explains_what_level_and_weather_leave_over():
@@ -130,10 +117,10 @@ def test_real_machine_within_one_percent_with_its_return_water(shared):
     frames = [pd.read_csv(shared / "boptest_hp" / f"{name}.csv.gz") for name in ("excite_jan", "excite_mar")]
     january, march = (
         replace(
-            _history(
+            machine_history(
                 frame.oveHeaPumY_u.to_numpy(),
                 frame.weaSta_reaWeaTDryBul_y.to_numpy(),
-                (frame.reaPHeaPum_y + frame.reaPFan_y + frame.reaPPumEmi_y).to_numpy(),
+                power_W=(frame.reaPHeaPum_y + frame.reaPFan_y + frame.reaPPumEmi_y).to_numpy(),
             ),
             T_return_C=frame.reaTRet_y.to_numpy(),
         )
