@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.configuration import find_config, merge, named_configs, parse_overrides, read_yaml, validate
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario import Scenario, load_scenario, load_testcase
@@ -130,3 +131,11 @@ def test_the_machine_is_probed_the_way_the_controllers_will_run_it(baselines, be
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=baselines)
     levels = identification_settings(scenario, load_testcase(scenario.testcase))[0].levels
     assert any(0 < level < 1 for level in levels) is between
+
+
+def test_the_level_of_forecast_errors_is_an_option_of_a_run():
+    named = {"testcase": "bestest_hydronic_heat_pump"}
+    assert scenario_from(named).plant.forecast_uncertainty == "none"
+    assert scenario_from({**named, "uncertainty": "medium"}).plant.forecast_uncertainty == "medium"
+    with pytest.raises(ConfigError, match="forecast_uncertainty"):
+        scenario_from({**named, "uncertainty": "huge"})

@@ -32,6 +32,12 @@ def scenario_options(function: Function) -> Function:
             click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
             click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
             click.option("--prices", metavar="FILE", help="CSV (time s, price per kWh): your highly dynamic tariff."),
+            click.option(
+                "--forecast-uncertainty",
+                "uncertainty",
+                metavar="LEVEL",
+                help="BOPTEST's errors of the weather forecast: none, low, medium or high.",
+            ),
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
         ]
@@ -69,6 +75,8 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
         plant["weather"] = options["weather"]
     if options.get("prices") is not None:
         plant["prices_file"] = options["prices"]
+    if options.get("uncertainty") is not None:
+        plant["forecast_uncertainty"] = options["uncertainty"]
     if plant:
         named["plant"] = plant
     if options.get("baselines") is not None:
