@@ -22,7 +22,7 @@ from thermoforce_mpc.composition import identify_on
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Observation
+from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.weather import synthetic_weather
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
@@ -59,23 +59,15 @@ def on_a_record(folder: Path) -> Situation:
     found = sorted(folder.glob("excite_*.csv.gz"))
     if not found:
         raise SystemExit(f"{folder}: no excite_*.csv.gz there")
-    run = hourly(read_run(found[0]))
-    model = identify([cut(read_run(found[0]), 0.0, 3.0)], floor_area_m2=192.0, step_s=HOUR_S, source=found[0].name)
+    record = read_run(found[0])
+    run = record.coarser(round(HOUR_S / record.step_s))
+    model = identify([cut(record, 0.0, 3.0)], floor_area_m2=192.0, step_s=HOUR_S, source=found[0].name)
     now = 10 * 24
     ahead = slice(now, now + 25)
     nothing = np.zeros(25)
     boundary = Boundary(run.time_s[ahead], run.T_out_C[ahead], run.solar_W_m2[ahead], *(nothing for _ in range(5)))
     observation = Observation(cut(run, 0.0, 10.0), boundary)
     return Situation(model, observation, run.u[now : now + 24], run.T_zone_C[now + 1 : now + 25], found[0].name)
-
-
-def hourly(run: History) -> History:
-    """The run at one hour per step."""
-    k = round(HOUR_S / run.step_s)
-    n = run.n_steps // k
-    means = {name: getattr(run, name)[: n * k].reshape(n, k).mean(axis=1) for name in ("u", "power_W", "heat_W")}
-    names = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
-    return History(**{name: getattr(run, name)[: n * k + 1 : k] for name in names}, **means)
 
 
 def main() -> None:

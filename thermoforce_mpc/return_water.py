@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from thermoforce_mpc.load_law import LEVEL_EDGE
 from thermoforce_mpc.types import DAY_S, Array, History
 
-_ON = 0.02
 # Fewer running steps than this with a measured return temperature cannot tell κ from the rest.
 _LEAST_STEPS = 20
 # One kelvin of lift is 2 to 3 % of a heat pump's efficiency, part of which shows in the heat and not in the power.
@@ -60,7 +60,7 @@ class ReturnWater:
 
 def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
     """Mean of return minus zone temperature over running steps, weighted by u, K; NaN where nothing was measured."""
-    weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > _ON), u, 0.0)
+    weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > LEVEL_EDGE), u, 0.0)
     if not weight.sum() > 0:
         return float("nan")
     return float(np.average(np.nan_to_num(T_return_C - T_zone_C), weights=weight))
@@ -76,7 +76,7 @@ def fit_return_water(
         misfit_of: sum of squared misfits in W² of the load fitted to the measured power over factors (n,) given.
         full_W: scale of the power, W: a step's power is believed to 2 % of it, as in `fit_load`.
     """
-    known = np.isfinite(T_return_C) & (u > _ON)
+    known = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
     if known.sum() < _LEAST_STEPS:
         return None
     low, high = float(T_return_C[known].min()), float(T_return_C[known].max())

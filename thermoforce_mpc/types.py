@@ -124,8 +124,22 @@ class History:
 
     def tail(self, n_steps: int) -> History:
         """The last `n_steps` steps (all of it when shorter)."""
-        start = self.n_steps - min(n_steps, self.n_steps)
-        return History(**{name: getattr(self, name)[start:] for name in (*SAMPLED, *ACTING)})
+        return self.part(self.n_steps - min(n_steps, self.n_steps), self.n_steps)
+
+    def part(self, start: int, stop: int) -> History:
+        """Steps `start` … `stop` − 1, with the samples at both their ends."""
+        return History(
+            **{name: getattr(self, name)[start : stop + 1] for name in SAMPLED},
+            **{name: getattr(self, name)[start:stop] for name in ACTING},
+        )
+
+    def coarser(self, every: int) -> History:
+        """Steps of `every` steps each, from the first on: samples at their ends, means over them; a rest is cut."""
+        n = self.n_steps // every
+        return History(
+            **{name: getattr(self, name)[: n * every + 1 : every] for name in SAMPLED},
+            **{name: getattr(self, name)[: n * every].reshape(n, every).mean(axis=1) for name in ACTING},
+        )
 
     def extended(self, measurement: Measurement) -> History:
         """This history with one more step, the one that `measurement` closes."""

@@ -13,7 +13,6 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
 from thermoforce_mpc.operator import certificate
-from thermoforce_mpc.types import ACTING, SAMPLED
 
 HOUSE = House(machine_W=(0.0, 10000.0), slope_per_K=0.0)
 LINEAR = IdentificationConfig(order=3, modulation="linear")
@@ -71,11 +70,7 @@ def test_step_by_step_is_the_same_as_at_once(model, measured):
     whole, piecewise = OnlineAdaptation(model, ON), OnlineAdaptation(model, ON)
     whole.update(run)
     for n in range(1, run.n_steps + 1):
-        part = replace(
-            run,
-            **{k: getattr(run, k)[: n + 1] for k in SAMPLED},
-            **{k: getattr(run, k)[:n] for k in ACTING},
-        )
+        part = run.part(0, n)
         piecewise.update(part)
     assert [s.time_s for s in piecewise.steps] == [s.time_s for s in whole.steps]
     for a, b in zip(piecewise.steps, whole.steps, strict=True):

@@ -15,7 +15,7 @@ from thermoforce_mpc.bench.result import Target
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.free_response.registry import build_free_response
-from thermoforce_mpc.interventions.dataset import Dataset, Probe, steps
+from thermoforce_mpc.interventions.dataset import Dataset, Probe
 from thermoforce_mpc.interventions.methods.base import Training
 from thermoforce_mpc.interventions.methods.thermoforce import identified
 from thermoforce_mpc.interventions.paper import EFFICIENCY_MS, PARAMETERS
@@ -112,7 +112,7 @@ def _observation(probe: Probe, climate: Climate, band_K: float) -> Observation:
     """The last 48 h before the probe days as the horizon, everything before as history."""
     past = probe.history
     n = round(_HORIZON_H * HOUR_S / past.step_s)
-    history, ahead = steps(past, 0, past.n_steps - n), steps(past, past.n_steps - n, past.n_steps)
+    history, ahead = past.part(0, past.n_steps - n), past.part(past.n_steps - n, past.n_steps)
     day = base_setpoint(climate, 1)
     machine = day[np.round(np.mod(ahead.time_s, DAY_S) / past.step_s).astype(int) % day.size]
     other = np.full(n + 1, climate.comfort_C + climate.sign * band_K)

@@ -15,7 +15,7 @@ import pandas as pd
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, History
+from thermoforce_mpc.types import DAY_S, HOUR_S, History
 
 FLOOR_AREA_M2 = 192.0
 """Heated floor area of the reference building, m² (BOPTEST test case documentation)."""
@@ -66,10 +66,7 @@ def cut(history: History, first_day: float, days: float) -> History:
     """`days` days of a run, starting `first_day` days after its beginning."""
     per_day = DAY_S / history.step_s
     start, n = round(first_day * per_day), round(days * per_day)
-    return History(
-        **{k: getattr(history, k)[start : start + n + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-        **{k: getattr(history, k)[start : start + n] for k in ACTING},
-    )
+    return history.part(start, start + n)
 
 
 def read_hourly_pairs(folder: Path) -> list[ReferencePair]:

@@ -16,7 +16,7 @@ from thermoforce_mpc.bench.result import Target
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.two_stage import fit_two_stage
-from thermoforce_mpc.types import ACTING, History
+from thermoforce_mpc.types import HOUR_S, History
 
 # Goals, K unless said otherwise.
 _FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}
@@ -125,18 +125,10 @@ def _stride(days: int, quick: bool) -> float:
 def _paper_estimate(record: History, pairs: Sequence[ReferencePair]) -> PairScores | None:
     """The paper's two-stage estimator on hourly means of the same days; None where it finds too few off or on steps."""
     try:
-        fit = fit_two_stage([_hourly(record)])
+        fit = fit_two_stage([record.coarser(round(HOUR_S / record.step_s))])
     except DataError:
         return None
     return score_pairs(fit.operator(), pairs) if fit.g > 0 else None
-
-
-def _hourly(record: History) -> History:
-    k = round(3600.0 / record.step_s)
-    n = record.n_steps // k
-    mean = {name: getattr(record, name)[: n * k].reshape(n, k).mean(axis=1) for name in ACTING}
-    sampled = {name: getattr(record, name)[: n * k + 1 : k] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
-    return History(**sampled, **mean)
 
 
 def _summary(days: int, given: str, gain: str, scores: Sequence[PairScores], refused: int) -> Row:

@@ -25,7 +25,7 @@ from thermoforce_mpc.identification.design import Designer
 from thermoforce_mpc.identification.pair_probing import probe_pair
 from thermoforce_mpc.identification.probing import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, History, Measurement
+from thermoforce_mpc.types import DAY_S, HOUR_S, History, Measurement
 from thermoforce_mpc.weather import synthetic_weather
 
 FLOOR_AREA_M2 = 192.0
@@ -192,8 +192,4 @@ def _asked(measurement: Measurement, u: float) -> Measurement:
 
 
 def _hourly(run: History) -> History:
-    k = round(HOUR_S / run.step_s)
-    n = run.n_steps // k
-    means = {name: getattr(run, name)[: n * k].reshape(n, k).mean(axis=1) for name in ACTING}
-    sampled = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
-    return History(**{name: getattr(run, name)[: n * k + 1 : k] for name in sampled}, **means)
+    return run.coarser(round(HOUR_S / run.step_s))

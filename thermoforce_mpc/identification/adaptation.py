@@ -28,7 +28,7 @@ from thermoforce_mpc.operator.certificate import certificate
 from thermoforce_mpc.operator.features import feature_matrix
 from thermoforce_mpc.operator.parameters import OperatorParameters
 from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, Array, History
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, History
 from thermoforce_mpc.world_model import ThermalModel, forced_history, heat_drive
 
 # Steps that are on, and hours of them, from which measured heat can be compared with the map.
@@ -178,7 +178,7 @@ class OnlineAdaptation:
         self, operator: OperatorParameters, history: History, start: int, stop: int
     ) -> tuple[Array, Array, Array]:
         """What the block's own actions do not explain (rows,), its covariance, and d/d(ln gain, ln τ) (rows, 2), K."""
-        block = _part(history, start, stop)
+        block = history.part(start, stop)
         episode = run_episode(block, operator.actuator, self._assumed)
         rest = residuals(episode, np.log(operator.time_constants_h))
         forced = forced_history(operator, history)[start:stop]
@@ -278,11 +278,6 @@ def _response(operator: OperatorParameters, drive: Array) -> Array:
     """Forced response (n + 1,) K to a drive (n,), from rest."""
     modes = [lfilter([g], [1.0, -a], drive) for a, g in zip(operator.poles, operator.gains, strict=True)]
     return np.concatenate([[0.0], np.sum(modes, axis=0)])
-
-
-def _part(history: History, start: int, stop: int) -> History:
-    sampled = {k: getattr(history, k)[start : stop + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
-    return History(**sampled, **{k: getattr(history, k)[start:stop] for k in ACTING})
 
 
 def _held(values: Array) -> Array:

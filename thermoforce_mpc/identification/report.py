@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.free_response.rc import RcFreeResponse
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
-from thermoforce_mpc.types import ACTING, DAY_S, HOUR_S, Array, Boundary, History, Observation
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Observation
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
 if TYPE_CHECKING:
@@ -48,11 +48,7 @@ def rollouts(model: ThermalModel, record: History, hours: float = _ROLLOUT_H) ->
             *(getattr(record, name)[start : stop + 1] for name in ("time_s", "T_out_C", "solar_W_m2")),
             *(nothing for _ in range(5)),
         )
-        past = History(
-            **{k: getattr(record, k)[: start + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-            **{k: getattr(record, k)[:start] for k in ACTING},
-        )
-        outlook = world.outlook(Observation(past, ahead))
+        outlook = world.outlook(Observation(record.part(0, start), ahead))
         predicted[start + 1 : stop + 1] = outlook.predict(record.u[start:stop]).total_C
     error = predicted - record.T_zone_C
     return Rollouts(predicted, float(np.sqrt(np.nanmean(error**2))))

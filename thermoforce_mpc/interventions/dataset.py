@@ -212,21 +212,13 @@ def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
     return jobs, plan
 
 
-def steps(record: History, start: int, stop: int) -> History:
-    """Steps `start` … `stop` − 1 of a record, with the samples at both their ends."""
-    return History(
-        **{k: getattr(record, k)[start : stop + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-        **{k: getattr(record, k)[start:stop] for k in ("u", "power_W", "heat_W")},
-    )
-
-
 def check_identical(a: History, b: History, n_steps: int, what: str) -> None:
     """Refuse two runs that differ, in any bit, before the intervention begins after `n_steps` steps.
 
     Raises:
         DataError: naming the signal and the first step that differs.
     """
-    first, second = steps(a, 0, n_steps), steps(b, 0, n_steps)
+    first, second = a.part(0, n_steps), b.part(0, n_steps)
     for item in fields(History):
         x, y = getattr(first, item.name), getattr(second, item.name)
         if x.shape != y.shape or x.tobytes() != y.tobytes():
@@ -239,7 +231,7 @@ def _cut(plan: list[_Cut], records: list[History]) -> dict[str, History]:
     for item in plan:
         if item.twin is not None:
             check_identical(records[item.run], records[item.twin], item.start, item.label)
-        out[item.label] = steps(records[item.run], item.start, item.stop)
+        out[item.label] = records[item.run].part(item.start, item.stop)
     return out
 
 

@@ -14,7 +14,7 @@ from thermoforce_mpc.energyplus.pool import simulate_all
 from thermoforce_mpc.energyplus.small_office import FLOOR_AREA_M2, RANGE_W, WEATHER, OfficeJob, simulate_office
 from thermoforce_mpc.energyplus.zone import ZoneSpec
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.interventions.dataset import ClimateData, Probe, Window, check_identical, steps
+from thermoforce_mpc.interventions.dataset import ClimateData, Probe, Window, check_identical
 from thermoforce_mpc.interventions.protocol import (
     WINDOW_START_H,
     Climate,
@@ -88,7 +88,7 @@ def office_data(
     forgotten = _FORGOTTEN_DAYS * _PER_DAY
 
     def past(record: History, start: int) -> History:
-        return steps(record, forgotten, start)
+        return record.part(forgotten, start)
 
     windows = []
     for part, day, name, K, start, base, other in plan:
@@ -96,9 +96,9 @@ def office_data(
         check_identical(b, a, start, f"small office, day {day}, {name}")
         end = start + _HORIZON_STEPS
         windows.append(
-            Window("small_office", name, part, day, K, past(a, start), steps(a, start, end), steps(b, start, end))
+            Window("small_office", name, part, day, K, past(a, start), a.part(start, end), b.part(start, end))
         )
     a, b = records[plain], records[probed]
     check_identical(b, a, warm, "small office, probe")
-    pair = Pair(steps(b, warm, b.n_steps), steps(a, warm, a.n_steps), label=f"{PROBE_DAYS} days of the small office")
+    pair = Pair(b.part(warm, b.n_steps), a.part(warm, a.n_steps), label=f"{PROBE_DAYS} days of the small office")
     return ClimateData(OFFICE, tuple(windows), {PROBE_DAYS: Probe(past(a, warm), pair)})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.interventions.dataset import Probe, Window
 from thermoforce_mpc.interventions.protocol import Climate
-from thermoforce_mpc.types import Array, History
+from thermoforce_mpc.types import ACTING, SAMPLED, Array, History
 
 # Below this a true effect has no sign worth scoring, K.
 LEAST_EFFECT_K = 0.05
@@ -63,13 +63,8 @@ P = TypeVar("P", bound=Predictor)
 
 def joined(first: History, second: History) -> History:
     """Two records of which the second begins where the first ends."""
-    sampled = {
-        name: np.concatenate([getattr(first, name)[:-1], getattr(second, name)])
-        for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
-    }
-    acting = {
-        name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ("u", "power_W", "heat_W")
-    }
+    sampled = {name: np.concatenate([getattr(first, name)[:-1], getattr(second, name)]) for name in SAMPLED}
+    acting = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ACTING}
     return History(**sampled, **acting)
 
 

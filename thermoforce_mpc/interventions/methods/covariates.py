@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from thermoforce_mpc.interventions.dataset import Window, steps
+from thermoforce_mpc.interventions.dataset import Window
 from thermoforce_mpc.interventions.methods.base import Training, best
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History
@@ -81,7 +81,7 @@ def _cases(run: History, first: int, horizon: int, free_response: FreeResponse) 
     """Forecasts from origins on the probe days, each with all that was known then."""
     cases = []
     for origin in range(first, run.n_steps - horizon + 1, _STRIDE):
-        history, ahead = steps(run, 0, origin), steps(run, origin, origin + horizon)
+        history, ahead = run.part(0, origin), run.part(origin, origin + horizon)
         none = np.zeros(horizon + 1)
         boundary = Boundary(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, none, none, none, none, none)
         forecast = free_response.forecast(history.T_zone_C, history, boundary).median_C

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from thermoforce_mpc.interventions.dataset import Window, steps
+from thermoforce_mpc.interventions.dataset import Window
 from thermoforce_mpc.interventions.methods.base import Training, best, joined
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.types import DAY_S, Array, Boundary, History
@@ -119,14 +119,14 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     none = np.zeros(horizon + 1)
     first = max(per_day + 1, plain.n_steps - (_TEACHER_DAYS + training.days) * per_day)
     for origin in range(first, plain.n_steps - horizon + 1, _TEACHER_STRIDE):
-        past, ahead = steps(plain, 0, origin), steps(plain, origin, origin + horizon)
+        past, ahead = plain.part(0, origin), plain.part(origin, origin + horizon)
         boundary = Boundary(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, none, none, none, none, none)
         forecast = free_response.forecast(past.T_zone_C, past, boundary).median_C
         add(ahead, float(past.T_zone_C[-2]), forecast, True)
     for run in (training.probe.pair.a, training.probe.pair.b):
         last = run.n_steps - horizon + 1
         for origin in range(1, last, max(_MEASURED_STRIDE, -(-last // _MOST_COURSES))):
-            ahead = steps(run, origin, origin + horizon)
+            ahead = run.part(origin, origin + horizon)
             add(ahead, float(run.T_zone_C[origin - 1]), ahead.T_zone_C[1:], False)
     return _Lessons(
         torch.tensor(np.array(start)),

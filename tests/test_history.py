@@ -1,0 +1,30 @@
+"""Parts of a history and coarser steps of it: samples at the ends, means over the steps, nothing shifted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.types import ACTING, SAMPLED, History
+
+
+def history(n: int) -> History:
+    at, over = np.arange(n + 1.0), np.arange(float(n))
+    return History(900.0 * at, 20 + at, at, 10 * at, over / n, 100 * over, 1000 * over, 30 + over)
+
+
+def test_a_part_has_the_samples_at_both_its_ends():
+    part = history(10).part(3, 6)
+    np.testing.assert_array_equal(part.time_s, 900.0 * np.arange(3, 7))
+    np.testing.assert_array_equal(part.power_W, [300, 400, 500])
+    np.testing.assert_array_equal(part.T_return_C, [33, 34, 35])
+    tail = history(10).tail(2)
+    for name in (*SAMPLED, *ACTING):
+        np.testing.assert_array_equal(getattr(tail, name), getattr(history(10).part(8, 10), name))
+
+
+def test_coarser_steps_sample_at_their_ends_average_between_and_cut_the_rest():
+    coarse = history(10).coarser(4)
+    assert coarse.step_s == 3600.0
+    np.testing.assert_array_equal(coarse.T_zone_C, [20, 24, 28])
+    np.testing.assert_array_equal(coarse.power_W, [150, 550])
+    np.testing.assert_array_equal(coarse.T_return_C, [31.5, 35.5])
