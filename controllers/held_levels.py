@@ -15,7 +15,8 @@ from pydantic import Field
 
 from controllers.ipopt import straightened
 from controllers.problem import MPCProblem, ProblemShape, Solution
-from controllers.qp import QPConfig, QPSolver
+from controllers.qp import QPSolver
+from controllers.qp_backends import QPConfig
 from thermoforce_mpc.operator.actuator import ActuatorMap
 from thermoforce_mpc.operator.features import OUTDOOR
 from thermoforce_mpc.operator.parameters import OperatorParameters

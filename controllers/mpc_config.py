@@ -10,7 +10,7 @@ from controllers.actuation import ActuationConfig
 from controllers.held_levels import HeldLevelsConfig
 from controllers.ipopt import IpoptConfig
 from controllers.ladder import LadderConfig
-from controllers.qp import QPConfig
+from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
 from thermoforce_mpc.forced_state import EstimatorConfig
 from thermoforce_mpc.identification.adaptation import AdaptationConfig

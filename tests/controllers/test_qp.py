@@ -11,7 +11,8 @@ from mpc_problems import N, linear_programme_optimum, random_operator, random_pr
 from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
-from controllers.qp import QPConfig, QPSolver, _Answer
+from controllers.qp import QPSolver
+from controllers.qp_backends import Answer, QPConfig
 from thermoforce_mpc.operator.actuator import ActuatorMap, OnLoad
 
 SHAPES = {
@@ -86,7 +87,7 @@ def test_what_is_left_at_the_end_is_worth_something():
 
 
 def broken_solver(x, *, solved: bool = True):
-    return lambda programme: _Answer(solved, x(programme), "claims", 1)
+    return lambda programme: Answer(solved, x(programme), "claims", 1)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,119 @@
+"""Solvers of sparse quadratic programmes: PIQP (Schwan et al. 2023) and Clarabel (Goulart and Chen 2024)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy import sparse
+
+from thermoforce_mpc.testcase import StrictModel
+from thermoforce_mpc.types import Array
+
+QPBackend = Literal["piqp", "clarabel"]
+
+
+class QPConfig(StrictModel):
+    """Options of the quadratic programme."""
+
+    backends: tuple[QPBackend, ...] = Field(
+        ("piqp", "clarabel"), min_length=1, description="solvers in the order in which they are tried"
+    )
+    tolerance: float = Field(1e-8, gt=0, description="absolute and relative tolerance of the solvers")
+    max_iterations: int = Field(100, ge=1, description="iterations before a solver is given up")
+
+
+@dataclass(frozen=True)
+class Programme:
+    """One quadratic programme: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high; Q is diagonal.
+
+    The objective is counted in `unit`, and `constant` has been left out of it.
+    """
+
+    quadratic: sparse.csc_matrix
+    linear: Array
+    A: sparse.csc_matrix
+    b: Array
+    G: sparse.csc_matrix
+    low: Array
+    high: Array
+    x_low: Array
+    x_high: Array
+    unit: float = 1.0
+    constant: float = 0.0
+
+    def objective(self, x: Array) -> float:
+        """Objective at `x` with the constant, in the unit that the caller counts in."""
+        return self.constant + self.unit * float(0.5 * x @ (self.quadratic.data * x) + self.linear @ x)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a solver said."""
+
+    solved: bool
+    x: Array
+    status: str
+    iterations: int
+
+
+class Piqp:
+    """PIQP, set up once and updated with the numbers of each instance."""
+
+    def __init__(self, config: QPConfig) -> None:
+        self._config = config
+        self._solver: Any = None
+
+    def __call__(self, q: Programme) -> Answer:
+        """Solve one programme; all of one solver have the same structure and the same bounds of x."""
+        import piqp
+
+        if self._solver is None:
+            solver = piqp.SparseSolver()
+            solver.settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
+            solver.settings.preconditioner_iter = (
+                0  # kelvins, shares and prices in units of the largest: scaled already
+            )
+            # The difference equation adds up what its rows leave over: they have to hold to more digits.
+            solver.settings.reg_lower_limit = 1e-8
+            solver.settings.reg_finetune_lower_limit = 1e-10
+            solver.settings.eps_abs = solver.settings.eps_rel = self._config.tolerance
+            solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = self._config.tolerance
+            solver.settings.max_iter = self._config.max_iterations
+            solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
+            self._solver = solver
+        else:
+            self._solver.update(P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high)
+        status = self._solver.solve()
+        result = self._solver.result
+        solved = status == piqp.PIQP_SOLVED
+        if not solved:
+            self._solver = None  # start afresh: nothing of a failed solve is carried on
+        return Answer(solved, np.array(result.x, dtype=np.float64), str(status.name), int(result.info.iter))
+
+
+class Clarabel:
+    """Clarabel, built anew for each instance: it is called only when the first solver failed."""
+
+    def __init__(self, config: QPConfig) -> None:
+        self._config = config
+
+    def __call__(self, q: Programme) -> Answer:
+        """Solve one programme."""
+        import clarabel
+
+        eye = sparse.identity(q.linear.size, format="csc")
+        upper = [(q.G, q.high), (-q.G, -q.low), (eye, q.x_high), (-eye, -q.x_low)]
+        kept = [(matrix[np.isfinite(bound)], bound[np.isfinite(bound)]) for matrix, bound in upper]
+        A = sparse.vstack([q.A, *(matrix for matrix, _ in kept)], format="csc")
+        b = np.concatenate([q.b, *(bound for _, bound in kept)])
+        cones = [clarabel.ZeroConeT(q.b.size), clarabel.NonnegativeConeT(b.size - q.b.size)]
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_iter = self._config.max_iterations
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._config.tolerance
+        found = clarabel.DefaultSolver(q.quadratic, q.linear, A, b, cones, settings).solve()
+        status = str(found.status)
+        return Answer(status == "Solved", np.array(found.x, dtype=np.float64), status, int(found.iterations))
