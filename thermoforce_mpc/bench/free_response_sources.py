@@ -64,21 +64,25 @@ def boptest_sources(folder: Path) -> list[Source]:
 
 
 def mons_sources(folder: Path) -> list[Source]:
-    """Four rooms of the measured house, 30-min means; sunlight was not measured, a clear sky's stands in."""
+    """Four rooms of the measured house, 30-min means.
+
+    Sunlight was not measured: it is estimated from humidity, and is NaN on days without.
+    """
+    from thermoforce_mpc.weather.clearness import sunlight_from_humidity
     from thermoforce_mpc.weather.solar import sun_position
 
     frame = pd.read_csv(_existing(folder / "mons_house_30min.csv.gz"), parse_dates=["time"])
     frame = frame.set_index("time").asfreq("30min").reset_index()
     seconds: Array = np.asarray((frame["time"] - pd.Timestamp("2016-01-01")).dt.total_seconds(), dtype=np.float64)
     sun = sun_position(seconds, _MONS_LATITUDE, _MONS_LONGITUDE, _MONS_TIMEZONE_H)
-    height = np.maximum(np.cos(sun.zenith), 1e-6)
-    clear_sky = np.where(height > 1e-3, 1098.0 * height * np.exp(-0.057 / height), 0.0)  # Haurwitz 1945
-    outdoor = frame["T_out_degC"].interpolate(limit=_WEATHER_GAP_STEPS, limit_area="inside").to_numpy(float)
+    weather = frame[["T_out_degC", "RH_out_pct"]].interpolate(limit=_WEATHER_GAP_STEPS, limit_area="inside")
+    outdoor, humidity = weather["T_out_degC"].to_numpy(float), weather["RH_out_pct"].to_numpy(float) / 100.0
+    solar = sunlight_from_humidity(seconds, humidity, sun)
     nothing = np.full(seconds.size - 1, np.nan)
     sources = []
     for room, column in _MONS_ROOMS.items():
         measured = frame[column].to_numpy(float)
-        history = History(seconds, measured, outdoor, clear_sky, nothing, nothing, nothing)
+        history = History(seconds, measured, outdoor, solar, nothing, nothing, nothing)
         sources.append(
             Source(f"Mons {room}", "Mons", history, measured, context_steps=14 * 48, least_context_steps=7 * 48)
         )
