@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array
+from thermoforce_mpc.weather.clearness import clear_sky_W_m2
 from thermoforce_mpc.weather.solar import sun_position
 from thermoforce_mpc.weather.year import Weather
 
@@ -81,9 +82,7 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
     time_s = hour[:, None] * HOUR_S + minutes[None, :]
     sun = sun_position(np.mod(time_s, 365 * DAY_S), _LATITUDE, _LONGITUDE, _ZONE)
     cos_zenith = np.maximum(np.cos(sun.zenith), 0.0)
-    with np.errstate(divide="ignore", over="ignore"):
-        clear_sky = _TURBIDITY * 1098.0 * cos_zenith * np.exp(-0.059 / np.maximum(cos_zenith, 1e-6))
-    global_ = (clear_sky * (1.0 - 0.75 * cover[:, None] ** 3.4)).mean(axis=1)
+    global_ = (_TURBIDITY * clear_sky_W_m2(sun) * (1.0 - 0.75 * cover[:, None] ** 3.4)).mean(axis=1)
     cos_mean = cos_zenith.mean(axis=1)
     clearness = np.clip(global_ / np.maximum(1367.0 * cos_mean, 1.0), 0.0, 0.85)
     diffuse_share = np.where(
