@@ -12,6 +12,7 @@ left in the building at the end of the horizon.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -148,7 +149,10 @@ class MPCProblem:
 
     def cost(self, operator: OperatorParameters, u: Array) -> Array:
         """Objective for levels `u` (..., N), currency, shape (...,)."""
-        modes = forced_rollout(operator, self.forced_state_K, u, self.features)
+        return self.cost_under(u, forced_rollout(operator, self.forced_state_K, u, self.features))
+
+    def cost_under(self, u: Array, modes: Array) -> Array:
+        """Objective for levels `u` (..., N) that lead to the forced state `modes` (..., N, r) K, currency, (...,)."""
         slack = self.slack_K(self.T_free_C + modes.sum(axis=-1))
         power = self.power_W(u)
         energy = (self.price_per_W * power).sum(axis=-1)
@@ -161,10 +165,10 @@ class MPCProblem:
     def finite(self) -> bool:
         """Whether every number of the instance is finite."""
         arrays = (
-            self.forced_state_K, self.features, self.T_free_C, self.lower_C, self.upper_C, self.price_per_kWh,
-            self.power_fixed_W, self.power_per_u_W, self.terminal_price_per_K, np.array(self.peak_so_far_W),
+            self.forced_state_K, self.features.ravel(), self.T_free_C, self.lower_C, self.upper_C, self.price_per_kWh,
+            self.power_fixed_W, self.power_per_u_W, self.terminal_price_per_K, [self.peak_so_far_W],
         )  # fmt: skip
-        return all(bool(np.isfinite(array).all()) for array in arrays)
+        return bool(np.isfinite(np.concatenate(arrays)).all())
 
 
 @dataclass(frozen=True)
@@ -190,7 +194,7 @@ _CLAIM_TOLERANCE = 1e-4
 
 def checked_solution(
     problem: MPCProblem,
-    operator: OperatorParameters,
+    modes_of: Callable[[Array], Array],
     u: Array,
     claimed: float,
     status: str,
@@ -200,7 +204,7 @@ def checked_solution(
     """What a solver that reports success really found: refused unless finite, inside bounds and as cheap as claimed.
 
     All constraints but the bounds of u are soft, so levels inside the bounds are feasible; whether the solver solved
-    *this* problem shows in what the levels cost by our own rollout.
+    *this* problem shows in what the levels cost by our own rollout: `modes_of` gives the forced state (N, r) of levels.
     """
     if u.shape != (problem.n_steps,) or not np.isfinite(u).all() or not np.isfinite(claimed):
         return Solution(
@@ -210,7 +214,7 @@ def checked_solution(
         what = f"{status} was reported, but u leaves its bounds (from {u.min():.4g} to {u.max():.4g})"
         return Solution(False, np.empty(0), status, iterations, what)
     u = np.clip(u, 0.0, problem.u_max)
-    cost = float(problem.cost(operator, u))
+    cost = float(problem.cost_under(u, modes_of(u)))
     if not abs(cost - claimed) <= tolerance * (1.0 + abs(cost)):
         what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {cost:.6g}"
         return Solution(False, np.empty(0), status, iterations, what)

@@ -23,6 +23,7 @@ from controllers.errors import ControllerConfigError
 from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
 from controllers.qp_backends import Answer, Clarabel, Piqp, Programme, QPBackend, QPConfig
 from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.operator.rollout import driven_rollout
 from thermoforce_mpc.types import Array
 
 
@@ -104,32 +105,35 @@ class QPSolver:
         """Solve one instance. A failure is a value: `ok` is False and `problem` says what each solver did."""
         if not problem.finite():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
-        programme = self._programme(problem)
+        drive = self.operator.drive(np.full(self.shape.n_steps, problem.u_max), problem.features) / problem.u_max
+        programme = self._programme(problem, drive)
         failures: list[str] = []
         solution = Solution(False, np.empty(0), "not started", 0, "no solver")
         for backend in self.config.backends:
-            solution = self._attempt(backend, programme, problem)
+            solution = self._attempt(backend, programme, problem, drive)
             if solution.ok:
                 return solution
             failures.append(f"{backend}: {solution.problem}")
         return Solution(False, np.empty(0), solution.status, solution.iterations, "; ".join(failures))
 
-    def _attempt(self, backend: QPBackend, programme: Programme, problem: MPCProblem) -> Solution:
+    def _attempt(self, backend: QPBackend, programme: Programme, problem: MPCProblem, drive: Array) -> Solution:
         answer = self._solve_with[backend](programme)
         status = f"{backend}:{answer.status}"
         if not answer.solved:
             return Solution(False, np.empty(0), status, answer.iterations, f"ended with {answer.status}")
         u = answer.x[: self.shape.n_moves][self.shape.move_of_step]
         claimed = programme.objective(answer.x)
-        return checked_solution(problem, self.operator, u, claimed, status, answer.iterations)
 
-    def _programme(self, p: MPCProblem) -> Programme:
-        """The numbers of one instance."""
+        def modes_of(u: Array) -> Array:
+            return driven_rollout(self.operator, problem.forced_state_K, drive * u)
+
+        return checked_solution(problem, modes_of, u, claimed, status, answer.iterations)
+
+    def _programme(self, p: MPCProblem, drive: Array) -> Programme:
+        """The numbers of one instance; `drive` (N,) is m(x)·v of each step at u = 1."""
         n, m, operator = self.shape.n_steps, self.shape.n_moves, self.operator
         moves = slice(0, m)
-        full = np.full(n, p.u_max)
-        drive = operator.drive(full, p.features) / p.u_max
-        power_per_u = p.power_W(full) / p.u_max
+        power_per_u = p.power_W(np.full(n, p.u_max)) / p.u_max
         driven = [-self._numerator[lag] * drive[: n - lag] for lag in self._driven_lags]
         A = self._dynamics.filled(np.concatenate([self._response_entries, *driven]))
         b = np.zeros(n)
@@ -141,11 +145,8 @@ class QPSolver:
         linear[moves] = np.bincount(self.shape.move_of_step, weights=p.price_per_W * power_per_u - kept, minlength=m)
         linear[m + n : m + 2 * n] = p.comfort_price
         low, high, unbounded = p.lower_C - p.T_free_C, p.upper_C - p.T_free_C, np.full(n, np.inf)
-        row_low, row_high, entries = (
-            np.concatenate([low, -unbounded]),
-            np.concatenate([unbounded, high]),
-            self._bound_entries,
-        )
+        row_low, row_high = np.concatenate([low, -unbounded]), np.concatenate([unbounded, high])
+        entries = self._bound_entries
         if self.shape.peak:
             entries = np.concatenate([entries, np.ones(n), -power_per_u / PEAK_UNIT_W])
             row_low = np.concatenate([row_low, np.full(n, -p.peak_so_far_W / PEAK_UNIT_W)])

@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpc_problems import N, linear_programme_optimum, random_operator, random_problem
+from scipy.signal import lfilter
 
 from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
-from controllers.qp import QPSolver
+from controllers.qp import QPSolver, transfer_function
 from controllers.qp_backends import Answer, QPConfig
 from thermoforce_mpc.operator.actuator import ActuatorMap, OnLoad
+from thermoforce_mpc.operator.parameters import linear_operator
+from thermoforce_mpc.operator.rollout import driven_rollout, forced_rollout
 
 SHAPES = {
     "every step": ProblemShape(every_step(N)),
@@ -152,5 +155,46 @@ def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():
     operator, problem = random_operator(rng, 1), random_problem(rng, 1)
     u = np.full(N, 0.5)
     cost = float(problem.cost(operator, u))
-    assert checked_solution(problem, operator, u, cost, "ok", 1).ok
-    assert not checked_solution(problem, operator, u, 0.9 * cost, "ok", 1).ok
+
+    def modes_of(u):
+        return forced_rollout(operator, problem.forced_state_K, u, problem.features)
+
+    assert checked_solution(problem, modes_of, u, cost, "ok", 1).ok
+    assert not checked_solution(problem, modes_of, u, 0.9 * cost, "ok", 1).ok
+
+
+def test_the_transfer_function_answers_like_the_modes():
+    rng = np.random.default_rng(14)
+    operator = random_operator(rng, 3)
+    drive = rng.uniform(0.0, 1.0, 200)
+    denominator, numerator = transfer_function(operator.poles, operator.gains)
+    modes = driven_rollout(operator, np.zeros(3), drive)
+    np.testing.assert_allclose(lfilter(numerator, denominator, drive), modes.sum(axis=-1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("time_constants_h", [(0.01, 3.0), (0.3, 4.0, 900.0), (2.0, 2.2, 2.4)])
+def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_constants_h):
+    """Their difference equation is nearly an integrator, or forgets all within a step: the check must not refuse it."""
+    rng = np.random.default_rng(15)
+    n, order = 192, len(time_constants_h)
+    poles = np.exp(-0.25 / np.array(time_constants_h))
+    operator = linear_operator(poles, np.full(order, 0.05), step_s=900.0)
+    problem = replace(random_problem(rng, order, n=n, curvature=1e-6), step_s=900.0)
+    shape = ProblemShape(every_step(n))
+    alone = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
+    reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
+    assert alone.ok, alone.problem
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, alone.u)) == pytest.approx(best, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [1e-4, 1e4])
+def test_the_plan_does_not_depend_on_the_currency(rate):
+    rng = np.random.default_rng(16)
+    operator, shape = random_operator(rng, 2), SHAPES["every step"]
+    problem = random_problem(rng, 2, curvature=1e-3)
+    weights = Weights(rate * problem.weights.comfort, rate * problem.weights.curvature)
+    elsewhere = replace(problem, price_per_kWh=rate * problem.price_per_kWh, weights=weights)
+    here, there = (QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(p) for p in (problem, elsewhere))
+    assert there.ok, there.problem
+    np.testing.assert_allclose(there.u, here.u, atol=1e-6)

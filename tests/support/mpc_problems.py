@@ -25,16 +25,18 @@ def random_operator(rng: np.random.Generator, order: int) -> OperatorParameters:
     )
 
 
-def random_problem(rng: np.random.Generator, order: int, lowest: float = 1.0, curvature: float = 0.0) -> MPCProblem:
+def random_problem(
+    rng: np.random.Generator, order: int, lowest: float = 1.0, curvature: float = 0.0, n: int = N
+) -> MPCProblem:
     return MPCProblem(
         forced_state_K=rng.uniform(0, 5, order),
-        features=rng.normal([10, 5, 100, 0], [3, 5, 100, 0.7], (N, 4)),
-        T_free_C=rng.uniform(12, 16, N),
-        lower_C=np.where(np.arange(N) % 5 < 3, 21.0, 15.0),
-        upper_C=np.full(N, 24.0),
-        price_per_kWh=rng.uniform(0.1, 0.4, N),
-        power_fixed_W=rng.uniform(1000, 2000, N),
-        power_per_u_W=rng.uniform(2000, 3000, N),
+        features=rng.normal([10, 5, 100, 0], [3, 5, 100, 0.7], (n, 4)),
+        T_free_C=rng.uniform(12, 16, n),
+        lower_C=np.where(np.arange(n) % 5 < 3, 21.0, 15.0),
+        upper_C=np.full(n, 24.0),
+        price_per_kWh=rng.uniform(0.1, 0.4, n),
+        power_fixed_W=rng.uniform(1000, 2000, n),
+        power_per_u_W=rng.uniform(2000, 3000, n),
         step_s=3600.0,
         u_max=1.0,
         lowest_level=lowest,

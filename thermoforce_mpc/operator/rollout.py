@@ -37,7 +37,11 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
         raise DataError("forced rollout: u, F0 and features must be finite")
     if params.sees_forced:
         return _stepwise(params, F0, u, features)
-    drive = params.drive(u, features)
+    return driven_rollout(params, F0, params.drive(u, features))
+
+
+def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
+    """Forced state of every mode when m(x)·v is known: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
     lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
     drive = np.broadcast_to(drive, (*lead, drive.shape[-1]))
     F0 = np.broadcast_to(F0, (*lead, params.order))
