@@ -188,7 +188,7 @@ def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_consta
     assert float(problem.cost(operator, alone.u)) == pytest.approx(best, rel=1e-6)
 
 
-@pytest.mark.parametrize("rate", [1e-4, 1e4])
+@pytest.mark.parametrize("rate", [1e-6, 1e6])
 def test_the_plan_does_not_depend_on_the_currency(rate):
     rng = np.random.default_rng(16)
     operator, shape = random_operator(rng, 2), SHAPES["every step"]
