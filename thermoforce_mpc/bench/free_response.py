@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.bench import free_response_energyplus as energyplus
+from thermoforce_mpc.bench.free_response_limit import limit_rows
 from thermoforce_mpc.bench.free_response_runs import context_rows, cost_rows, interval_runs, look_rows
 from thermoforce_mpc.bench.free_response_score import Score, forecast_origins, mae_K, score
 from thermoforce_mpc.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
@@ -47,7 +48,7 @@ def run_free_response_bench(
         reference: records of the real test case in the layout of docs/plant.md; left out without it.
         houses: folder with `mons_house_30min.csv.gz`; left out without it.
         backbone: forecaster's weights, as in `build_free_response`.
-        quick: fewer origins.
+        quick: fewer origins, and neither runs of two weeks nor the limit of what weather explains.
         out: folder for the plot `free_response.png`; none without it.
         progress: told each finished source.
 
@@ -82,8 +83,10 @@ def run_free_response_bench(
                 rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")
     runs: tuple[list[dict[str, Any]], list[Target]] = ([], [])
+    limits: list[dict[str, Any]] = []
     if not quick:
         runs = interval_runs([s for s in sources if s.group != "Mons"], backbone, progress)
+        limits = limit_rows(sources, backbone, progress)
     contexts = context_rows(sources, backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
     looks = look_rows(backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
     costs = cost_rows(sources[0], backbone)
@@ -96,7 +99,7 @@ def run_free_response_bench(
         Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
         *runs[1],
     ]
-    return bench_result("free-response", [*rows, *runs[0], *contexts, *looks, *costs], targets)
+    return bench_result("free-response", [*rows, *runs[0], *limits, *contexts, *looks, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

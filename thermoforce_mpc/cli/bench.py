@@ -84,7 +84,11 @@ def free_response_command(
     quick: bool,
     json_file: Path | None,
 ) -> None:
-    """Forecast 24 h from many origins with every method; every method gets the same history."""
+    """Forecast 24 h from many origins with every method; every method gets the same history.
+
+    Also: whether intervals hold over two weeks, how much of the error weather could explain at all (both left out with
+    --quick), how much history and how many looks at it are worth, and what a forecast costs.
+    """
     from thermoforce_mpc.bench.free_response import run_free_response_bench
 
     result = run_free_response_bench(reference, houses, backbone=backbone, quick=quick, out=out, progress=_progress)

@@ -87,7 +87,7 @@ class ResidualFreeResponse:
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
             # Too short to tell the weather's part; the backbone has its own way with a short history, and says so.
             return self.backbone.forecast(free, history, boundary)
-        candidates, note = self._candidates([(free, history, boundary)])
+        candidates, note = self.candidates([(free, history, boundary)])
         now, weights = float(history.time_s[-1]), self.weights
         if (
             weights is None
@@ -99,8 +99,12 @@ class ResidualFreeResponse:
         quantiles = np.einsum("kn,kqn->qn", weights.share, candidates[0])
         return FreeForecast(LEVELS, quantiles, f"linear weather models plus residual by {note}; {weights.why}")
 
-    def _candidates(self, tasks: Sequence[_Task]) -> tuple[list[Array], str]:
-        """Quantiles of the three candidates for each task, (3, 9, N), and what the backbone says of itself."""
+    def candidates(self, tasks: Sequence[_Task]) -> tuple[list[Array], str]:
+        """Quantiles, (3, 9, N) °C for each task, of the three candidates, and what the backbone says of itself.
+
+        The backbone alone, then with the weather model fitted for independent errors and for a slow disturbance. Raises
+        as `forecast` does.
+        """
         todo: list[_Task] = []
         ahead: list[Array] = []
         for free, history, boundary in tasks:
@@ -148,7 +152,7 @@ class ResidualFreeResponse:
         keys = [_key(free, history, t, steps) for t in origins]
         new = [(key, t) for key, t in zip(keys, origins, strict=True) if key not in self._errors]
         if new:
-            found, _ = self._candidates([past_task(free, history, t, steps) for _, t in new])
+            found, _ = self.candidates([past_task(free, history, t, steps) for _, t in new])
             for (key, t), quantiles in zip(new, found, strict=True):
                 self._errors[key] = quantiles[:, LEVELS.size // 2] - free[t + 1 : t + steps + 1]
         for key in keys:
