@@ -22,6 +22,8 @@ LEAST_W = 1e-3
 # Intermediate samples needed before the fixed and the proportional part can be told apart.
 _MIN_LEVELS = 3
 _MIN_STEPS, _MIN_RUNNING = 10, 5
+# Share of full load that a step's measurement is off by (dynamics inside the step, what the law leaves out).
+MISFIT = 0.02
 # How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.
 _TRUST_K = 15.0
 

@@ -13,13 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from thermoforce_mpc.load_law import LEAST_W, EndValues, Quality, Steps, levels_to_try, usable_steps
+from thermoforce_mpc.load_law import LEAST_W, MISFIT, EndValues, Quality, Steps, levels_to_try, usable_steps
 from thermoforce_mpc.operator.actuator import OnLoad
 from thermoforce_mpc.return_water import ReturnWater, fit_return_water
 from thermoforce_mpc.types import Array, History
-
-# Share of full load that a step's measurement is off by (dynamics inside the step, return temperature).
-_MISFIT = 0.02
 
 
 @dataclass(frozen=True)
@@ -151,8 +148,8 @@ def _fit_at(steps: Steps, times: Array, lowest_level: float, slope: SlopePrior |
     carriers = [on, level] if lowest_level < 1.0 else [level]
     design = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
     full = float(np.max(steps.load_W[steps.running]))
-    rows: list[Array] = [design / (_MISFIT * full)]
-    values: list[Array] = [steps.load_W / (_MISFIT * full)]
+    rows: list[Array] = [design / (MISFIT * full)]
+    values: list[Array] = [steps.load_W / (MISFIT * full)]
     if slope is not None:
         # Zero, give or take; the load's own size sets the scale.
         per_part = slope.sd_per_K * full / len(carriers)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from thermoforce_mpc.load_law import LEVEL_EDGE
+from thermoforce_mpc.load_law import LEVEL_EDGE, MISFIT
 from thermoforce_mpc.types import DAY_S, Array, History
 
 # Fewer running steps than this with a measured return temperature cannot tell κ from the rest.
@@ -23,7 +23,6 @@ _PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
 _BOUNDS_PER_K = (-0.02, 0.05)
 # How far beyond the temperatures seen the law is trusted, K.
 _TRUST_K = 5.0
-_MISFIT = 0.02
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def fit_return_water(
     Args:
         T_return_C: mean over each step, (n,), °C; T_zone_C: at the start of each step, (n,), °C; u: (n,).
         misfit_of: sum of squared misfits in W² of the load fitted to the measured power over factors (n,) given.
-        full_W: scale of the power, W: a step's power is believed to 2 % of it, as in `fit_load`.
+        full_W: scale of the power, W: a step's power is believed to `MISFIT` of it, as in `fit_load`.
     """
     known = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
     if known.sum() < _LEAST_STEPS:
@@ -90,7 +89,7 @@ def fit_return_water(
 
     def loss(per_K: float) -> float:
         prior = ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
-        return misfit_of(water(per_K).factor(T_return_C)) / (_MISFIT * full_W) ** 2 + prior
+        return misfit_of(water(per_K).factor(T_return_C)) / (MISFIT * full_W) ** 2 + prior
 
     found = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
     return water(float(found.x))

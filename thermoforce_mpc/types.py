@@ -141,6 +141,12 @@ class History:
             **{name: getattr(self, name)[: n * every].reshape(n, every).mean(axis=1) for name in ACTING},
         )
 
+    @classmethod
+    def beginning(cls, measurement: Measurement) -> History:
+        """The history of one instant, before anything has acted."""
+        none = np.empty(0)
+        return cls(**{name: np.array([getattr(measurement, name)]) for name in SAMPLED}, **dict.fromkeys(ACTING, none))
+
     def extended(self, measurement: Measurement) -> History:
         """This history with one more step, the one that `measurement` closes."""
         return History(

@@ -5,7 +5,7 @@ Every window of every run is identified from alone, nothing but that window know
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,29 +46,25 @@ def few_shot(
         found: dict[tuple[str, str], list[PairScores]] = {(i, g): [] for i in inputs for g in ("linear", "neural")}
         found["identity", "two-stage, order 1"] = []
         refused = 0
-        for name, run in runs.items():
-            total = run.n_steps * run.step_s / 86400.0
-            for first in np.arange(0.0, total - days + 1e-9, _stride(days, quick)):
-                say(f"{days} days of {name} from day {first:g}")
-                record = cut(run, float(first), days)
-                try:
-                    models = {
-                        (given, gain): identify(
-                            [record],
-                            config=IdentificationConfig(modulation=gain, actuator=given, **options),
-                            floor_area_m2=FLOOR_AREA_M2,
-                        )
-                        for given, gain in found
-                        if gain in ("linear", "neural")
-                    }
-                except DataError:
-                    refused += 1
-                    continue
-                for key, model in models.items():
-                    found[key].append(score_pairs(model.operator, pairs))
-                paper = _paper_estimate(record, pairs)
-                if paper is not None:
-                    found["identity", "two-stage, order 1"].append(paper)
+        for record in _windows(runs, days, quick, say):
+            try:
+                models = {
+                    (given, gain): identify(
+                        [record],
+                        config=IdentificationConfig(modulation=gain, actuator=given, **options),
+                        floor_area_m2=FLOOR_AREA_M2,
+                    )
+                    for given, gain in found
+                    if gain in ("linear", "neural")
+                }
+            except DataError:
+                refused += 1
+                continue
+            for key, model in models.items():
+                found[key].append(score_pairs(model.operator, pairs))
+            paper = _paper_estimate(record, pairs)
+            if paper is not None:
+                found["identity", "two-stage, order 1"].append(paper)
         rows += [_summary(days, given, gain, scores, refused) for (given, gain), scores in found.items() if scores]
         if not found["heat", "neural"]:
             continue
@@ -96,23 +92,29 @@ def under_feedback(
     rows: list[Row] = []
     for days in _DAYS:
         scores, refused = [], 0
-        for name, run in runs.items():
-            total = run.n_steps * run.step_s / 86400.0
-            for first in np.arange(0.0, total - days + 1e-9, _stride(days, quick)):
-                say(f"{days} days of {name} from day {first:g}")
-                try:
-                    model = identify(
-                        [cut(run, float(first), days)],
-                        config=IdentificationConfig(modulation="linear"),
-                        floor_area_m2=FLOOR_AREA_M2,
-                    )
-                except DataError:
-                    refused += 1
-                    continue
-                scores.append(score_pairs(model.operator, pairs))
+        for record in _windows(runs, days, quick, say):
+            try:
+                model = identify(
+                    [record],
+                    config=IdentificationConfig(modulation="linear"),
+                    floor_area_m2=FLOOR_AREA_M2,
+                )
+            except DataError:
+                refused += 1
+                continue
+            scores.append(score_pairs(model.operator, pairs))
         if scores:
             rows.append(_summary(days, "heat", "linear", scores, refused) | {"part": "under feedback"})
     return rows, []
+
+
+def _windows(runs: dict[str, History], days: int, quick: bool, say: Callable[[str], None]) -> Iterator[History]:
+    """Every window of so many days, in turn."""
+    for name, run in runs.items():
+        total = run.n_steps * run.step_s / 86400.0
+        for first in np.arange(0.0, total - days + 1e-9, _stride(days, quick)):
+            say(f"{days} days of {name} from day {first:g}")
+            yield cut(run, float(first), days)
 
 
 def _stride(days: int, quick: bool) -> float:

@@ -167,16 +167,7 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
 def _thermostat(plant: EmbeddedPlant, start_s: float, days: int, step_s: float = 900.0) -> History:
     """A run under a switching thermostat, the machine weakened after the first third; u is what was asked for."""
     now = plant.reset(start_s, 3 * DAY_S)
-    none = np.empty(0)
-    history = History(
-        np.array([now.time_s]),
-        np.array([now.T_zone_C]),
-        np.array([now.T_out_C]),
-        np.array([now.solar_W_m2]),
-        none,
-        none,
-        none,
-    )
+    history = History.beginning(now)
     on, n = False, round(days * DAY_S / step_s)
     for t in range(n):
         hour = now.time_s / HOUR_S % 24

@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.design import Candidate, Designer
 from thermoforce_mpc.identification.excitation import Excitation, Law
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Measurement
+from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History
 
 # How far ahead the band is looked at: the zone must be able to meet the occupied bounds again.
 _BAND_AHEAD_S = DAY_S
@@ -81,7 +81,7 @@ def probe(
     """
     c = config or ProbingConfig()
     measurement = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-    history = _beginning(measurement)
+    history = History.beginning(measurement)
     n = round(days * DAY_S / c.step_s)
     sign = 1.0 if mode == "heating" else -1.0
     law = _law(c, c.hold_steps)
@@ -114,14 +114,6 @@ def _candidates(c: ProbingConfig, seed: int, done: int) -> list[Candidate]:
     middle = max(1, len(holds) // 2)
     kinds = (tuple(holds), tuple(holds[:middle]), tuple(holds[-middle:]))
     return [Candidate(_law(c, kinds[k % len(kinds)]), (seed, done, k)) for k in range(c.candidates)]
-
-
-def _beginning(m: Measurement) -> History:
-    """A history of one instant."""
-    none = np.empty(0)
-    return History(
-        np.array([m.time_s]), np.array([m.T_zone_C]), np.array([m.T_out_C]), np.array([m.solar_W_m2]), none, none, none
-    )
 
 
 def _centre_C(ahead: Boundary, mode: str, offset_K: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.interventions.dataset import ClimateData, Dataset, Window
 from thermoforce_mpc.interventions.methods.base import Predictor, Training
-from thermoforce_mpc.interventions.methods.registry import METHODS, find_method
+from thermoforce_mpc.interventions.methods.registry import METHODS, Forecasters, find_method
 from thermoforce_mpc.interventions.methods.remembering import tsfm
 from thermoforce_mpc.interventions.protocol import WINDOW_START_H, ClimateName
 from thermoforce_mpc.interventions.scores import LEVELS, CellScore, score_cell
@@ -118,7 +118,7 @@ def _evaluate(task: tuple[ClimateData, int, str, str, int]) -> tuple[list[CellSc
 
     torch.set_num_threads(1)  # sums in one order: the same bits whatever the machine
     data, days, name, backbone, seed = task
-    predictor = METHODS[name].build(training_of(data, days, seed), tsfm(backbone))
+    predictor = METHODS[name].build(training_of(data, days, seed), Forecasters(tsfm(backbone), backbone))
     window = fan_window(data)
     held = np.broadcast_to(LEVELS[:, None], (LEVELS.size, window.factual.n_steps))
     return score_cells(name, predictor, data, days), predictor.respond(window, held)

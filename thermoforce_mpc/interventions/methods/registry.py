@@ -6,9 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.free_response.backbones.loading import SHIPPED
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.interventions.methods.base import Predictor, Training
 from thermoforce_mpc.protocols import FreeResponse
+
+
+@dataclass(frozen=True)
+class Forecasters:
+    """What methods forecast with: the paper's `tsfm`, and its weights' name for those that put more around them."""
+
+    tsfm: FreeResponse
+    backbone: str = SHIPPED
 
 
 @dataclass(frozen=True)
@@ -19,57 +28,57 @@ class Method:
     label: str
     ours: bool
     in_paper: bool
-    build: Callable[[Training, FreeResponse], Predictor]
+    build: Callable[[Training, Forecasters], Predictor]
 
 
-def _raw(training: Training, tsfm: FreeResponse) -> Predictor:
+def _raw(training: Training, free: Forecasters) -> Predictor:
     from thermoforce_mpc.interventions.methods.raw import RawForecast
 
-    return RawForecast(tsfm)
+    return RawForecast(free.tsfm)
 
 
-def _covariates(autoregressive: bool) -> Callable[[Training, FreeResponse], Predictor]:
-    def build(training: Training, tsfm: FreeResponse) -> Predictor:
+def _covariates(autoregressive: bool) -> Callable[[Training, Forecasters], Predictor]:
+    def build(training: Training, free: Forecasters) -> Predictor:
         from thermoforce_mpc.interventions.methods.covariates import build_covariates
 
-        return build_covariates(training, tsfm, autoregressive=autoregressive)
+        return build_covariates(training, free.tsfm, autoregressive=autoregressive)
 
     return build
 
 
-def _observational(training: Training, tsfm: FreeResponse) -> Predictor:
+def _observational(training: Training, free: Forecasters) -> Predictor:
     from thermoforce_mpc.interventions.methods.grey_box import build_observational
 
     return build_observational(training)
 
 
-def _grey_box_on_probe(training: Training, tsfm: FreeResponse) -> Predictor:
+def _grey_box_on_probe(training: Training, free: Forecasters) -> Predictor:
     from thermoforce_mpc.interventions.methods.grey_box import build_on_probe
 
     return build_on_probe(training)
 
 
-def _surrogate(training: Training, tsfm: FreeResponse) -> Predictor:
+def _surrogate(training: Training, free: Forecasters) -> Predictor:
     from thermoforce_mpc.interventions.methods.surrogate import build_surrogate
 
-    return build_surrogate(training, tsfm)
+    return build_surrogate(training, free.tsfm)
 
 
-def _unconstrained(training: Training, tsfm: FreeResponse) -> Predictor:
+def _unconstrained(training: Training, free: Forecasters) -> Predictor:
     from thermoforce_mpc.interventions.methods.unconstrained import build_unconstrained
 
-    return build_unconstrained(training, tsfm)
+    return build_unconstrained(training, free.tsfm)
 
 
 def _thermoforce(
     *orders: int, curve: bool = False, residual: bool = False
-) -> Callable[[Training, FreeResponse], Predictor]:
-    def build(training: Training, tsfm: FreeResponse) -> Predictor:
+) -> Callable[[Training, Forecasters], Predictor]:
+    def build(training: Training, free: Forecasters) -> Predictor:
         from thermoforce_mpc.interventions.methods.curve import EXPONENTS
         from thermoforce_mpc.interventions.methods.thermoforce import build_thermoforce
 
-        free = build_free_response("residual") if residual else tsfm
-        return build_thermoforce(training, free, orders=orders, exponents=EXPONENTS if curve else (1.0,))
+        forecaster = build_free_response("residual", backbone=free.backbone) if residual else free.tsfm
+        return build_thermoforce(training, forecaster, orders=orders, exponents=EXPONENTS if curve else (1.0,))
 
     return build
 
