@@ -3,8 +3,12 @@
 Only forecasts that were really issued show what errors of the weather forecast do. Each is compared with what came,
 lead time by lead time, and the last days set the width (split conformal prediction over a rolling window, Angelopoulos
 and Bates 2023). Errors of one week are few and hang together, so the width is steered as well: a little wider whenever
-a value fell outside what was served, a little narrower when it fell inside (adaptive conformal inference, Gibbs and
-Candès 2021, on the logarithm of the width as in the quantile tracking of Angelopoulos, Candès and Tibshirani 2023).
+a value fell outside, a little narrower when it fell inside (adaptive conformal inference, Gibbs and Candès 2021, on the
+logarithm of the width as in the quantile tracking of Angelopoulos, Candès and Tibshirani 2023).
+
+What came of a forecast is known hours later, and the window has then taken up much of it. Steering for it as well would
+widen twice for the same errors, and stay wide for days after them. So a value counts as outside only if it would be so
+with the window as it is now and the steering as it was when the forecast was issued.
 """
 
 from __future__ import annotations
@@ -25,11 +29,12 @@ _WINDOW_S = 6 * DAY_S
 # Forecasts made within an hour of each other tell the same: one of them is remembered.
 _EVERY_S = HOUR_S
 # Neighbouring lead times share a width; these hours part them.
-_LEAD_EDGES_H = (2.0, 6.0, 12.0, 18.0, 24.0)
+_LEAD_EDGES_H = (1.0, 2.0, 6.0, 12.0, 18.0, 24.0)
 # Hourly values a group of lead times must have seen before its width is touched.
 _LEAST_VALUES = 24
 # How much wider or narrower (in its logarithm) an hour makes the interval per unit of share outside the nominal one:
-# 10 % wider when all of a group's values were outside, 2 % narrower when none was. Chosen on EnergyPlus free runs.
+# 10 % wider when all of a group's values were outside, 2 % narrower when none was. Chosen on EnergyPlus free runs, as
+# was an hour of its own for the first lead time.
 _STEERING = 0.12
 _STEERING_RANGE = (-1.1, 1.1)
 _SCALE_RANGE = (0.25, 5.0)
@@ -37,22 +42,26 @@ _SCALE_RANGE = (0.25, 5.0)
 
 @dataclass
 class _Issued:
-    """A forecast as issued: ends of its steps, raw median and half-widths, and the factor served with, each (N,)."""
+    """A forecast as issued: ends of its steps, raw median and half-widths, and how it was steered, each (N,)."""
 
     time_s: float
     ends_s: Array
     median_C: Array
     up_K: Array
     down_K: Array
-    served: Array
+    steering: Array
     compared: int = 0
 
 
 @dataclass
 class _Group:
-    """Lead times that share a width: when what came, its distance from the median in raw half-widths; its steering."""
+    """Lead times that share a width: when what came, its distance from the median in raw half-widths; its width.
+
+    `window` is the width by the last days alone, NaN where too little is known.
+    """
 
     steering: float = 0.0
+    window: float = float("nan")
     scores: deque[tuple[float, float]] = field(default_factory=deque)
 
 
@@ -89,9 +98,12 @@ class CalibratedFreeResponse:
             self._start(n)
         self._compare(free, history, group_of, boundary.step_s)
         self._latest_s = now
-        scale = np.array([self._scale(group) for group in self._groups])[group_of]
+        steering = np.array([group.steering for group in self._groups])[group_of]
+        window = np.array([group.window for group in self._groups])[group_of]
+        scale = _width(window, steering)
         if not self._issued or now - self._issued[-1].time_s >= _EVERY_S - 1.0:
-            self._issued.append(_issued(now, boundary.time_s[1:], raw, scale))
+            # What was served before anything was known was not steered.
+            self._issued.append(_issued(now, boundary.time_s[1:], raw, np.where(np.isnan(window), np.nan, steering)))
         median = raw.median_C
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
         return FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
@@ -116,31 +128,31 @@ class CalibratedFreeResponse:
             gap = _known(past.ends_s[leads], history.time_s, free) - past.median_C[leads]
             scores = np.abs(gap) / np.where(gap >= 0, past.up_K[leads], past.down_K[leads])
             for lead, score in zip(leads[np.isfinite(scores)], scores[np.isfinite(scores)], strict=True):
-                self._groups[group_of[lead]].scores.append((float(past.ends_s[lead]), float(score)))
-                held[group_of[lead]].append(bool(score <= past.served[lead]))
+                group, steering = self._groups[group_of[lead]], past.steering[lead]
+                group.scores.append((float(past.ends_s[lead]), float(score)))
+                if np.isfinite(steering + group.window):
+                    held[group_of[lead]].append(bool(score <= _width(group.window, steering)))
         for group, inside in zip(self._groups, held, strict=True):
-            if inside and len(group.scores) > _LEAST_VALUES:
+            if inside:
                 steering = group.steering + _STEERING * (_INSIDE - float(np.mean(inside)))
                 group.steering = float(np.clip(steering, *_STEERING_RANGE))
-        while self._issued and self._issued[0].compared >= self._n:
-            self._issued.popleft()
-        for group in self._groups:
             while group.scores and now - group.scores[0][0] > _WINDOW_S:
                 group.scores.popleft()
-
-    @staticmethod
-    def _scale(group: _Group) -> float:
-        """Factor for the distance of each quantile from the median; 1 where too little is known."""
-        if len(group.scores) < _LEAST_VALUES:
-            return 1.0
-        width = np.quantile([score for _, score in group.scores], _INSIDE) * np.exp(group.steering)
-        return float(np.clip(width, *_SCALE_RANGE))
+            scores = [score for _, score in group.scores]
+            group.window = float(np.quantile(scores, _INSIDE)) if len(scores) >= _LEAST_VALUES else float("nan")
+        while self._issued and self._issued[0].compared >= self._n:
+            self._issued.popleft()
 
 
-def _issued(time_s: float, ends_s: Array, raw: FreeForecast, served: Array) -> _Issued:
+def _width(window: Array | float, steering: Array | float) -> Array:
+    """Factor for the distance of each quantile from the median; 1 where too little is known."""
+    return np.nan_to_num(np.clip(window * np.exp(steering), *_SCALE_RANGE), nan=1.0)
+
+
+def _issued(time_s: float, ends_s: Array, raw: FreeForecast, steering: Array) -> _Issued:
     median = raw.median_C
     up, down = raw.quantiles_C[-1] - median, median - raw.quantiles_C[0]
-    return _Issued(time_s, np.asarray(ends_s), median, np.maximum(up, 1e-6), np.maximum(down, 1e-6), served)
+    return _Issued(time_s, np.asarray(ends_s), median, np.maximum(up, 1e-6), np.maximum(down, 1e-6), steering)
 
 
 def _known(ends_s: Array, time_s: Array, free: Array) -> Array:
