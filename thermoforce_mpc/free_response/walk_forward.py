@@ -47,16 +47,7 @@ def trial_origins(n_steps: int, horizon: int, *, least_context: int, span: int, 
 
 def past_task(free_C: Array, history: History, origin: int, horizon: int) -> tuple[Array, History, Boundary]:
     """What a free response is given at step `origin` of the history, with the weather that came as its forecast."""
-    past, ahead = slice(0, origin + 1), slice(origin, origin + horizon + 1)
-    known = History(
-        history.time_s[past],
-        history.T_zone_C[past],
-        history.T_out_C[past],
-        history.solar_W_m2[past],
-        history.u[:origin],
-        history.power_W[:origin],
-        history.heat_W[:origin],
-    )
+    ahead = slice(origin, origin + horizon + 1)
     unknown = np.full(horizon + 1, np.nan)  # of the boundary only time and weather may be used
     boundary = Boundary(
         history.time_s[ahead],
@@ -68,7 +59,7 @@ def past_task(free_C: Array, history: History, origin: int, horizon: int) -> tup
         unknown,
         unknown,
     )
-    return free_C[past], known, boundary
+    return free_C[: origin + 1], history.part(0, origin), boundary
 
 
 def run_trials(
