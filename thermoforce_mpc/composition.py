@@ -51,8 +51,10 @@ class Display(Protocol):
         """Shown while something takes a while."""
         ...
 
-    def loop(self, controller: str, period: Period, area_m2: float) -> AbstractContextManager[StepFollower]:
-        """Follows one closed loop."""
+    def loop(
+        self, controller: str, period: Period, kpis: Callable[[], Mapping[str, float]], currency: str
+    ) -> AbstractContextManager[StepFollower]:
+        """Follows one closed loop; `kpis` are the plant's so far, asked for once a day."""
         ...
 
     def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
@@ -384,7 +386,7 @@ def _follow(
 ) -> RunResult:
     """One closed loop, shown and recorded step by step so that a failure half way loses nothing."""
     kept = records.setdefault(controller.name, [])
-    with display.loop(controller.name, period, testcase.floor_area_m2) as follower:
+    with display.loop(controller.name, period, plant.kpis, testcase.currency) as follower:
 
         def on_step(record: StepRecord) -> None:
             kept.append(record)

@@ -107,6 +107,10 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     assert kpis["kpis"]["ener_tot"] > 0
     assert kpis["baselines"]["native"]["ener_tot"] > 0
     assert f"{kpis['kpis']['ener_tot']:.4g}" in done.output
+    # On its way it says what the plant's own KPIs are by then: on the last day those of the table.
+    for who, found in (("thermostat", kpis["kpis"]), ("native", kpis["baselines"]["native"])):
+        (last_day,) = (line for line in done.output.splitlines() if line.startswith(f"{who}: day  2.00/2"))
+        assert f"  {found['cost_tot']:.4f} EUR/m²  {found['tdis_tot']:.2f} K·h" in last_day
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["environment"]["numpy"]
     assert set(manifest["sha256"]) == names - {"manifest.json", "report.html"}

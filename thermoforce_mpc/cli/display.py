@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
@@ -13,7 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from thermoforce_mpc.closed_loop import StepRecord
-from thermoforce_mpc.types import DAY_S, HOUR_S, Period, PlanStatus
+from thermoforce_mpc.types import DAY_S, Period, PlanStatus
+
+Kpis = Callable[[], Mapping[str, float]]
 
 KPI_COLUMNS = {
     "cost_tot": "cost\n{currency}/m²",
@@ -26,14 +28,16 @@ KPI_COLUMNS = {
 
 
 class LoopDisplay:
-    """Follows one closed loop step by step; energy and discomfort so far are running estimates from the blocks."""
+    """Follows one closed loop: where the run stands at each step, and the plant's own KPIs at the end of each day."""
 
-    def __init__(self, console: Console, controller: str, period: Period, area_m2: float, quiet: bool) -> None:
-        self._console, self._controller, self._period, self._area = console, controller, period, area_m2
-        self._quiet = quiet
+    def __init__(
+        self, console: Console, controller: str, period: Period, kpis: Kpis, currency: str, quiet: bool
+    ) -> None:
+        self._console, self._controller, self._period, self._quiet = console, controller, period, quiet
+        self._kpis, self._currency = kpis, currency
         self._live: Live | None = None
-        self._kWh = self._discomfort_Kh = 0.0
-        self._day_shown = 0
+        self._so_far = ""
+        self._days_done = 0
         self._fallbacks = 0
 
     def __enter__(self) -> LoopDisplay:
@@ -48,30 +52,36 @@ class LoopDisplay:
 
     def step(self, record: StepRecord) -> None:
         """Take one control step in and show where the run stands."""
-        for sample in record.samples:
-            if np.isfinite(sample.power_W):
-                self._kWh += sample.power_W * sample.duration_s / 3.6e6 / self._area
-            below, above = sample.lower_C - sample.T_zone_C, sample.T_zone_C - sample.upper_C
-            self._discomfort_Kh += max(below, above, 0.0) * sample.duration_s / HOUR_S
         self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT) or bool(record.refused)
         if self._quiet:
             return
         last = record.samples[-1]
         day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
+        day_is_over = int(day + 1e-9) > self._days_done
+        if day_is_over:
+            self._days_done = int(day + 1e-9)
+            self._so_far = _so_far(self._kpis(), self._currency)
+        if self._live:
+            self._live.update(Text(self._line(record, day)))
+        elif day_is_over:
+            self._console.print(self._line(record, day), highlight=False, soft_wrap=True)
+
+    def _line(self, record: StepRecord, day: float) -> str:
+        last = record.samples[-1]
         mean_u = np.average([s.u_measured for s in record.samples], weights=[s.duration_s for s in record.samples])
-        solve_s = record.plan.seconds.get("solve")
         line = (
             f"{self._controller}: day {day:5.2f}/{self._period.scored_s / DAY_S:g}"
-            f"  T {last.T_zone_C:5.2f} °C in [{last.lower_C:g}, {last.upper_C:g}]  u {mean_u:4.2f}"
-            f"  {self._kWh:.3f} kWh/m²  {self._discomfort_Kh:.2f} K·h"
+            f"  T {last.T_zone_C:5.2f} °C in [{last.lower_C:g}, {last.upper_C:g}]  u {mean_u:4.2f}{self._so_far}"
         )
+        solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
-        line += f"  fallbacks {self._fallbacks}" if self._fallbacks else ""
-        if self._live:
-            self._live.update(Text(line))
-        elif int(day) > self._day_shown:
-            self._day_shown = int(day)
-            self._console.print(line, highlight=False, soft_wrap=True)
+        return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")
+
+
+def _so_far(kpis: Mapping[str, float], currency: str) -> str:
+    """Cost and discomfort, where the plant knows them."""
+    shown = (("cost_tot", ".4f", f" {currency}/m²"), ("tdis_tot", ".2f", " K·h"))
+    return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in shown if key in kpis)
 
 
 _FILE_WIDTH = 110
@@ -101,9 +111,9 @@ class RunDisplay:
             return nullcontext()
         return self.console.status(text)
 
-    def loop(self, controller: str, period: Period, area_m2: float) -> LoopDisplay:
-        """A display for one closed loop."""
-        return LoopDisplay(self.console, controller, period, area_m2, self.quiet)
+    def loop(self, controller: str, period: Period, kpis: Kpis, currency: str) -> LoopDisplay:
+        """A display for one closed loop; `kpis` gives the plant's so far."""
+        return LoopDisplay(self.console, controller, period, kpis, currency, self.quiet)
 
     def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
         """One row per controller, the best of each column marked with an asterisk."""
