@@ -198,3 +198,22 @@ def test_the_plan_does_not_depend_on_the_currency(rate):
     here, there = (QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(p) for p in (problem, elsewhere))
     assert there.ok, there.problem
     np.testing.assert_allclose(there.u, here.u, atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2, 12])
+def test_cooling_over_any_horizon_has_ipopts_optimum(n):
+    """A horizon may be shorter than the order of the difference equation."""
+    rng = np.random.default_rng(17)
+    operator = linear_operator(np.linspace(0.3, 0.97, 3), -rng.uniform(0.1, 0.5, 3), step_s=3600.0, sign=-1)
+    problem = replace(
+        random_problem(rng, 3, n=n, curvature=1e-6),
+        T_free_C=rng.uniform(26.0, 32.0, n),
+        forced_state_K=-rng.uniform(0.0, 1.0, 3),
+        terminal_price_per_K=np.full(3, -0.01),
+    )
+    shape = ProblemShape(every_step(n))
+    ours = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
+    reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
+    assert ours.ok, ours.problem
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
