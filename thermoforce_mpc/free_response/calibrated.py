@@ -33,9 +33,12 @@ _LEAD_EDGES_H = (1.0, 2.0, 6.0, 12.0, 18.0, 24.0)
 # Hourly values a group of lead times must have seen before its width is touched.
 _LEAST_VALUES = 24
 # How much wider or narrower (in its logarithm) an hour makes the interval per unit of share outside the nominal one:
-# 10 % wider when all of a group's values were outside, 2 % narrower when none was. Chosen on EnergyPlus free runs, as
-# was an hour of its own for the first lead time.
-_STEERING = 0.12
+# 10 % wider when all of a group's values were outside, 2 % narrower when none was. What it did for a distant lead time
+# is known so much later, and steered as fast it would swing from too wide to too narrow: beyond 12 h it is slower in
+# proportion. Chosen on free runs of EnergyPlus and closed loops of the embedded plant, as was an hour of its own for
+# the first lead time.
+_STEERING, _STEERING_LEAD_H, _FURTHEST_H = 0.12, 12.0, 48.0
+_STEERING_OF_GROUP = tuple(_STEERING * min(1.0, _STEERING_LEAD_H / lead_h) for lead_h in (*_LEAD_EDGES_H, _FURTHEST_H))
 _STEERING_RANGE = (-1.1, 1.1)
 _SCALE_RANGE = (0.25, 5.0)
 
@@ -132,9 +135,9 @@ class CalibratedFreeResponse:
                 group.scores.append((float(past.ends_s[lead]), float(score)))
                 if np.isfinite(steering + group.window):
                     held[group_of[lead]].append(bool(score <= _width(group.window, steering)))
-        for group, inside in zip(self._groups, held, strict=True):
+        for group, inside, gain in zip(self._groups, held, _STEERING_OF_GROUP, strict=True):
             if inside:
-                steering = group.steering + _STEERING * (_INSIDE - float(np.mean(inside)))
+                steering = group.steering + gain * (_INSIDE - float(np.mean(inside)))
                 group.steering = float(np.clip(steering, *_STEERING_RANGE))
             while group.scores and now - group.scores[0][0] > _WINDOW_S:
                 group.scores.popleft()
