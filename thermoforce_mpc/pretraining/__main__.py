@@ -36,7 +36,8 @@ def main(threads: int) -> None:
 def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> None:
     """Train the forecaster on synthetic series; an interrupted run goes on where it stopped.
 
-    The checkpoint is OUT/checkpoint. To ship it, copy its files to thermoforce_mpc/data/bolt_thermal.
+    The checkpoint is OUT/checkpoint. To ship it, copy its files to a folder of
+    thermoforce_mpc/data.
     """
     try:
         start_sha256 = weights_sha256(start_from) if start_from else ""

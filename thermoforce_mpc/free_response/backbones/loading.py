@@ -1,4 +1,4 @@
-"""Find a backbone by name: 'shipped', 'fracast', a local directory, or a name on the Hugging Face hub.
+"""Find a backbone by name: 'shipped', 'shipped_small', 'fracast', a local directory, or a name on the Hugging Face hub.
 
 Every failure is a `BackboneError` that says what was wrong and what to do, at once: no minutes of retries without a
 network, and no quietly random weights where a file lacks tensors.
@@ -19,18 +19,24 @@ if TYPE_CHECKING:
     from torch import nn
 
 SHIPPED = "shipped"
+# A third of its size: for comparing scales (`tf-mpc bench backbones`).
+SHIPPED_SMALL = "shipped_small"
 FRACAST = "fracast"
 _WEIGHTS = "model.safetensors"
 _HUB_TIMEOUT_S = 5.0
-_SHIPPED_LABEL = "shipped Bolt checkpoint, trained on synthetic series only"
+_SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", SHIPPED_SMALL: "bolt_thermal_small"}
+_SHIPPED_LABELS = {
+    SHIPPED: "shipped Bolt checkpoint, trained on synthetic series only",
+    SHIPPED_SMALL: "shipped small Bolt checkpoint, trained on synthetic series only",
+}
 
 
 def load_backbone(name: str) -> Backbone:
     """Load a backbone, frozen: evaluation mode and no gradients.
 
     Args:
-        name: 'shipped', 'fracast', a directory with config.json and weights of Chronos-Bolt or Chronos-2, or a hub name
-            such as 'amazon/chronos-bolt-small'.
+        name: 'shipped', 'shipped_small', 'fracast', a directory with config.json and weights of Chronos-Bolt or
+            Chronos-2, or a hub name such as 'amazon/chronos-bolt-small'.
 
     Raises:
         BackboneError: nothing of that name, damaged or incomplete weights, hub out of reach, or another kind of model.
@@ -41,9 +47,9 @@ def load_backbone(name: str) -> Backbone:
     return backbone
 
 
-def shipped_folder() -> Path:
-    """Where the shipped checkpoint lies."""
-    return Path(str(resources.files("thermoforce_mpc").joinpath("data/bolt_thermal")))
+def shipped_folder(name: str = SHIPPED) -> Path:
+    """Where a shipped checkpoint, 'shipped' or 'shipped_small', lies."""
+    return Path(str(resources.files("thermoforce_mpc").joinpath("data", _SHIPPED_FOLDERS[name])))
 
 
 def parameter_count(modules: Sequence[nn.Module]) -> int:
@@ -59,8 +65,9 @@ def _fracast() -> Backbone:
 
 
 def _chronos(name: str) -> Backbone:
-    folder = shipped_folder() if name == SHIPPED else Path(name).expanduser()
-    if name == SHIPPED or folder.exists() or name.startswith((".", "/", "~")):
+    shipped = name in _SHIPPED_FOLDERS
+    folder = shipped_folder(name) if shipped else Path(name).expanduser()
+    if shipped or folder.exists() or name.startswith((".", "/", "~")):
         if not (folder / "config.json").is_file():
             raise BackboneError(
                 f"backbone {folder}: no config.json there; give the directory of a Chronos-Bolt or Chronos-2 checkpoint"
@@ -70,8 +77,8 @@ def _chronos(name: str) -> Backbone:
     else:
         if name.count("/") != 1:
             raise BackboneError(
-                f"backbone '{name}': neither a directory nor a hub name; use 'shipped', 'fracast', a directory, or a "
-                "name like 'amazon/chronos-bolt-small'"
+                f"backbone '{name}': neither a directory nor a hub name; use 'shipped', 'shipped_small', 'fracast', a "
+                "directory, or a name like 'amazon/chronos-bolt-small'"
             )
         # What was downloaded before needs no network, and stays the version it was.
         cached = _cached(name, "config.json") is not None and _cached(name, _WEIGHTS) is not None
@@ -92,7 +99,7 @@ def _wrapped(name: str, pipeline: Any) -> Backbone:
     if family == "ChronosBoltPipeline":
         from thermoforce_mpc.free_response.backbones.bolt import BoltBackbone
 
-        return BoltBackbone(pipeline, _SHIPPED_LABEL if name == SHIPPED else f"Chronos-Bolt '{name}'")
+        return BoltBackbone(pipeline, _SHIPPED_LABELS.get(name, f"Chronos-Bolt '{name}'"))
     if family == "Chronos2Pipeline":
         from thermoforce_mpc.free_response.backbones.chronos2 import Chronos2Backbone
 
