@@ -213,7 +213,8 @@ def _plot(scores: dict[str, dict[str, Score]], groups: dict[str, str], out: Path
                 color=f"C{methods.index(method)}",
             )
         axis.set(title=group, xlabel="lead time, h", ylabel="mean absolute error, K", ylim=(0, None))
-    axes[0][0].legend(fontsize=7)
+    handles = {label: line for axis in axes[0] for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(handles.values()), list(handles), loc="outside right upper", fontsize=7)
     out.mkdir(parents=True, exist_ok=True)
     figure.savefig(out / "free_response.png", dpi=130)
     plt.close(figure)
