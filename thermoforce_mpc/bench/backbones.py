@@ -197,7 +197,7 @@ def _plot(rows: Sequence[dict[str, Any]], out: Path) -> None:
     names = [f"{Path(row['backbone']).name}\n{row['parameters'] / 1e6:.2f} M" for row in medians]
     axis.set_xticks(np.arange(len(medians)), names, fontsize=8)
     axis.set(ylabel=f"RMSE over {_HORIZON_H} h, K")
-    axis.legend(fontsize=8)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8)
     out.mkdir(parents=True, exist_ok=True)
     figure.savefig(out / "backbones.png", dpi=130)
     plt.close(figure)
