@@ -20,11 +20,11 @@ from forecasting import LEVELS, boundary_of, history_of, hours
 from safetensors.torch import load_file, save_file
 
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
-from thermoforce_mpc.free_response.backbones.loading import load_backbone
+from thermoforce_mpc.free_response.backbones.loading import SHIPPED_SCALES, load_backbone
 from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.free_response.registry import build_free_response
 
-NAMES = ("shipped", "shipped_small", "bolt", "chronos2", "fracast")
+NAMES = (*SHIPPED_SCALES, "bolt", "chronos2", "fracast")
 
 
 def daily(t: np.ndarray) -> np.ndarray:
@@ -35,7 +35,7 @@ def daily(t: np.ndarray) -> np.ndarray:
 def forecaster(request: pytest.FixtureRequest) -> ChronosFreeResponse:
     if request.param == "fracast" and importlib.util.find_spec("fracast") is None:
         pytest.skip("optional package fracast is not installed")
-    name = request.param if request.param in ("shipped", "shipped_small", "fracast") else ""
+    name = request.param if request.param in (*SHIPPED_SCALES, "fracast") else ""
     return ChronosFreeResponse(name or str(request.getfixturevalue(f"{request.param}_folder")))
 
 

@@ -20,7 +20,7 @@ from thermoforce_mpc.pretraining.evaluation import CONTEXTS, evaluate
 from thermoforce_mpc.pretraining.training import TrainingConfig, batch_loss, pretrain
 
 SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "data" / "bolt_thermal"
-SHIPPED_SMALL = SHIPPED.with_name("bolt_thermal_small")
+SMALLER = [SHIPPED.with_name(f"bolt_thermal_{scale}") for scale in ("small", "tiny")]
 TINY = TrainingConfig(steps=4, batch=8, save_every=2, validation_batches=1)
 
 
@@ -165,14 +165,15 @@ def test_the_shipped_checkpoint_beats_plain_forecasts_on_held_out_series(trained
     longest = shipped[-1]
     assert longest["model"] < 0.7 * min(longest["persistence"], longest["seasonal_naive"])
     assert 0.72 < longest["inside_80"] < 0.88
-    small = evaluate(SHIPPED_SMALL, series=256, seed=5)["contexts"][-1]
+    small, tiny = (evaluate(folder, series=256, seed=5)["contexts"][-1] for folder in SMALLER)
     assert 1.0 < small["model"] / longest["model"] < 1.15
+    assert 1.0 < tiny["model"] / small["model"] < 1.15
     # Four steps of training are no training: the same yardstick must tell.
     untrained = evaluate(trained[0] / "checkpoint", series=64, seed=5)["contexts"][-1]
     assert untrained["model"] > 1.3 * longest["model"]
 
 
-@pytest.mark.parametrize("folder", [SHIPPED, SHIPPED_SMALL])
+@pytest.mark.parametrize("folder", [SHIPPED, *SMALLER])
 def test_a_shipped_checkpoint_is_small_and_says_where_it_comes_from(folder):
     assert (folder / "model.safetensors").stat().st_size < 4e6
     training = json.loads((folder / "training.json").read_text())

@@ -18,7 +18,7 @@ import numpy as np
 
 from thermoforce_mpc.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.bench.result import Target, bench_result
-from thermoforce_mpc.free_response.backbones.loading import FRACAST, SHIPPED, SHIPPED_SMALL, parameter_count
+from thermoforce_mpc.free_response.backbones.loading import FRACAST, SHIPPED_SCALES, parameter_count
 from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -49,7 +49,7 @@ class Building:
 
 def default_backbones() -> list[str]:
     """The shipped forecasters, and `fracast` where its package is installed."""
-    return [SHIPPED, SHIPPED_SMALL, *([FRACAST] if importlib.util.find_spec(FRACAST) else [])]
+    return [*SHIPPED_SCALES, *([FRACAST] if importlib.util.find_spec(FRACAST) else [])]
 
 
 def run_backbone_bench(

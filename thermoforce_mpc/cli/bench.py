@@ -98,8 +98,8 @@ def free_response_command(
 @command.command("backbones")
 @click.option(
     "--backbones",
-    help="Comma-separated: shipped, shipped_small, fracast, directories, hub names.  [default: the shipped ones, and "
-    "fracast where installed]",
+    help="Comma-separated: shipped, shipped_small, shipped_tiny, fracast, directories, hub names.  [default: the "
+    "shipped ones, and fracast where installed]",
 )
 @click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")

@@ -37,7 +37,7 @@ class ChronosFreeResponse:
         """Load the weights.
 
         Args:
-            backbone: 'shipped', 'shipped_small', 'fracast', a local directory, or a hub name; see `load_backbone`.
+            backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
             context_steps: how many values of the history a look shows the model at most (see `views.py`).
             looks: 'several' at one series, or 'one' at its own step, unrolled where needed (the paper's way).
 

@@ -1,4 +1,4 @@
-"""Find a backbone by name: 'shipped', 'shipped_small', 'fracast', a local directory, or a name on the Hugging Face hub.
+"""Find a backbone by name: 'shipped' (or a smaller scale), 'fracast', a directory, or one on the Hugging Face hub.
 
 Every failure is a `BackboneError` that says what was wrong and what to do, at once: no minutes of retries without a
 network, and no quietly random weights where a file lacks tensors.
@@ -19,23 +19,19 @@ if TYPE_CHECKING:
     from torch import nn
 
 SHIPPED = "shipped"
-# A third of its size: for comparing scales (`tf-mpc bench backbones`).
-SHIPPED_SMALL = "shipped_small"
 FRACAST = "fracast"
 _WEIGHTS = "model.safetensors"
 _HUB_TIMEOUT_S = 5.0
-_SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", SHIPPED_SMALL: "bolt_thermal_small"}
-_SHIPPED_LABELS = {
-    SHIPPED: "shipped Bolt checkpoint, trained on synthetic series only",
-    SHIPPED_SMALL: "shipped small Bolt checkpoint, trained on synthetic series only",
-}
+# The forecaster to use, and smaller scales of it for comparison (`tf-mpc bench backbones`).
+_SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
+SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
 
 
 def load_backbone(name: str) -> Backbone:
     """Load a backbone, frozen: evaluation mode and no gradients.
 
     Args:
-        name: 'shipped', 'shipped_small', 'fracast', a directory with config.json and weights of Chronos-Bolt or
+        name: one of `SHIPPED_SCALES`, 'fracast', a directory with config.json and weights of Chronos-Bolt or
             Chronos-2, or a hub name such as 'amazon/chronos-bolt-small'.
 
     Raises:
@@ -48,7 +44,7 @@ def load_backbone(name: str) -> Backbone:
 
 
 def shipped_folder(name: str = SHIPPED) -> Path:
-    """Where a shipped checkpoint, 'shipped' or 'shipped_small', lies."""
+    """Where a shipped checkpoint, one of `SHIPPED_SCALES`, lies."""
     return Path(str(resources.files("thermoforce_mpc").joinpath("data", _SHIPPED_FOLDERS[name])))
 
 
@@ -77,8 +73,8 @@ def _chronos(name: str) -> Backbone:
     else:
         if name.count("/") != 1:
             raise BackboneError(
-                f"backbone '{name}': neither a directory nor a hub name; use 'shipped', 'shipped_small', 'fracast', a "
-                "directory, or a name like 'amazon/chronos-bolt-small'"
+                f"backbone '{name}': neither a directory nor a hub name; use one of {', '.join(SHIPPED_SCALES)}, "
+                f"{FRACAST}, a directory, or a name like 'amazon/chronos-bolt-small'"
             )
         # What was downloaded before needs no network, and stays the version it was.
         cached = _cached(name, "config.json") is not None and _cached(name, _WEIGHTS) is not None
@@ -90,6 +86,13 @@ def _chronos(name: str) -> Backbone:
     return _wrapped(name, pipeline)
 
 
+def _label(name: str) -> str:
+    if name not in SHIPPED_SCALES:
+        return f"Chronos-Bolt '{name}'"
+    scale = name.removeprefix(SHIPPED).replace("_", " ")
+    return f"shipped{scale} Bolt checkpoint, trained on synthetic series only"
+
+
 def _wrapped(name: str, pipeline: Any) -> Backbone:
     family = type(pipeline).__name__
     levels = getattr(pipeline, "quantiles", [])
@@ -99,7 +102,7 @@ def _wrapped(name: str, pipeline: Any) -> Backbone:
     if family == "ChronosBoltPipeline":
         from thermoforce_mpc.free_response.backbones.bolt import BoltBackbone
 
-        return BoltBackbone(pipeline, _SHIPPED_LABELS.get(name, f"Chronos-Bolt '{name}'"))
+        return BoltBackbone(pipeline, _label(name))
     if family == "Chronos2Pipeline":
         from thermoforce_mpc.free_response.backbones.chronos2 import Chronos2Backbone
 
