@@ -172,6 +172,15 @@ def test_the_transfer_function_answers_like_the_modes():
     np.testing.assert_allclose(lfilter(numerator, denominator, drive), modes.sum(axis=-1), rtol=1e-9)
 
 
+def piqp_alone_finds_ipopts_optimum(operator, problem):
+    shape = ProblemShape(every_step(problem.n_steps))
+    ours = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
+    reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
+    assert ours.ok, ours.problem
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+
+
 @pytest.mark.parametrize("time_constants_h", [(0.01, 3.0), (0.3, 4.0, 900.0), (2.0, 2.2, 2.4)])
 def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_constants_h):
     """Their difference equation is nearly an integrator, or forgets all within a step: the check must not refuse it."""
@@ -180,12 +189,7 @@ def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_consta
     poles = np.exp(-0.25 / np.array(time_constants_h))
     operator = linear_operator(poles, np.full(order, 0.05), step_s=900.0)
     problem = replace(random_problem(rng, order, n=n, curvature=1e-6), step_s=900.0)
-    shape = ProblemShape(every_step(n))
-    alone = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
-    reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
-    assert alone.ok, alone.problem
-    best = float(problem.cost(operator, reference.u))
-    assert float(problem.cost(operator, alone.u)) == pytest.approx(best, rel=1e-6)
+    piqp_alone_finds_ipopts_optimum(operator, problem)
 
 
 @pytest.mark.parametrize("rate", [1e-6, 1e6])
@@ -211,9 +215,4 @@ def test_cooling_over_any_horizon_has_ipopts_optimum(n):
         forced_state_K=-rng.uniform(0.0, 1.0, 3),
         terminal_price_per_K=np.full(3, -0.01),
     )
-    shape = ProblemShape(every_step(n))
-    ours = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
-    reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
-    assert ours.ok, ours.problem
-    best = float(problem.cost(operator, reference.u))
-    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+    piqp_alone_finds_ipopts_optimum(operator, problem)
