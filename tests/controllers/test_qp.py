@@ -216,3 +216,25 @@ def test_cooling_over_any_horizon_has_ipopts_optimum(n):
         terminal_price_per_K=np.full(3, -0.01),
     )
     piqp_alone_finds_ipopts_optimum(operator, problem)
+
+
+@pytest.mark.parametrize("peak", [False, True])
+def test_wild_instances_are_solved_by_either_solver_alike(peak):
+    """Zones far outside the band, negative and free power, heat of yesterday, discomfort that costs nothing or all."""
+    rng = np.random.default_rng(18)
+    operator, shape = random_operator(rng, 3), ProblemShape(blocked_moves(96, 3600.0, 12.0, 3.0), peak=peak)
+    piqp, clarabel = (QPSolver(operator, shape, QPConfig(backends=(b,))) for b in ("piqp", "clarabel"))
+    for _ in range(40):
+        problem = random_problem(rng, 3, n=96, curvature=1e-6)
+        problem = replace(
+            problem,
+            T_free_C=problem.T_free_C + rng.choice([-20.0, 0.0, 20.0]) + rng.normal(0.0, 5.0, 96),
+            forced_state_K=rng.normal(0.0, rng.choice([0.1, 15.0]), 3),
+            price_per_kWh=rng.choice([0.0, 1.0]) * rng.normal(0.05, 0.2, 96),
+            weights=Weights(10.0 ** rng.uniform(-3, 4), 1e-6, 10.0 ** rng.uniform(-5, -1) if peak else 0.0),
+        )
+        ours, other = piqp.solve(problem), clarabel.solve(problem)
+        assert ours.ok, ours.problem
+        assert other.ok, other.problem
+        ours_cost, other_cost = (float(problem.cost(operator, s.u)) for s in (ours, other))
+        assert ours_cost == pytest.approx(other_cost, rel=1e-5, abs=1e-5)
