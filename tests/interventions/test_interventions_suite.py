@@ -88,6 +88,8 @@ def test_the_command_writes_table_figures_and_page(simulated, folder, tmp_path, 
     assert raw["sign"] == 0.0
     assert ours["effect_K"] < 0.4 * raw["effect_K"]
     assert ours["violations"] == 0
+    # On its way it says of each method what the table will say.
+    assert all(f"{label}: effect RMSE {row['effect_K']:.3f} K" in done.output for label, row in table.items())
     page = (out / "index.html").read_text()
     assert "<svg" in page
     assert "ThermoForce (two-state)" in page

@@ -85,7 +85,7 @@ def run_suite(
         for task, (cells, fan) in zip(tasks, outcomes, strict=True):
             climate, k, name = task[:3]
             scores += cells
-            effect = np.sqrt(np.mean([cell.effect_rmse_K**2 for cell in cells]))
+            effect = np.mean([cell.effect_rmse_K for cell in cells])  # as in the table
             say(f"{climate.climate.label}, {k} probe days, {METHODS[name].label}: effect RMSE {effect:.3f} K")
             if k == days[0]:
                 fans[climate.climate.name][name] = fan
