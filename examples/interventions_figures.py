@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from thermoforce_mpc.bench.operator_data import cut, read_run
+from thermoforce_mpc.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.composition import identify_on
 from thermoforce_mpc.free_response.registry import build_free_response
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, Observation
+from thermoforce_mpc.types import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.weather import synthetic_weather
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
@@ -61,13 +61,11 @@ def on_a_record(folder: Path) -> Situation:
         raise SystemExit(f"{folder}: no excite_*.csv.gz there")
     record = read_run(found[0])
     run = record.coarser(round(HOUR_S / record.step_s))
-    model = identify([cut(record, 0.0, 3.0)], floor_area_m2=192.0, step_s=HOUR_S, source=found[0].name)
+    model = identify([cut(record, 0.0, 3.0)], floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S, source=found[0].name)
     now = 10 * 24
-    ahead = slice(now, now + 25)
-    nothing = np.zeros(25)
-    boundary = Boundary(run.time_s[ahead], run.T_out_C[ahead], run.solar_W_m2[ahead], *(nothing for _ in range(5)))
-    observation = Observation(cut(run, 0.0, 10.0), boundary)
-    return Situation(model, observation, run.u[now : now + 24], run.T_zone_C[now + 1 : now + 25], found[0].name)
+    ahead = run.part(now, now + 24)
+    observation = Observation(run.part(0, now), ahead.weather())
+    return Situation(model, observation, ahead.u, ahead.T_zone_C[1:], found[0].name)
 
 
 def main() -> None:

@@ -31,13 +31,6 @@ def some_history(n: int = 60, seed: int = 0) -> History:
     )
 
 
-def first(history: History, n: int) -> History:
-    return History(
-        **{k: getattr(history, k)[: n + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-        **{k: getattr(history, k)[:n] for k in ("u", "power_W", "heat_W")},
-    )
-
-
 def expectation(free_C: float, spread_K: float = 0.1) -> FreeForecast:
     levels = np.arange(1, 10) / 10
     return FreeForecast(levels, free_C + spread_K * (levels[:, None] - 0.5))
@@ -47,10 +40,10 @@ def test_step_by_step_is_the_rollout_of_the_whole_history():
     operator, history = simple_model().operator, some_history()
     estimator = ForcedStateEstimator(operator)
     for n in (0, 1, 2, 3, 30, 31, 60):
-        followed = estimator.update(first(history, n))
+        followed = estimator.update(history.part(0, n))
     # The first day sets the steady start, so the start is known from the first whole rollout on.
     again = ForcedStateEstimator(operator)
-    again.update(first(history, 30))
+    again.update(history.part(0, 30))
     np.testing.assert_allclose(again.update(history), forced_history(operator, history), atol=1e-12)
     assert followed.shape == (61, operator.order)
 
@@ -67,7 +60,7 @@ def test_another_run_starts_anew():
 def test_a_gap_in_a_new_step_is_refused_with_its_place():
     history = some_history(10)
     estimator = ForcedStateEstimator(simple_model().operator)
-    estimator.update(first(history, 9))
+    estimator.update(history.part(0, 9))
     broken = replace(history, T_out_C=np.append(history.T_out_C[:-1], np.nan))
     with pytest.raises(DataError, match="T_out_C is not finite at step 10 of 10"):
         estimator.update(broken)
@@ -79,7 +72,7 @@ def surprised(config: EstimatorConfig, spread_K: float) -> float:
     history = replace(history, u=np.append(history.u[:-1], 1.0))
     plain = forced_history(simple_model().operator, history)[-1].sum()
     estimator = ForcedStateEstimator(simple_model().operator, config=config)
-    estimator.update(first(history, 29))
+    estimator.update(history.part(0, 29))
     free_C = history.T_zone_C[-1] - 0.5 - plain
     estimator.expect(float(history.time_s[-1]), expectation(free_C, spread_K))
     return float(estimator.update(history)[-1].sum() - plain)

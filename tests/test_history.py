@@ -22,6 +22,16 @@ def test_a_part_has_the_samples_at_both_its_ends():
         np.testing.assert_array_equal(getattr(tail, name), getattr(history(10).part(8, 10), name))
 
 
+def test_its_weather_is_a_forecast_of_which_nothing_else_is_known():
+    ahead = history(10).part(3, 6).weather()
+    assert (ahead.n_steps, ahead.step_s) == (3, 900.0)
+    np.testing.assert_array_equal(ahead.T_out_C, [3, 4, 5, 6])
+    np.testing.assert_array_equal(ahead.solar_W_m2, [30, 40, 50, 60])
+    assert np.isnan(
+        [ahead.occupancy, ahead.lower_C, ahead.upper_C, ahead.price_per_kWh, ahead.emission_kg_per_kWh]
+    ).all()
+
+
 def test_coarser_steps_sample_at_their_ends_average_between_and_cut_the_rest():
     coarse = history(10).coarser(4)
     assert coarse.step_s == 3600.0

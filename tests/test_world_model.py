@@ -111,10 +111,7 @@ def test_plan_continues_the_history(world):
     history = make_history(72)
     operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, actuator=HEAT_MAP)
     world = WorldModel(ThermalModel(operator), HoldLast())
-    past = History(
-        **{n: getattr(history, n)[:49] for n in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-        **{n: getattr(history, n)[:48] for n in ("u", "power_W", "heat_W")},
-    )
+    past = history.part(0, 48)
     outlook = world.outlook(Observation(past, make_boundary(past)))
     whole = forced_history(operator, history).sum(axis=1)[49:]
     np.testing.assert_allclose(outlook.predict(history.u[48:]).forced_K, whole, atol=1e-9)

@@ -141,6 +141,11 @@ class History:
             **{name: getattr(self, name)[: n * every].reshape(n, every).mean(axis=1) for name in ACTING},
         )
 
+    def weather(self) -> Boundary:
+        """Its weather as the forecast that came true; of the rest of a boundary nothing is known, NaN."""
+        unknown = np.full(self.time_s.size, np.nan)
+        return Boundary(self.time_s, self.T_out_C, self.solar_W_m2, unknown, unknown, unknown, unknown, unknown)
+
     @classmethod
     def beginning(cls, measurement: Measurement) -> History:
         """The history of one instant, before anything has acted."""

@@ -30,12 +30,6 @@ def run(first_day, u):
     return History(time_s, T, free - 12.0, solar, u, np.full(n, np.nan), np.full(n, np.nan))
 
 
-def cut(record, start, stop):
-    sampled = {k: getattr(record, k)[start : stop + 1] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
-    acting = {k: getattr(record, k)[start:stop] for k in ("u", "power_W", "heat_W")}
-    return History(**sampled, **acting)
-
-
 def window(day, name, shift_K, part="test", seed=0):
     """One pair: ten days before it, then a shift of the control in its sign for four hours."""
     rng = np.random.default_rng([seed, day])
@@ -50,9 +44,9 @@ def window(day, name, shift_K, part="test", seed=0):
         part,
         day,
         shift_K,
-        cut(a, 0, start),
-        cut(a, start, start + N),
-        cut(b, start, start + N),
+        a.part(0, start),
+        a.part(start, start + N),
+        b.part(start, start + N),
     )
 
 
@@ -70,5 +64,5 @@ def data(test_days=2, validation_days=2):
     probed[960:] = np.clip(u[960:] + np.repeat(rng.choice([-0.3, 0.0, 0.3], 36), 8), 0.0, 1.0)
     plain, moved = run(15, u), run(15, probed)
     end = u.size
-    probe = Probe(cut(plain, 0, 960), Pair(cut(moved, 960, end), cut(plain, 960, end)))
+    probe = Probe(plain.part(0, 960), Pair(moved.part(960, end), plain.part(960, end)))
     return ClimateData(CLIMATES["heating_chicago"], tuple(windows), {3: probe})

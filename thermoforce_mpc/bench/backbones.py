@@ -22,7 +22,7 @@ from thermoforce_mpc.free_response.backbones.loading import FRACAST, SHIPPED_SCA
 from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Observation
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, History, Observation
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
 _PROBE_DAYS, _CONTEXT_DAYS, _EMBEDDED_DAYS = 3, 7, 16
@@ -130,12 +130,8 @@ def _instant(building: Building, origin: int) -> tuple[Observation, Array, Array
     """What is known at a step of the record, the actions that followed (1, N), and the temperatures (N,)."""
     record, n = building.record, building.horizon
     first = max(0, origin - round(_CONTEXT_DAYS * DAY_S / record.step_s))
-    history = record.part(first, origin)
-    ahead, none = slice(origin, origin + n + 1), np.zeros(n + 1)
-    boundary = Boundary(
-        record.time_s[ahead], record.T_out_C[ahead], record.solar_W_m2[ahead], none, none, none, none, none
-    )
-    return Observation(history, boundary), record.u[None, origin : origin + n], record.T_zone_C[ahead][1:]
+    ahead = record.part(origin, origin + n)
+    return Observation(record.part(first, origin), ahead.weather()), ahead.u[None], ahead.T_zone_C[1:]
 
 
 def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], None]) -> list[Building]:

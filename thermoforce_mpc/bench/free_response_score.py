@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,19 +51,18 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
     """
     n, first = source.horizon, max(0, origin - source.context_steps)
     whole = source.history
-    past, ahead = slice(first, origin + 1), slice(origin, origin + n + 1)
+    past = slice(first, origin + 1)
     acting = np.full(origin - first, np.nan)
     history = History(
         whole.time_s[past], source.free_C[past], whole.T_out_C[past], whole.solar_W_m2[past], acting, acting, acting
     )
-    T_out, solar = whole.T_out_C[ahead], whole.solar_W_m2[ahead]
+    boundary = whole.part(origin, origin + n).weather()
     if error is not None:
         hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
         # At the end of a record its last value stands for what lies beyond; it only steers redrawing.
         hourly = np.pad(hourly, (0, MAX_HORIZON_H + 1 - hourly.size), mode="edge")
-        T_out, solar = error.apply(whole.time_s[ahead], T_out, hourly, solar)
-    unknown = np.zeros(n + 1)
-    boundary = Boundary(whole.time_s[ahead], T_out, solar, unknown, unknown, unknown, unknown, unknown)
+        T_out, solar = error.apply(boundary.time_s, boundary.T_out_C, hourly, boundary.solar_W_m2)
+        boundary = replace(boundary, T_out_C=T_out, solar_W_m2=solar)
     return source.free_C[past], history, boundary, source.free_C[origin + 1 : origin + n + 1]
 
 

@@ -47,19 +47,8 @@ def trial_origins(n_steps: int, horizon: int, *, least_context: int, span: int, 
 
 def past_task(free_C: Array, history: History, origin: int, horizon: int) -> tuple[Array, History, Boundary]:
     """What a free response is given at step `origin` of the history, with the weather that came as its forecast."""
-    ahead = slice(origin, origin + horizon + 1)
-    unknown = np.full(horizon + 1, np.nan)  # of the boundary only time and weather may be used
-    boundary = Boundary(
-        history.time_s[ahead],
-        history.T_out_C[ahead],
-        history.solar_W_m2[ahead],
-        unknown,
-        unknown,
-        unknown,
-        unknown,
-        unknown,
-    )
-    return free_C[: origin + 1], history.part(0, origin), boundary
+    ahead = history.part(origin, origin + horizon)
+    return free_C[: origin + 1], history.part(0, origin), ahead.weather()
 
 
 def run_trials(

@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.free_response.rc import RcFreeResponse
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Observation
+from thermoforce_mpc.types import DAY_S, HOUR_S, Array, History, Observation
 from thermoforce_mpc.world_model import ThermalModel, WorldModel
 
 if TYPE_CHECKING:
@@ -43,12 +43,7 @@ def rollouts(model: ThermalModel, record: History, hours: float = _ROLLOUT_H) ->
     predicted = np.full(record.n_steps + 1, np.nan)
     for start in range(n, record.n_steps, n):
         stop = min(start + n, record.n_steps)
-        nothing = np.zeros(stop - start + 1)
-        ahead = Boundary(
-            *(getattr(record, name)[start : stop + 1] for name in ("time_s", "T_out_C", "solar_W_m2")),
-            *(nothing for _ in range(5)),
-        )
-        outlook = world.outlook(Observation(record.part(0, start), ahead))
+        outlook = world.outlook(Observation(record.part(0, start), record.part(start, stop).weather()))
         predicted[start + 1 : stop + 1] = outlook.predict(record.u[start:stop]).total_C
     error = predicted - record.T_zone_C
     return Rollouts(predicted, float(np.sqrt(np.nanmean(error**2))))

@@ -56,18 +56,8 @@ class Window:
 
     @property
     def boundary(self) -> Boundary:
-        """Weather of the horizon, which both runs share; comfort, price and emission play no part and are zero."""
-        none = np.zeros(self.factual.time_s.size)
-        return Boundary(
-            time_s=self.factual.time_s,
-            T_out_C=self.factual.T_out_C,
-            solar_W_m2=self.factual.solar_W_m2,
-            occupancy=none,
-            lower_C=none,
-            upper_C=none,
-            price_per_kWh=none,
-            emission_kg_per_kWh=none,
-        )
+        """Weather of the horizon, which both runs share; comfort, price and emission play no part."""
+        return self.factual.weather()
 
 
 @dataclass(frozen=True)

@@ -82,8 +82,7 @@ def _cases(run: History, first: int, horizon: int, free_response: FreeResponse) 
     cases = []
     for origin in range(first, run.n_steps - horizon + 1, _STRIDE):
         history, ahead = run.part(0, origin), run.part(origin, origin + horizon)
-        none = np.zeros(horizon + 1)
-        boundary = Boundary(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, none, none, none, none, none)
+        boundary = ahead.weather()
         forecast = free_response.forecast(history.T_zone_C, history, boundary).median_C
         cases.append(_Case(history, boundary, ahead.u, ahead.T_zone_C[1:], forecast))
     return cases

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from thermoforce_mpc.interventions.dataset import Window
 from thermoforce_mpc.interventions.methods.base import Training, best, joined
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import DAY_S, Array, Boundary, History
+from thermoforce_mpc.types import DAY_S, Array, History
 
 _HIDDEN = 32
 _EPOCHS = 150
@@ -116,12 +116,10 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
 
     plain = joined(training.probe.history, training.probe.pair.b)
     per_day = round(DAY_S / plain.step_s)
-    none = np.zeros(horizon + 1)
     first = max(per_day + 1, plain.n_steps - (_TEACHER_DAYS + training.days) * per_day)
     for origin in range(first, plain.n_steps - horizon + 1, _TEACHER_STRIDE):
         past, ahead = plain.part(0, origin), plain.part(origin, origin + horizon)
-        boundary = Boundary(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, none, none, none, none, none)
-        forecast = free_response.forecast(past.T_zone_C, past, boundary).median_C
+        forecast = free_response.forecast(past.T_zone_C, past, ahead.weather()).median_C
         add(ahead, float(past.T_zone_C[-2]), forecast, True)
     for run in (training.probe.pair.a, training.probe.pair.b):
         last = run.n_steps - horizon + 1
