@@ -14,7 +14,6 @@ from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution,
 from thermoforce_mpc.operator.casadi_export import step_function
 from thermoforce_mpc.operator.features import N_FEATURES
 from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.operator.rollout import forced_rollout
 from thermoforce_mpc.testcase import StrictModel
 from thermoforce_mpc.types import Array
 
@@ -137,16 +136,13 @@ class IpoptSolver:
             return Solution(False, np.empty(0), status, iterations, f"Ipopt ended with {status}")
         moves = np.asarray(result["x"], dtype=np.float64).ravel()[: self.shape.n_moves]
         u = moves[self.shape.move_of_step]
-        return checked_solution(p, partial(self._modes, p), u, float(result["f"]), status, iterations)
-
-    def _modes(self, problem: MPCProblem, u: Array) -> Array:
-        return forced_rollout(self.operator, problem.forced_state_K, u, problem.features)
+        return checked_solution(p, partial(p.modes_K, self.operator), u, float(result["f"]), status, iterations)
 
     def _complete(self, problem: MPCProblem, u: Array) -> Array:
         """A first guess for all variables that is consistent with the first level of `u` in each move."""
         moves = u[self.shape.first_steps]
         u = moves[self.shape.move_of_step]
-        F = self._modes(problem, u)
+        F = problem.modes_K(self.operator, u)
         slack = problem.slack_K(problem.T_free_C + F.sum(axis=-1))
         peak = [max(float(problem.power_W(u).max()) - problem.peak_so_far_W, 0.0)] if self.shape.peak else []
         return np.concatenate([moves, F.ravel(), slack, peak])

@@ -139,8 +139,11 @@ class MPCProblem:
 
     def forced_K(self, operator: OperatorParameters, u: Array) -> Array:
         """Forced response at the end of each step for levels `u` (..., N), K, shape (..., N)."""
-        modes = forced_rollout(operator, self.forced_state_K, u, self.features)
-        return np.asarray(modes.sum(axis=-1), dtype=np.float64)
+        return np.asarray(self.modes_K(operator, u).sum(axis=-1), dtype=np.float64)
+
+    def modes_K(self, operator: OperatorParameters, u: Array) -> Array:
+        """Forced state of every mode at the end of each step for levels `u` (..., N), K, shape (..., N, r)."""
+        return forced_rollout(operator, self.forced_state_K, u, self.features)
 
     def slack_K(self, T_zone_C: Array) -> Array:
         """Violation of the comfort bounds at the end of each step, K, shape as `T_zone_C`."""
@@ -149,7 +152,7 @@ class MPCProblem:
 
     def cost(self, operator: OperatorParameters, u: Array) -> Array:
         """Objective for levels `u` (..., N), currency, shape (...,)."""
-        return self.cost_under(u, forced_rollout(operator, self.forced_state_K, u, self.features))
+        return self.cost_under(u, self.modes_K(operator, u))
 
     def cost_under(self, u: Array, modes: Array) -> Array:
         """Objective for levels `u` (..., N) that lead to the forced state `modes` (..., N, r) K, currency, (...,)."""

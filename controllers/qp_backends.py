@@ -41,8 +41,8 @@ class Programme:
     high: Array
     x_low: Array
     x_high: Array
-    unit: float = 1.0
-    constant: float = 0.0
+    unit: float
+    constant: float
 
     def objective(self, x: Array) -> float:
         """Objective at `x` with the constant, in the unit that the caller counts in."""
@@ -72,17 +72,18 @@ class Piqp:
 
         if self._solver is None:
             solver = piqp.SparseSolver()
-            solver.settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
-            solver.settings.preconditioner_iter = (
-                0  # kelvins, shares and prices in units of the largest: scaled already
-            )
-            solver.settings.tau = 0.999  # longer steps towards the bounds than its 0.99: an iteration less
+            settings = solver.settings
+            settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
+            # Kelvins, shares, and prices in units of the largest are scaled already.
+            settings.preconditioner_iter = 0
+            # Longer steps towards the bounds than its 0.99 save an iteration.
+            settings.tau = 0.999
             # The difference equation adds up what its rows leave over: they have to hold to more digits.
-            solver.settings.reg_lower_limit = 1e-8
-            solver.settings.reg_finetune_lower_limit = 1e-10
-            solver.settings.eps_abs = solver.settings.eps_rel = self._config.tolerance
-            solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = self._config.tolerance
-            solver.settings.max_iter = self._config.max_iterations
+            settings.reg_lower_limit = 1e-8
+            settings.reg_finetune_lower_limit = 1e-10
+            settings.eps_abs = settings.eps_rel = self._config.tolerance
+            settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = self._config.tolerance
+            settings.max_iter = self._config.max_iterations
             solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
             self._solver = solver
         else:
