@@ -15,13 +15,12 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from thermoforce_mpc.load_law import LEAST_W, LEVEL_EDGE, EndValues, Quality, Steps, levels_to_try, usable_steps
+from thermoforce_mpc.load_law import LEAST_W, LEVEL_EDGE, MISFIT, EndValues, Quality, Steps, levels_to_try, usable_steps
 from thermoforce_mpc.operator.actuator import OnLoad
 from thermoforce_mpc.types import HOUR_S, Array
 
-# Share of full heat that a step's measurement is off by (dynamics inside the step, return temperature), and how long
-# such a deviation lasts, h: what the machine warms takes hours to cool again, so steps are not independent.
-_MISFIT, _MISFIT_H = 0.02, 3.0
+# How long a step's deviation lasts, h: what the machine warms takes hours to cool again, so steps are not independent.
+_MISFIT_H = 3.0
 # Odds before anything is measured: of the first of several kinds against each other one, and of levels between off and
 # full that are run against levels made by switching.
 _FIRST_KIND, _LEVELS_ARE_RUN = 20.0, 10.0
@@ -108,7 +107,7 @@ def fit_heat(
         DataError: fewer than ten usable steps, or heat was given in fewer than five.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
-    misfit = _MISFIT * float(np.sqrt(max(1.0, 2.0 * _MISFIT_H * HOUR_S / step_s)))
+    misfit = MISFIT * float(np.sqrt(max(1.0, 2.0 * _MISFIT_H * HOUR_S / step_s)))
     fits = [_fit_at(steps, misfit, lowest, kind) for kind in kinds for lowest in levels_to_try(steps, lowest_level)]
 
     def posterior(fit: HeatFit) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.bench.free_response_score import forecast_origins, window
 from thermoforce_mpc.bench.free_response_sources import Source
+from thermoforce_mpc.free_response.checks import LEVELS
 from thermoforce_mpc.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.types import DAY_S, HOUR_S, Array
@@ -24,7 +25,6 @@ from thermoforce_mpc.types import DAY_S, HOUR_S, Array
 _LEADS_H = (6, 24)
 _ORIGINS, _LEAST_ORIGINS = 150, 100
 _BATCH = 32
-_MEDIAN = 4
 # Weather is compared with that of the same hours of so many days before.
 _DAYS_BEFORE = 3
 _LATEST_H, _SEEN_H = 3, 6
@@ -143,6 +143,6 @@ def _forecasts(source: Source, origins: Array, method: ResidualFreeResponse) -> 
         found, _ = method.candidates(
             [(free, history, ahead) for free, history, ahead, _ in tasks[first : first + _BATCH]]
         )
-        medians += [quantiles[:, _MEDIAN] for quantiles in found]
+        medians += [quantiles[:, LEVELS.size // 2] for quantiles in found]
     mixed = [method.forecast(free, history, ahead).median_C for free, history, ahead, _ in tasks]
     return np.array(medians), np.array(mixed), np.array([truth for *_, truth in tasks])

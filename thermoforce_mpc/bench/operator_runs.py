@@ -16,7 +16,7 @@ from thermoforce_mpc.bench.result import Target
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.two_stage import fit_two_stage
-from thermoforce_mpc.types import HOUR_S, History
+from thermoforce_mpc.types import DAY_S, HOUR_S, History
 
 # Goals, K unless said otherwise.
 _FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}
@@ -111,7 +111,7 @@ def under_feedback(
 def _windows(runs: dict[str, History], days: int, quick: bool, say: Callable[[str], None]) -> Iterator[History]:
     """Every window of so many days, in turn."""
     for name, run in runs.items():
-        total = run.n_steps * run.step_s / 86400.0
+        total = run.n_steps * run.step_s / DAY_S
         for first in np.arange(0.0, total - days + 1e-9, _stride(days, quick)):
             say(f"{days} days of {name} from day {first:g}")
             yield cut(run, float(first), days)

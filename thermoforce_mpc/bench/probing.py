@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from thermoforce_mpc.bench.misleading_priors import run_misleading_priors
-from thermoforce_mpc.bench.operator_data import ReferencePair
+from thermoforce_mpc.bench.operator_data import FLOOR_AREA_M2, ReferencePair
 from thermoforce_mpc.bench.operator_score import score_pairs
 from thermoforce_mpc.bench.result import Target, bench_result
 from thermoforce_mpc.errors import DataError
@@ -28,7 +28,6 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.types import DAY_S, HOUR_S, History, Measurement
 from thermoforce_mpc.weather import synthetic_weather
 
-FLOOR_AREA_M2 = 192.0
 _LEVELS = (0.0, 0.4, 0.7, 1.0)
 _PAIR_DAYS, _START_DAYS = (12, 25, 40, 60, 75, 90, 300, 330), (18, 33, 50, 68, 83, 310)
 _LINEAR = IdentificationConfig(modulation="linear")

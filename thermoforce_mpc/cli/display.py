@@ -57,9 +57,10 @@ class LoopDisplay:
             return
         last = record.samples[-1]
         day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
-        day_is_over = int(day + 1e-9) > self._days_done
+        days_done = int(day + 1e-9)
+        day_is_over = days_done > self._days_done
         if day_is_over:
-            self._days_done = int(day + 1e-9)
+            self._days_done = days_done
             self._so_far = _so_far(self._kpis(), self._currency)
         if self._live:
             self._live.update(Text(self._line(record, day)))

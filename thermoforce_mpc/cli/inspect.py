@@ -98,7 +98,8 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}
     if card.scores:
         say("How good it is:")
-    for key in sorted(card.scores, key=lambda k: list(_MEANING).index(k) if k in _MEANING else len(_MEANING)):
+    in_order = [key for key in _MEANING if key in card.scores]
+    for key in [*in_order, *(key for key in card.scores if key not in _MEANING)]:
         say(f"  {card.scores[key]:.3g}  {_MEANING.get(key, key)}")
     if rest:
         say("In numbers of the operator: " + ", ".join(f"{key} {value:.4g}" for key, value in rest.items()))

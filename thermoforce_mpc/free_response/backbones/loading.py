@@ -61,7 +61,7 @@ def _fracast() -> Backbone:
 
 
 def _chronos(name: str) -> Backbone:
-    shipped = name in _SHIPPED_FOLDERS
+    shipped = name in SHIPPED_SCALES
     folder = shipped_folder(name) if shipped else Path(name).expanduser()
     if shipped or folder.exists() or name.startswith((".", "/", "~")):
         if not (folder / "config.json").is_file():
