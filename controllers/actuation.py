@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import Block
+from thermoforce_mpc.data import Block
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 # A share below this asks for the machine to be off.
 _OFF = 1e-3

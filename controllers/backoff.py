@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from thermoforce_mpc.types import HOUR_S, Array, FreeForecast
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast
 
 # Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), falling.
 _Z = np.linspace(0.0, 4.0, 401)

@@ -17,11 +17,11 @@ from controllers.ipopt import straightened
 from controllers.problem import MPCProblem, ProblemShape, Solution
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
-from thermoforce_mpc.operator.actuator import ActuatorMap
-from thermoforce_mpc.operator.features import OUTDOOR
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.features import OUTDOOR
+from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 
 class HeldLevelsConfig(StrictModel):

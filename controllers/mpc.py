@@ -14,13 +14,13 @@ from controllers.ladder import Ladder
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.problem import MPCProblem, Solution, Weights
 from controllers.solvers import build_solver
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, History, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError, ThermoForceError
-from thermoforce_mpc.forced_state import ForcedStateEstimator
 from thermoforce_mpc.identification.adaptation import OnlineAdaptation
-from thermoforce_mpc.operator.features import ZONE
+from thermoforce_mpc.model.forced_state import ForcedStateEstimator
+from thermoforce_mpc.model.operator.features import ZONE
+from thermoforce_mpc.model.predictor import Outlook, ThermalModel, WorldModel
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.types import HOUR_S, Array, FreeForecast, History, Observation, Plan, PlanStatus
-from thermoforce_mpc.world_model import Outlook, ThermalModel, WorldModel
 
 # A bound nearer than this shapes the plan, K.
 _BINDING_K = 0.02
@@ -34,7 +34,7 @@ class ThermoForceMPC:
 
     ```python
     from controllers import ThermoForceMPC
-    from thermoforce_mpc.artifact import load_model
+    from thermoforce_mpc.model.model_file import load_model
 
     controller = ThermoForceMPC(load_model("my_model"))
     plan = controller.plan(observation)
@@ -253,7 +253,7 @@ class ThermoForceMPC:
 
 
 def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> FreeResponse:
-    from thermoforce_mpc.free_response.registry import build_free_response  # may load torch
+    from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
 
     return build_free_response(config.name, model=model, **config.options)
 

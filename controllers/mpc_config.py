@@ -12,10 +12,10 @@ from controllers.ipopt import IpoptConfig
 from controllers.ladder import LadderConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
-from thermoforce_mpc.forced_state import EstimatorConfig
+from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import HOUR_S
+from thermoforce_mpc.model.forced_state import EstimatorConfig
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 
 class FreeResponseConfig(StrictModel):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 
 class NativeConfig(StrictModel):

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import HOUR_S, Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 
 class PIConfig(StrictModel):

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.operator.rollout import forced_rollout
-from thermoforce_mpc.types import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import forced_rollout
 
 J_PER_KWH = 3.6e6
 # Solvers count peak power in this unit, so that its constraints are of the size of the others.

@@ -22,9 +22,9 @@ from scipy.signal import lfilter
 from controllers.errors import ControllerConfigError
 from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
 from controllers.qp_backends import Answer, Clarabel, Piqp, Programme, QPBackend, QPConfig
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.operator.rollout import driven_rollout
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import driven_rollout
 
 
 class SparsePattern:

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 from scipy import sparse
 
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 QPBackend = Literal["piqp", "clarabel"]
 

@@ -10,12 +10,12 @@ from controllers.errors import ControllerConfigError
 from controllers.native import NativeConfig, NativeController
 from controllers.pi import PIConfig, PIController
 from controllers.thermostat import Thermostat, ThermostatConfig
-from thermoforce_mpc.configuration import merge, suggestion, validate
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.testcase import StrictModel, TestCase
+from thermoforce_mpc.scenario.settings import merge, suggestion, validate
+from thermoforce_mpc.scenario.testcase import StrictModel, TestCase
 
 if TYPE_CHECKING:  # CasADi and the world model are loaded only when a controller needs them
-    from thermoforce_mpc.world_model import ThermalModel
+    from thermoforce_mpc.model.predictor import ThermalModel
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from controllers.problem import MPCProblem, Solution
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 
 class SearchConfig(StrictModel):

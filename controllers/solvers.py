@@ -12,7 +12,7 @@ from controllers.mpc_config import MPCConfig
 from controllers.problem import MPCProblem, ProblemShape, Solution, blocked_moves
 from controllers.qp import QPSolver
 from controllers.search import CandidateSearch
-from thermoforce_mpc.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
 class Solver(Protocol):

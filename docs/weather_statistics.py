@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from thermoforce_mpc.weather import Weather, load_weather, synthetic_weather
+from thermoforce_mpc.boundary.weather import Weather, load_weather, synthetic_weather
 
 
 def statistics(weather: Weather) -> dict[str, str]:

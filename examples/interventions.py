@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from thermoforce_mpc.composition import identify_on
-from thermoforce_mpc.free_response.registry import build_free_response
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.predictor import WorldModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import DAY_S, HOUR_S, Observation
-from thermoforce_mpc.weather import synthetic_weather
-from thermoforce_mpc.world_model import WorldModel
+from thermoforce_mpc.simulation.composition import identify_on
 
 plant = EmbeddedPlant(synthetic_weather())
 window = plant.period("peak_heat_day")

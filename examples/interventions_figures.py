@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from thermoforce_mpc.bench.operator_data import FLOOR_AREA_M2, cut, read_run
-from thermoforce_mpc.composition import identify_on
-from thermoforce_mpc.free_response.registry import build_free_response
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.identification import identify
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.predictor import ThermalModel, WorldModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import DAY_S, HOUR_S, Observation
-from thermoforce_mpc.weather import synthetic_weather
-from thermoforce_mpc.world_model import ThermalModel, WorldModel
+from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
+from thermoforce_mpc.simulation.composition import identify_on
 
 FREE, FORCED, TRUTH, RAW = "#228b22", "#b22222", "#1b1f24", "#6b7280"
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])

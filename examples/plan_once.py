@@ -1,10 +1,10 @@
 """Use the controller class alone: identify on the embedded plant, then ask for one plan."""
 
 from controllers import ThermoForceMPC
-from thermoforce_mpc.composition import identify_on
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import Observation
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import Observation
-from thermoforce_mpc.weather import synthetic_weather
+from thermoforce_mpc.simulation.composition import identify_on
 
 plant = EmbeddedPlant(synthetic_weather())
 window = plant.period("peak_heat_day")

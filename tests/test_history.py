@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.types import ACTING, SAMPLED, History
+from thermoforce_mpc.data import ACTING, SAMPLED, History
 
 
 def history(n: int) -> History:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from thermoforce_mpc.types import (
+from thermoforce_mpc.data import (
     Array,
     Boundary,
     FreeForecast,

@@ -12,8 +12,8 @@ import yaml
 from click.testing import CliRunner
 from simple_house import SimpleHouse
 
-from thermoforce_mpc import composition
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.simulation import composition
 
 TESTCASE = "bestest_hydronic_heat_pump"
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from controllers.backoff import backoff_K
-from thermoforce_mpc.types import FreeForecast
+from thermoforce_mpc.data import FreeForecast
 
 LEVELS = np.arange(1, 10) / 10
 STEP_S = 900.0

@@ -12,7 +12,7 @@ from mpc_problems import N, random_operator, random_problem
 from controllers.held_levels import HeldLevelsConfig, HeldLevelSolver, after_first_step, first_step_cost, held_level
 from controllers.problem import ProblemShape, every_step
 from controllers.qp_backends import QPConfig
-from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap, OnLoad
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap, OnLoad
 
 HEAT = OnLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=0.3)
 

@@ -13,10 +13,10 @@ from controllers.errors import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Solution
 from controllers.thermostat import Thermostat
-from thermoforce_mpc.closed_loop import run_closed_loop
+from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.return_water import ReturnWater
-from thermoforce_mpc.types import HOUR_S, Observation, PlanStatus
+from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 def controller(free=None, **options) -> ThermoForceMPC:

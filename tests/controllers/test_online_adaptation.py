@@ -9,7 +9,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from thermoforce_mpc.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 class WeakHouse(SimpleHouse):

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from simple_house import SimpleHouse
 
 from controllers.pi import PIConfig, PIController
-from thermoforce_mpc.closed_loop import run_closed_loop
-from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Observation, Period, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History, Observation, Period, PlanStatus
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 def observation(T: float, time_s: float, lower_C: float | list[float] = 21.0) -> Observation:

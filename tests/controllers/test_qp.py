@@ -15,9 +15,9 @@ from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
 from controllers.qp import QPSolver, transfer_function
 from controllers.qp_backends import Answer, QPConfig
-from thermoforce_mpc.operator.actuator import ActuatorMap, OnLoad
-from thermoforce_mpc.operator.parameters import linear_operator
-from thermoforce_mpc.operator.rollout import driven_rollout
+from thermoforce_mpc.model.operator.heat_input import ActuatorMap, OnLoad
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.operator.rollout import driven_rollout
 
 SHAPES = {
     "every step": ProblemShape(every_step(N)),

@@ -6,7 +6,7 @@ from simple_house import SimpleHouse
 
 from controllers.native import NativeController
 from controllers.thermostat import Setback, Thermostat, ThermostatConfig
-from thermoforce_mpc.types import DAY_S, HOUR_S, Boundary, History, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History, Observation
 
 
 def observation(T: float, time_s: float = 0.0) -> Observation:

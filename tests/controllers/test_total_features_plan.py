@@ -10,9 +10,9 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.errors import ControllerConfigError
-from thermoforce_mpc.operator import certificate
-from thermoforce_mpc.types import HOUR_S, Observation, PlanStatus
-from thermoforce_mpc.world_model import ThermalModel
+from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
+from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.predictor import ThermalModel
 
 
 def seeing_model() -> ThermalModel:

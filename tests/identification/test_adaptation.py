@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from houses import House, random_levels, record
 
-from thermoforce_mpc.configuration import validate
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
-from thermoforce_mpc.operator import certificate
+from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House(machine_W=(0.0, 10000.0), slope_per_K=0.0)
 LINEAR = IdentificationConfig(order=3, modulation="linear")

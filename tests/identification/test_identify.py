@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from houses import House, effect_rmse, random_levels, record
 
-from thermoforce_mpc.artifact import save_model
-from thermoforce_mpc.configuration import validate
+from thermoforce_mpc.data import History
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.order import Fitted, choose_order
-from thermoforce_mpc.operator import certificate
-from thermoforce_mpc.types import History
+from thermoforce_mpc.model.model_file import save_model
+from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House()
 LINEAR = IdentificationConfig(order=3, modulation="linear")

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
-from thermoforce_mpc.configuration import validate
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, History
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.design import Designer
-from thermoforce_mpc.identification.excitation import Excitation, Law
-from thermoforce_mpc.identification.pair_probing import probe_pair
-from thermoforce_mpc.identification.probing import ProbingConfig, probe
+from thermoforce_mpc.identification.probing.design import Designer
+from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import DAY_S, History
-from thermoforce_mpc.weather import synthetic_weather
+from thermoforce_mpc.research.interventions.pair_probing import probe_pair
+from thermoforce_mpc.scenario.settings import validate
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.modes import mode_priors
-from thermoforce_mpc.operator.actuator import IDENTITY
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])

@@ -7,10 +7,10 @@ import pytest
 from click.testing import CliRunner
 from houses import House, record
 
-from thermoforce_mpc.artifact import load_model, save_model
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.report import plot_identification, rollouts
+from thermoforce_mpc.model.model_file import load_model, save_model
 
 HOUSE = House()
 LINEAR = IdentificationConfig(order=3, modulation="linear")

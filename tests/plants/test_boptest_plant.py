@@ -7,13 +7,13 @@ import pytest
 from boptest_server import Fault, running_service
 
 from boptest_client import TransportConfig
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
-from thermoforce_mpc.plants.boptest import BoptestPlant
+from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario import load_testcase
-from thermoforce_mpc.types import DAY_S, HOUR_S
-from thermoforce_mpc.weather import synthetic_weather
+from thermoforce_mpc.scenario.scenario import load_testcase
 
 QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, retries=1, backoff_s=0.01)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from thermoforce_mpc.boundary.periods import heating_windows
+from thermoforce_mpc.boundary.weather import load_weather
+from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.types import DAY_S
-from thermoforce_mpc.weather import load_weather
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, advance_together, heat_pump, refrigerant
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.types import DAY_S
-from thermoforce_mpc.weather import synthetic_weather
 
 
 @pytest.fixture(scope="module")

@@ -14,15 +14,15 @@ pytest.importorskip("pythonfmu")
 from fmu_files import CONFIG, DAYS, KPIS, build_house, rewritten
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
+from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
+from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, WeatherError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario import Scenario, load_testcase
-from thermoforce_mpc.types import DAY_S, HOUR_S
-from thermoforce_mpc.weather import synthetic_weather
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")
 

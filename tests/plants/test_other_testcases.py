@@ -18,10 +18,10 @@ from fmu_files import rewritten
 from pythonfmu.builder import FmuBuilder
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.plants.boptest import BoptestPlant
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
-from thermoforce_mpc.scenario import load_testcase
-from thermoforce_mpc.types import DAY_S, HOUR_S
+from thermoforce_mpc.scenario.scenario import load_testcase
 
 SUPPORT = Path(__file__).parents[1] / "support"
 KPIS = {

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from documented_points import DOCUMENTED
 
-from thermoforce_mpc.configuration import named_configs
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.boptest_points import check_points
-from thermoforce_mpc.scenario import load_testcase
+from thermoforce_mpc.plants.boptest.points import check_points
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.scenario.settings import named_configs
 
 OTHERS = ["bestest_hydronic", "bestest_air", "bestest_air_cooling", "bestest_air_cooling_setpoint"]
 

@@ -18,13 +18,13 @@ from boptest_client import (
     TransportConfig,
     UnknownTest,
 )
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.boptest import BoptestPlant
+from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario import load_testcase
+from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.service.server import build_server
-from thermoforce_mpc.types import DAY_S, HOUR_S
-from thermoforce_mpc.weather import synthetic_weather
 
 NAME = "bestest_hydronic_heat_pump"
 QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=60.0, retries=0)

@@ -15,7 +15,7 @@ import pytest
 import requests
 from emulator_service import running_emulator_service
 
-from thermoforce_mpc.types import DAY_S
+from thermoforce_mpc.data import DAY_S
 
 NAME = "bestest_hydronic_heat_pump"
 

@@ -16,11 +16,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
 from thermoforce_mpc.plants.embedded.kernel import RECORD, STEP_S
-from thermoforce_mpc.types import DAY_S, Period
-from thermoforce_mpc.weather import synthetic_weather
 
 NAME = "bestest_hydronic_heat_pump"
 _FORECAST = {

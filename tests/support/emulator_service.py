@@ -6,8 +6,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.service.server import build_server, effective_port
-from thermoforce_mpc.weather import synthetic_weather
 
 
 @contextmanager

@@ -13,9 +13,9 @@ import pandas as pd
 from pythonfmu.builder import FmuBuilder
 
 from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import schedule
 from thermoforce_mpc.plants.embedded.emulator import OVERWRITES
-from thermoforce_mpc.weather import synthetic_weather
 
 KPIS = {
     "OperativeZoneTemperature[1]": ["reaTZon_y"],

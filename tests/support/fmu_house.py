@@ -8,9 +8,9 @@ import signal
 
 from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
+from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
-from thermoforce_mpc.weather import synthetic_weather
 
 _LEVELS = {"oveHeaPumY": "level", "oveTSet": "T_setpoint"}
 

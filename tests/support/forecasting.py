@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.types import Boundary, History
+from thermoforce_mpc.data import Boundary, History
 
 LEVELS = np.arange(1, 10) / 10.0
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.types import DAY_S, HOUR_S, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, History
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def record(
 
 def effect_rmse(model, house: House, seed: int = 99, step_s: float = 3600.0, hours: int = 24) -> tuple[float, float]:
     """RMSE (K) and RMS (K) of the 24-h effect of random plans against none, by the house's own equations."""
-    from thermoforce_mpc.operator import feature_matrix, forced_rollout
+    from thermoforce_mpc.model.operator import feature_matrix, forced_rollout
 
     operator = model.operator.resampled(step_s)
     time_s, T_out, solar = weather(20, step_s, seed)

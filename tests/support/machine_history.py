@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.types import Array, History
+from thermoforce_mpc.data import Array, History
 
 
 def machine_history(u: Array, T_out_C: Array, *, power_W: Array | None = None, heat_W: Array | None = None) -> History:

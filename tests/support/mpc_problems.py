@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from controllers.problem import MPCProblem, Weights
-from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 N = 12
 

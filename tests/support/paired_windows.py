@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.signal import lfilter
 
+from thermoforce_mpc.data import DAY_S, History
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.interventions.dataset import ClimateData, Probe, Window
-from thermoforce_mpc.interventions.protocol import CLIMATES, SHIFTS_K, WINDOW_START_H
-from thermoforce_mpc.types import DAY_S, History
+from thermoforce_mpc.research.interventions.dataset import ClimateData, Probe, Window
+from thermoforce_mpc.research.interventions.protocol import CLIMATES, SHIFTS_K, WINDOW_START_H
 
 STEP_S = 900.0
 TIME_CONSTANTS_H, GAINS_K = (1.2, 20.0), (8.0, 12.0)

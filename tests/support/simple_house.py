@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History, Measurement, Period, PlantInfo
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.operator.actuator import OnLoad
-from thermoforce_mpc.operator.parameters import linear_operator
-from thermoforce_mpc.power import PowerModel
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History, Measurement, Period, PlantInfo
-from thermoforce_mpc.world_model import ThermalModel
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.heat_input import OnLoad
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.predictor import ThermalModel
 
 POLE = 0.99  # per hour: slow enough that on/off blocks inside an hour hardly show
 GAIN_K = 0.4  # K per hour at u = 1

@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.types import HOUR_S, Array
 
 Level = Literal["low", "medium", "high"]
 MAX_HORIZON_H = 48

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.types import DAY_S, Array, Period
+from thermoforce_mpc.data import DAY_S, Array, Period
 
 _QUARTERS = 96
 _HALF_WINDOW_D = 7

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array
 
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535

@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.run_folder import write_json
+from thermoforce_mpc.simulation.run_folder import write_json
 
 
 @click.group(short_help="Measure parts of the package against their targets.")
@@ -33,7 +33,7 @@ _QUICK = click.option("--quick", is_flag=True, help="A smaller version, for a fi
 @_JSON
 def plant_command(reference: Path, weather: Path | None, out: Path | None, quick: bool, json_file: Path | None) -> None:
     """Score the embedded plant against records of the real test case."""
-    from thermoforce_mpc.bench.plant import run_plant_bench
+    from thermoforce_mpc.research.bench.plant import run_plant_bench
 
     show(run_plant_bench(reference, weather, quick=quick, out=out, progress=_progress), json_file)
 
@@ -44,7 +44,7 @@ def plant_command(reference: Path, weather: Path | None, out: Path | None, quick
 @_JSON
 def operator_command(reference: Path, quick: bool, json_file: Path | None) -> None:
     """Score identified operators on interventions they never saw, and time them against a plain loop."""
-    from thermoforce_mpc.bench.operator import run_operator_bench
+    from thermoforce_mpc.research.bench.operator import run_operator_bench
 
     show(run_operator_bench(reference, quick=quick, progress=_progress), json_file)
 
@@ -54,7 +54,7 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
 @_JSON
 def probing_command(quick: bool, json_file: Path | None) -> None:
     """Chosen probing against random, and adaptation to a weakening machine, on the embedded plant."""
-    from thermoforce_mpc.bench.probing import run_probing_bench
+    from thermoforce_mpc.research.bench.probing import run_probing_bench
 
     show(run_probing_bench(quick=quick, progress=_progress), json_file)
 
@@ -64,7 +64,7 @@ def probing_command(quick: bool, json_file: Path | None) -> None:
 @_JSON
 def controller_command(quick: bool, json_file: Path | None) -> None:
     """Time our solvers beside do-mpc on the same instances, and the parts of a control step (extra [bench])."""
-    from thermoforce_mpc.bench.controller import run_controller_bench
+    from thermoforce_mpc.research.bench.controller import run_controller_bench
 
     show(run_controller_bench(quick=quick, progress=_progress), json_file)
 
@@ -89,7 +89,7 @@ def free_response_command(
     Also: whether intervals hold over two weeks, how much of the error weather could explain at all (both left out with
     --quick), how much history and how many looks at it are worth, and what a forecast costs.
     """
-    from thermoforce_mpc.bench.free_response import run_free_response_bench
+    from thermoforce_mpc.research.bench.free_response import run_free_response_bench
 
     result = run_free_response_bench(reference, houses, backbone=backbone, quick=quick, out=out, progress=_progress)
     show(result, json_file)
@@ -109,7 +109,7 @@ def backbones_command(
     backbones: str | None, reference: Path | None, out: Path | None, quick: bool, json_file: Path | None
 ) -> None:
     """Compare forecasters raw and composed with the operator, 6 h ahead on controlled records."""
-    from thermoforce_mpc.bench.backbones import run_backbone_bench
+    from thermoforce_mpc.research.bench.backbones import run_backbone_bench
 
     names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
     show(run_backbone_bench(names, reference, quick=quick, out=out, progress=_progress), json_file)
@@ -167,8 +167,8 @@ def interventions_command(
     json_file: Path | None,
 ) -> None:
     """Score what methods say an action would change against paired EnergyPlus runs (extra [energyplus])."""
-    from thermoforce_mpc.bench.interventions import run_interventions_bench
-    from thermoforce_mpc.bench.interventions_studies import run_study
+    from thermoforce_mpc.research.bench.interventions import run_interventions_bench
+    from thermoforce_mpc.research.bench.interventions_studies import run_study
 
     options: dict[str, Any] = {"out": out, "days": days, "quick": quick, "backbone": backbone, "seed": seed}
     options |= {"workers": workers, "draw": draw, "progress": _progress}

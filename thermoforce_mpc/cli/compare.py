@@ -14,7 +14,7 @@ from thermoforce_mpc.cli.comparing import (
     scenario_options_from,
 )
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.comparison.variants import comma_list, load_comparison, variants_by_name
+from thermoforce_mpc.simulation.comparison.variants import comma_list, load_comparison, variants_by_name
 
 _CONTESTANTS = "thermoforce_mpc,thermostat,native"
 

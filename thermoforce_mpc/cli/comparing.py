@@ -16,15 +16,15 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from thermoforce_mpc.comparison.cells import Cell, expand
-from thermoforce_mpc.comparison.files import HEADINGS, headings, shown_figures, write_outcome
-from thermoforce_mpc.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
-from thermoforce_mpc.comparison.runner import run_cells
-from thermoforce_mpc.comparison.store import DONE, Store, source_fingerprint
-from thermoforce_mpc.comparison.variants import Variant, comma_list, price_names
-from thermoforce_mpc.composition import check_window
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.simulation.comparison.cells import Cell, expand
+from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
+from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
+from thermoforce_mpc.simulation.comparison.runner import run_cells
+from thermoforce_mpc.simulation.comparison.store import DONE, Store, source_fingerprint
+from thermoforce_mpc.simulation.comparison.variants import Variant, comma_list, price_names
+from thermoforce_mpc.simulation.composition import check_window
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3

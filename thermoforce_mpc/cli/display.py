@@ -12,8 +12,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from thermoforce_mpc.closed_loop import StepRecord
-from thermoforce_mpc.types import DAY_S, Period, PlanStatus
+from thermoforce_mpc.data import DAY_S, Period, PlanStatus
+from thermoforce_mpc.simulation.closed_loop import StepRecord
 
 Kpis = Callable[[], Mapping[str, float]]
 

@@ -8,20 +8,20 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.artifact import save_model
 from thermoforce_mpc.cli.display import RunDisplay
 from thermoforce_mpc.cli.inspect import show_model
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
-from thermoforce_mpc.composition import (
+from thermoforce_mpc.data import History
+from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.model.model_file import save_model
+from thermoforce_mpc.scenario.settings import merge
+from thermoforce_mpc.simulation.composition import (
     build_plant,
     identification_settings,
     identify_on,
     scored_period,
     validate_scenario,
 )
-from thermoforce_mpc.configuration import merge
-from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.types import History
 
 
 @click.command(short_help="Probe a building for a few days and save what was learned.")

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.configuration import find_config, merge, parse_overrides
-from thermoforce_mpc.scenario import Scenario, load_scenario
+from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
+from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
 
 Function = Callable[..., Any]
 

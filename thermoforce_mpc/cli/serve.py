@@ -32,7 +32,7 @@ def command(host: str, port: int, weather: str, prices: Path | None, tests: int,
             f"serving needs {error.name}, which is not installed: pip install 'thermoforce-mpc[serve]'"
         ) from error
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
-    from thermoforce_mpc.weather import load_weather, synthetic_weather
+    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 
     year = synthetic_weather() if weather == "synthetic" else load_weather(Path(weather))
     tariff = tariff_from_file(prices) if prices else None

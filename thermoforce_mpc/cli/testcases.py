@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from thermoforce_mpc.configuration import named_configs, read_yaml
-from thermoforce_mpc.scenario import load_testcase
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 
 @click.command(short_help="List the test cases, scenarios and comparisons that ship.")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from thermoforce_mpc.composition import validate_scenario
-from thermoforce_mpc.configuration import read_yaml, validate
-from thermoforce_mpc.scenario import Scenario
-from thermoforce_mpc.testcase import TestCase
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import read_yaml, validate
+from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.composition import validate_scenario
 
 
 @click.command(short_help="Check a scenario or test case file.")

@@ -21,15 +21,15 @@ from pydantic import Field, model_validator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import run_episode
 from thermoforce_mpc.identification.likelihood import residuals
-from thermoforce_mpc.operator.certificate import certificate
-from thermoforce_mpc.operator.features import feature_matrix
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.testcase import StrictModel
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, History
-from thermoforce_mpc.world_model import ThermalModel, forced_history, heat_drive
+from thermoforce_mpc.identification.regression_data import run_episode
+from thermoforce_mpc.model.operator.certificate import certificate
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.predictor import ThermalModel, forced_history, heat_drive
+from thermoforce_mpc.scenario.testcase import StrictModel
 
 # Steps that are on, and hours of them, from which measured heat can be compared with the map.
 _ON, _LEAST_ON_H = 0.02, 0.5

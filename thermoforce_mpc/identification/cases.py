@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermoforce_mpc.data import HOUR_S, Array, History
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.heat_map import KINDS, HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import Episode
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
-from thermoforce_mpc.operator.features import N_FEATURES, feature_matrix
-from thermoforce_mpc.power import PowerModel, fit_power
-from thermoforce_mpc.types import HOUR_S, Array, History
+from thermoforce_mpc.identification.regression_data import Episode
+from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
+from thermoforce_mpc.model.machine.power import PowerModel, fit_power
+from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
 
 # Share of the steps in which heat or power must have been measured to be used.
 _MEASURED = 0.5

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.types import HOUR_S, Array
 
 
 def disturbance_covariance(time_s: Array, config: IdentificationConfig, scale: float = 1.0) -> Array:

@@ -15,9 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
 
-from thermoforce_mpc.free_response.rc import INPUTS, RcParameters
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import (
+from thermoforce_mpc.identification.likelihood import whitened
+from thermoforce_mpc.identification.modes import ModePriors, poles
+from thermoforce_mpc.identification.regression_data import (
     FREE_PRIOR,
     REFERENCE_C,
     Episode,
@@ -29,9 +31,7 @@ from thermoforce_mpc.identification.episode import (
     scaled,
     start_sd,
 )
-from thermoforce_mpc.identification.likelihood import whitened
-from thermoforce_mpc.identification.modes import ModePriors, poles
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Evaluations of the search per time constant.
 _MAX_EVALUATIONS = 60

@@ -15,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from thermoforce_mpc.identification.episode import Episode, free_columns, free_prior, free_time_constants, start_sd
-from thermoforce_mpc.types import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.regression_data import (
+    Episode,
+    free_columns,
+    free_prior,
+    free_time_constants,
+    start_sd,
+)
 
 
 @dataclass(frozen=True)

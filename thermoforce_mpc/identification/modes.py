@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.operator.actuator import ActuatorMap
-from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
-from thermoforce_mpc.types import HOUR_S, Array
+from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 # How far the outermost time constants may leave the centre of their prior, as a factor.
 _REACH = 10.0

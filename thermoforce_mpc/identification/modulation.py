@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from thermoforce_mpc.data import HOUR_S, Array, History
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import LEAST_SCALE, Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import Episode, calibrated
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.likelihood import Split, residuals, whole
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors
-from thermoforce_mpc.operator.certificate import certificate
-from thermoforce_mpc.operator.features import feature_matrix
-from thermoforce_mpc.operator.parameters import FeatureTemperature, OperatorParameters
-from thermoforce_mpc.types import HOUR_S, Array, History
-from thermoforce_mpc.world_model import forced_history
+from thermoforce_mpc.identification.regression_data import Episode, calibrated
+from thermoforce_mpc.model.operator.certificate import certificate
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import FeatureTemperature, OperatorParameters
+from thermoforce_mpc.model.predictor import forced_history
 
 # Held-out hours below which nothing is said about a network: a quarter of a day decides by chance. Behind a heat map
 # what is left for it is small against the weather's surprises, so a whole cycle of sun and clock has to be held out.

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.blocks import is_significant, piece_numbers, standard_errors_saved
 from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import Episode, follows_action, forced_columns
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.pieces import is_significant, piece_numbers, standard_errors_saved
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.identification.regression_data import Episode, follows_action, forced_columns
 
 # A lower order must beat a higher one on the held-out rows with this probability (Student's t) and by this share of the
 # squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.

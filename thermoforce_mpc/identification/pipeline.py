@@ -11,20 +11,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from thermoforce_mpc.data import History
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, actuator_map, held_out, named, normalisation, power_model, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import pair_episode, run_episode
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.modes import mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import choose_order, explained_share, fit_and_judge
 from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
+from thermoforce_mpc.identification.regression_data import pair_episode, run_episode
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.types import History
-from thermoforce_mpc.world_model import ModelCard, ThermalModel
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be believed.
 _LEAST_EXPLAINED = 0.1

@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from thermoforce_mpc.data import DAY_S, HOUR_S, History
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.types import DAY_S, HOUR_S, History
-from thermoforce_mpc.world_model import ROUNDING
+from thermoforce_mpc.model.predictor import ROUNDING
 
 # Least excitation: hours on, standard deviation of u, and changes of u. Below, gain and drift cannot be told apart.
 MIN_ON_H = 1.0

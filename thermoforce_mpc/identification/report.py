@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.free_response.rc import RcFreeResponse
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History, Observation
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, History, Observation
-from thermoforce_mpc.world_model import ThermalModel, WorldModel
+from thermoforce_mpc.model.free_response.rc import RcFreeResponse
+from thermoforce_mpc.model.predictor import ThermalModel, WorldModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import Episode
 from thermoforce_mpc.identification.likelihood import Residuals, Split
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.operator.torch_module import ForcedResponseOperator
-from thermoforce_mpc.types import HOUR_S, Array
+from thermoforce_mpc.identification.regression_data import Episode
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 # First weights of the hidden layer: features are normalised, so unit slopes spread tanh over its range.
 _HIDDEN_SD = 0.5

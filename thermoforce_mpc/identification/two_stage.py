@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from thermoforce_mpc.data import HOUR_S, Array, History
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.free_response.rc import INPUTS, RcParameters
-from thermoforce_mpc.operator.actuator import IDENTITY, ActuatorMap
-from thermoforce_mpc.operator.parameters import OperatorParameters, linear_operator
-from thermoforce_mpc.types import HOUR_S, Array, History
+from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 # Steps needed in each stage before four and one numbers mean anything.
 MIN_OFF_STEPS = 24

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from thermoforce_mpc.data import History
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, held_out, named, normalisation, power_model, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.episode import pair_episode
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.records import Pair, data_hash
+from thermoforce_mpc.identification.regression_data import pair_episode
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
-from thermoforce_mpc.operator.actuator import ActuatorMap
-from thermoforce_mpc.operator.parameters import OperatorParameters
-from thermoforce_mpc.types import History
-from thermoforce_mpc.world_model import ModelCard, ThermalModel
+from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
 
 # How far paired training may take pole and gain from where the two stages ended, relative.
 _TWO_STAGE_SD = 0.3

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import unit_responses
-from thermoforce_mpc.types import HOUR_S, Array
 
 # Hours after the start of a step of full actuation at which its answer is stored with its standard deviation.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from thermoforce_mpc.boundary.weather.year import YEAR_S
+from thermoforce_mpc.data import DAY_S, Array, Period
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.types import DAY_S, Array, Period
-from thermoforce_mpc.weather.year import YEAR_S
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:

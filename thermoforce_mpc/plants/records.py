@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.testcase import Measurements
-from thermoforce_mpc.types import Array, Measurement
+from thermoforce_mpc.data import Array, Measurement
+from thermoforce_mpc.scenario.testcase import Measurements
 
 _KELVIN = 273.15
 

@@ -11,11 +11,11 @@ from flask import Flask, Request, Response, request
 from werkzeug.exceptions import HTTPException
 
 from thermoforce_mpc import __version__
+from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.session import Reply, Session
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
-from thermoforce_mpc.types import Period
 
 TESTCASE = "bestest_hydronic_heat_pump"
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
 from thermoforce_mpc.service import descriptions
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS, measurement_name
-from thermoforce_mpc.types import Array
 
 _KELVIN = 273.15
 # Occupants' gains, W a person: 60 % of the sensible part radiates.

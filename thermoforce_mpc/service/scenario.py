@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.service.refusal import Refusal
-from thermoforce_mpc.types import Array
 
 LEVELS: tuple[Level, ...] = ("low", "medium", "high")
 

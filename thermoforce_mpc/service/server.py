@@ -11,10 +11,10 @@ from collections.abc import Callable
 from waitress.server import BaseWSGIServer, create_server  # type: ignore[import-untyped]
 
 from thermoforce_mpc.boundary.tariffs import Tariff
+from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.app import create_app
-from thermoforce_mpc.weather.year import Weather
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
 _MOST_BYTES = 1_000_000

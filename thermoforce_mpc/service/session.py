@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
+from thermoforce_mpc.data import HOUR_S, Array, Period
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
@@ -27,7 +28,6 @@ from thermoforce_mpc.service.points import (
 )
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.scenario import forecast_error, level
-from thermoforce_mpc.types import HOUR_S, Array, Period
 
 DEFAULT_STEP_S = 3600.0
 # What one answer and one test may hold, so that memory stays bounded.

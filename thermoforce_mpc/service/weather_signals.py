@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array
-from thermoforce_mpc.weather.solar import sun_position
-from thermoforce_mpc.weather.year import Weather
+from thermoforce_mpc.boundary.weather.solar import sun_position
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
 _KELVIN = 273.15
 _STEFAN_BOLTZMANN = 5.670374419e-8

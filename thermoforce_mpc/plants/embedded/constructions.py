@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
 
 AREA_M2 = 192.0
 HEIGHT_M = 2.7

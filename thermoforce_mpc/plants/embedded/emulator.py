@@ -14,14 +14,14 @@ from thermoforce_mpc import __version__
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
+from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.kpis import compute_kpis
 from thermoforce_mpc.plants.checks import check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.types import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
-from thermoforce_mpc.weather.year import YEAR_S, Weather
+from thermoforce_mpc.plants.kpis import compute_kpis
 
 _KELVIN = 273.15
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}

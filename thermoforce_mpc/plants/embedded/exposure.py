@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
+from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.plants.embedded.constructions import WINDOW_M2
-from thermoforce_mpc.types import Array
-from thermoforce_mpc.weather.solar import on_plane, sun_position
-from thermoforce_mpc.weather.year import YEAR_S, Weather
 
 GRID_S = 900.0
 _KELVIN = 273.15

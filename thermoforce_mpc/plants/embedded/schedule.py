@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
 
 PEOPLE = 5
 LOWER_OCCUPIED_C, UPPER_OCCUPIED_C = 21.0, 24.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
+from thermoforce_mpc.data import Measurement
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant
-from thermoforce_mpc.types import Measurement
 
 
 def advance_together(

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import ConfigError, WeatherError
-from thermoforce_mpc.types import DAY_S, Array
 
 # BOPTEST interpolates these linearly and holds everything else (prices, set-points, occupancy).
 _WEATHER = frozenset(

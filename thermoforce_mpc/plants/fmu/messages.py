@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.data import Array
 
 # BOPTEST samples a simulation this often, s.
 SAMPLE_S = 30.0

@@ -14,16 +14,16 @@ import numpy as np
 from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.plants.boptest_points import check_points
+from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
 from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
-from thermoforce_mpc.testcase import PRICES, Price, TestCase
-from thermoforce_mpc.types import HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _KELVIN = 273.15
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import thermoforce_mpc
+from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
-from thermoforce_mpc.types import DAY_S
 
 _SAID_BYTES = 2000
 _PATIENCE_S = 5.0

@@ -1,4 +1,4 @@
-"""KPIs of an FMU's record: which signals count is the FMU's to say, how they count is `thermoforce_mpc.kpis`."""
+"""KPIs of an FMU's record: which signals count is the FMU's to say, how they count is `thermoforce_mpc.plants.kpis`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.kpis import PEAKS, Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.fmu.archive import FmuArchive
-from thermoforce_mpc.testcase import ForecastPoints, Price, TestCase
-from thermoforce_mpc.types import Array
+from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis, excess
+from thermoforce_mpc.scenario.testcase import ForecastPoints, Price, TestCase
 
 _ELECTRIC = "ElectricPower"
 # BOPTEST's categories of energy carriers; fresh water has a cost but no energy, and no test case meters it.

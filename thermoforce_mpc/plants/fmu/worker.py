@@ -14,8 +14,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.plants.fmu.messages import SAMPLE_S, Job, Stretch
-from thermoforce_mpc.types import Array
 
 
 class _Slave:

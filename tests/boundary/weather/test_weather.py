@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import numpy as np
+import pvlib
+import pytest
+
+from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import WeatherError
+
+COLUMNS = 30
+
+
+def mos_row(hour: int, T: float = 5.0) -> str:
+    cells = ["0"] * COLUMNS
+    cells[0], cells[1], cells[2], cells[4] = str(hour * 3600.0), str(T), "1.0", "101300"
+    cells[15], cells[16], cells[18] = "200", "4.0", "5"
+    return "\t".join(cells)
+
+
+def write_mos(path, rows=None, location="#LOCATION,TOWN,-,BEL,IWEC,064510,50.90,4.53,1.0,58.0"):
+    rows = rows if rows is not None else [mos_row(h, T=h % 24) for h in range(8760)]
+    path.write_text("\n".join(["#1", "double tab1(8760,30)", location, *rows]))
+    return path
+
+
+def epw_row(day: int, hour: int, T: str) -> str:
+    cells = ["0"] * 35
+    cells[0:5] = ["2019", "1", str(day), str(hour), "0"]
+    cells[5], cells[6], cells[7], cells[9], cells[20], cells[21], cells[23] = "?9", T, "1", "101300", "200", "4", "5"
+    return ",".join(cells)
+
+
+def write_epw(path, rows=None):
+    rows = rows or [epw_row(1 + h // 24, h % 24 + 1, str(h % 24 + 1)) for h in range(8760)]
+    header = ["LOCATION,Town,-,BEL,IWEC,064510,50.90,4.53,1.0,58.0", *["HEADER"] * 7]
+    path.write_text("\n".join([*header, *rows]))
+    return path
+
+
+def test_a_mos_file_is_read_at_its_own_hours(tmp_path):
+    weather = load_weather(write_mos(tmp_path / "w.mos"))
+    np.testing.assert_allclose(weather.at("T_dry_C", np.arange(24) * HOUR_S), np.arange(24), atol=1e-9)
+    assert (weather.latitude_deg, weather.longitude_deg, weather.timezone_h) == (50.9, 4.53, 1.0)
+    assert weather.opaque_cover[0] == 0.5
+    assert weather.wind_from_rad[0] == pytest.approx(np.deg2rad(200))
+    assert "sha256" in weather.name
+
+
+def test_a_fingerprint_tells_values_not_files(tmp_path):
+    rows = [mos_row(h, T=h % 24) for h in range(8760)]
+    print_of = load_weather(write_mos(tmp_path / "a.mos", rows)).fingerprint
+    assert load_weather(write_mos(tmp_path / "b.mos", [row + "\t" for row in rows])).fingerprint == print_of
+    rows[5000] = mos_row(5000, T=5000 % 24 + 0.1)
+    assert load_weather(write_mos(tmp_path / "c.mos", rows)).fingerprint != print_of
+
+
+def test_hour_h_of_an_epw_file_is_h_oclock(tmp_path):
+    weather = load_weather(write_epw(tmp_path / "w.epw"))
+    assert weather.at("T_dry_C", np.array([HOUR_S, 5 * HOUR_S])) == pytest.approx([1, 5])
+    assert weather.at("T_dry_C", np.array([0.0])) == pytest.approx(24), (
+        "hour 24 of 31 December is where the year begins"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows[:4000], "4000 hourly rows, a year has 8760; the file is truncated"),
+        (lambda rows: [*rows[:10], mos_row(10, T=float("nan")), *rows[11:]], "T_dry_C is nan at day 1, hour 10"),
+        (lambda rows: [*rows[:10], mos_row(10, T=99), *rows[11:]], "T_dry_C is 99 at day 1, hour 10"),
+        (lambda rows: [*rows[:10], rows[10].replace("101300", "x"), *rows[11:]], "not a number"),
+        (lambda rows: [*rows[:10], "36000.0\t1\t2", *rows[11:]], "row 11 has 3 columns"),
+        (lambda rows: [rows[0], *rows[:8759]], "not hourly"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_file_and_place(tmp_path, change, message):
+    path = write_mos(tmp_path / "w.mos", change([mos_row(h) for h in range(8760)]))
+    with pytest.raises(WeatherError, match=message) as caught:
+        load_weather(path)
+    assert "w.mos" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("absent.mos", "cannot be read"), ("w.csv", "end in .mos"), ("w.epw", "not an EPW file")]
+)
+def test_other_files_are_refused(tmp_path, name, message):
+    if name == "w.epw":
+        (tmp_path / name).write_text("hello")
+    with pytest.raises(WeatherError, match=message):
+        load_weather(tmp_path / name)
+
+
+def test_the_sun_stands_where_pvlib_puts_it():
+    import pandas as pd
+
+    time_s = (np.array([20, 110, 200, 290])[:, None] * DAY_S + np.arange(9, 16)[None] * HOUR_S).ravel()
+    ours = sun_position(time_s, 50.9, 4.53, 1.0)
+    stamps = pd.Timestamp("2019-01-01", tz="Etc/GMT-1") + pd.to_timedelta(time_s, unit="s")
+    theirs = pvlib.solarposition.get_solarposition(stamps, 50.9, 4.53)
+    np.testing.assert_allclose(
+        np.rad2deg(ours.zenith), theirs.zenith, atol=1.0
+    )  # the model takes the declination from a cosine
+    np.testing.assert_allclose(np.rad2deg(ours.azimuth) + 180, theirs.azimuth, atol=1.5)
+
+
+def test_a_flat_plane_receives_the_global_irradiance():
+    weather = synthetic_weather()
+    time_s = np.arange(150 * DAY_S, 160 * DAY_S, HOUR_S)
+    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    flat = on_plane(weather, sun, time_s, 0.0, 0.0)
+    total = (flat.beam + flat.diffuse).sum()
+    assert total == pytest.approx(weather.at("global_W_m2", time_s).sum(), rel=0.05)
+
+
+def test_south_collects_most_in_winter_and_north_no_beam():
+    weather = synthetic_weather()
+    time_s = np.arange(0, 30 * DAY_S, HOUR_S)
+    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    sums = {
+        name: on_plane(weather, sun, time_s, np.pi / 2, azimuth).beam.sum()
+        for name, azimuth in (("south", 0.0), ("west", np.pi / 2), ("north", np.pi), ("east", -np.pi / 2))
+    }
+    assert sums["south"] > 2 * max(sums["west"], sums["east"])
+    assert sums["north"] == 0.0
+
+
+def test_the_synthetic_year_is_deterministic_and_temperate_maritime():
+    a, b, other = synthetic_weather(), synthetic_weather(), synthetic_weather(1)
+    for name in ("T_dry_C", "global_W_m2", "wind_m_s"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert not np.array_equal(a.T_dry_C, other.T_dry_C)
+    for year in (a, other):
+        assert 9.0 < year.T_dry_C.mean() < 11.5
+        assert -15.0 < year.T_dry_C.min() < -3.0
+        assert 850 < year.global_W_m2.sum() / 1000 < 1050
+        assert (year.T_dew_C <= year.T_dry_C).all()

@@ -1,0 +1,39 @@
+"""A run's manifest proves by hashes before and after that the forecaster stayed as it was, or that it did not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from forecasting import boundary_of, history_of, hours
+
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.simulation.composition import _frozen, _weight_hash
+
+
+@pytest.mark.parametrize("name", ["chronos", "residual", "selected", "calibrated"])
+def test_hashes_before_and_after_are_equal_unless_a_weight_changed(name: str, bolt_folder: Path) -> None:
+    import torch
+
+    free_response = build_free_response(name, backbone=str(bolt_folder))
+    controller = SimpleNamespace(world=SimpleNamespace(free_response=free_response))
+    before = _weight_hash(controller)
+    assert before is not None
+    free = 15 + 2 * (hours(200) % 24 > 12)
+    free_response.forecast(free, history_of(free), boundary_of(200, 24))
+    assert _frozen(controller, before) == {"weights_before": before, "weights_after": before, "frozen": True}
+    inner = free_response
+    while not hasattr(inner, "modules"):
+        inner = next(
+            part for key in ("inner", "backbone", "_candidates") if (part := getattr(inner, key, None)) is not None
+        )
+        inner = inner["chronos"] if isinstance(inner, dict) else inner
+    with torch.no_grad():
+        next(inner.modules[0].parameters())[0] += 1e-3
+    assert _frozen(controller, before)["frozen"] is False
+
+
+def test_a_rule_has_no_weights_to_prove() -> None:
+    assert _weight_hash(SimpleNamespace()) is None
+    assert _frozen(SimpleNamespace(), None) == {}

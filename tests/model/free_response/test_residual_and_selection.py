@@ -1,0 +1,293 @@
+"""The weather model with a forecaster of its residual, and the choice among methods, on series whose cause is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from forecasting import LEVELS, boundary_of, history_of, hours
+
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, LinearWeather, fit_linear_weather
+from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
+from thermoforce_mpc.model.free_response.selected import SelectedFreeResponse
+from thermoforce_mpc.model.free_response.stacking import stacking_weights
+from thermoforce_mpc.model.free_response.walk_forward import interval_scale, rescaled, run_trials, trial_origins
+
+N, AHEAD = 336, 24
+
+
+class Fixed:
+    """A forecaster that says what it is told: `offset_K` above the last finite value, quantiles `spread_K` apart."""
+
+    name = "fixed"
+
+    def __init__(self, offset_K: float, spread_K: float = 0.1) -> None:
+        self.offset_K, self.spread_K = offset_K, spread_K
+
+    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        last = free_C[np.isfinite(free_C)][-1] + self.offset_K
+        rows = last + (LEVELS - 0.5)[:, None] * self.spread_K / 0.4 + np.zeros(boundary.n_steps)
+        return FreeForecast(LEVELS, rows, f"fixed {self.offset_K:g}")
+
+    def forecast_many(self, tasks: list[tuple[Array, History, Boundary]]) -> list[FreeForecast]:
+        self.asked = getattr(self, "asked", [])
+        self.asked.append(len(tasks))
+        return [self.forecast(*task) for task in tasks]
+
+
+def room_and_weather(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A room of 8 h under random weather and sun, N + AHEAD steps: control-free temperature, outdoors, irradiance."""
+    rng = np.random.default_rng(seed)
+    t = hours(N + AHEAD)
+    outdoor = 4 + 3 * np.sin(2 * np.pi * t / 24) + np.cumsum(0.4 * rng.standard_normal(t.size))
+    clouds = rng.uniform(0.2, 1.0, t.size // 24 + 1)[(t // 24).astype(int)]
+    solar = 400 * clouds * np.maximum(-np.cos(2 * np.pi * t / 24), 0)
+    room = np.empty(t.size)
+    room[0] = 6.0
+    drive = outdoor + 0.02 * solar + 2.0
+    for k in range(t.size - 1):
+        room[k + 1] = np.exp(-1 / 8) * room[k] + (1 - np.exp(-1 / 8)) * 0.5 * (drive[k] + drive[k + 1])
+    return room, outdoor, solar
+
+
+def past_and_ahead(outdoor: np.ndarray, solar: np.ndarray, free: np.ndarray) -> tuple[History, Boundary]:
+    history = history_of(free[: N + 1], T_out_C=outdoor[: N + 1], solar_W_m2=solar[: N + 1])
+    return history, boundary_of(N, AHEAD, T_out_C=outdoor[N:], solar_W_m2=solar[N:])
+
+
+def test_the_fit_finds_the_physics_and_obeys_its_signs() -> None:
+    free, outdoor, solar = room_and_weather(0)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    fit = fit_linear_weather(free[: N + 1], history, boundary)
+    q = TIME_CONSTANTS_H.size
+    assert np.sqrt(np.mean((fit.past_C - free[: N + 1]) ** 2)) < 0.15
+    assert np.abs(fit.ahead_C - free[N + 1 :]).max() < 0.4
+    assert (fit.weights[: 2 * q] >= 0).all()
+    assert fit.weights[:q].sum() == pytest.approx(1.0, abs=0.15)  # long-run gain of the outdoors
+    assert fit.weights[q : 2 * q].sum() == pytest.approx(2.0, rel=0.3)  # 0.02 K per W/m², in units of 100 W/m²
+
+
+def test_a_room_that_cools_when_the_sun_shines_is_not_believed() -> None:
+    free, outdoor, solar = room_and_weather(1)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    fit = fit_linear_weather(free[: N + 1] - 0.01 * solar[: N + 1], history, boundary)
+    assert (fit.weights[: 2 * TIME_CONSTANTS_H.size] >= 0).all()
+
+
+def test_residual_adds_the_backbones_forecast_of_what_the_weather_leaves_over() -> None:
+    """With four days there are no trials: the weights fixed beforehand, which the note says."""
+    free, outdoor, solar = room_and_weather(2)
+    short = 4 * 24
+    free, outdoor, solar = (values[: short + AHEAD + 1] for values in (free, outdoor, solar))
+    history = history_of(free[: short + 1], T_out_C=outdoor[: short + 1], solar_W_m2=solar[: short + 1])
+    boundary = boundary_of(short, AHEAD, T_out_C=outdoor[short:], solar_W_m2=solar[short:])
+    forecast = ResidualFreeResponse(Fixed(0.25)).forecast(free[: short + 1], history, boundary)
+    expected = 0.1 * (free[short] + 0.25)
+    for share, disturbance_h in ((0.5, None), (0.4, 24.0)):
+        fit = fit_linear_weather(free[: short + 1], history, boundary, disturbance_h)
+        expected = expected + share * (fit.ahead_C + free[short] - fit.past_C[-1] + 0.25)
+    np.testing.assert_allclose(forecast.median_C, expected, atol=1e-12)
+    assert "fixed 0.25" in forecast.note
+    assert "too little history for trials" in forecast.note
+
+
+def test_residual_learns_from_trials_what_weather_is_worth() -> None:
+    """On a random walk the backbone alone keeps its share; on a room that follows the weather it loses it."""
+    free, outdoor, solar = room_and_weather(10)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    walk = 15 + np.cumsum(0.3 * np.random.default_rng(11).standard_normal(N + 1))
+    shares = []
+    for series in (walk, free[: N + 1]):
+        residual = ResidualFreeResponse(Fixed(0.0))
+        forecast = residual.forecast(series, history, boundary)
+        assert residual.weights is not None
+        assert "weights by 2" in forecast.note  # twenty-odd trials
+        np.testing.assert_allclose(residual.weights.share.sum(axis=0), 1.0)
+        shares.append(residual.weights.share[0].mean())
+    assert shares[0] > 0.1
+    assert shares[1] < 0.03
+
+
+def test_trials_of_yesterday_are_remembered_and_those_of_another_series_are_not() -> None:
+    free, outdoor, solar = room_and_weather(12)
+    backbone = Fixed(0.0)
+    residual = ResidualFreeResponse(backbone)
+
+    def trials_at(now: int, series: np.ndarray) -> int:
+        backbone.asked = []
+        history = history_of(series[: now + 1], T_out_C=outdoor[: now + 1], solar_W_m2=solar[: now + 1])
+        boundary = boundary_of(now, 12, T_out_C=outdoor[now : now + 13], solar_W_m2=solar[now : now + 13])
+        residual.forecast(series[: now + 1], history, boundary)
+        return sum(backbone.asked) // 3 - 1
+
+    assert trials_at(N - 30, free) >= 24
+    assert trials_at(N - 24, free) == 0  # within the day the weights stay
+    assert 1 <= trials_at(N - 4, free) <= 5
+    assert trials_at(N - 28, free + 0.1) >= 24
+
+
+def test_a_slow_disturbance_bends_the_generalised_fit_less() -> None:
+    """Three days two kelvins above the model's course, as with guests: the gains must stay those of the weather."""
+    free, outdoor, solar = room_and_weather(13)
+    free = free + np.where((np.arange(free.size) > 150) & (np.arange(free.size) < 222), 2.0, 0.0)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    truth = free[N + 1 :]
+    plain, slow = (fit_linear_weather(free[: N + 1], history, boundary, tau) for tau in (None, 24.0))
+    gap = [np.std(fit.ahead_C - truth) for fit in (plain, slow)]  # a constant offset is the backbone's part
+    assert gap[1] < 0.7 * gap[0]
+    holed = free[: N + 1].copy()
+    holed[40:60] = np.nan
+    holed[::9] = np.nan
+    again = fit_linear_weather(holed, history, boundary, 24.0)
+    assert np.std(again.ahead_C - truth) < 1.5 * gap[1]
+
+
+def test_stacking_finds_the_better_forecast_and_keeps_to_the_prior_where_nothing_speaks_against_it() -> None:
+    rng = np.random.default_rng(14)
+    prior = np.array([0.5, 0.5])
+    groups = np.repeat([0, 1], 6)
+    errors = rng.standard_normal((30, 2, 12)) * np.where(groups == 0, 1.0, 0.1)[None, None]
+    errors[:, 0, :6] *= 0.1  # the first is right soon, the second later
+    errors[:, 1, 6:] *= 0.1
+    errors[3, :, 2] = np.nan
+    free = stacking_weights(errors, prior, 0.0, groups)
+    assert (free[0, :6] > 0.95).all()
+    assert (free[1, 6:] > 0.95).all()
+    np.testing.assert_allclose(free.sum(axis=0), 1.0)
+    drawn = stacking_weights(errors, prior, 1e6, groups)
+    np.testing.assert_allclose(drawn, 0.5, atol=1e-3)
+    turned = np.concatenate([errors, errors[:, ::-1]])  # later trials say the opposite, and count for more
+    late = stacking_weights(turned, prior, 0.0, groups, np.repeat([0.01, 1.0], 30))
+    assert (late[1, :6] > 0.9).all()
+    np.testing.assert_array_equal(stacking_weights(errors[:, :, :1] * np.nan, prior, 1.0, groups[:1]), [[0.5], [0.5]])
+    np.testing.assert_array_equal(stacking_weights(np.zeros((9, 2, 3)), prior, 1.0, np.zeros(3, int)), 0.5)
+
+
+def test_residual_of_the_shipped_backbone_keeps_to_the_weather_model_and_its_weights() -> None:
+    """On a room that the weather explains, the frozen model must not spoil it; it alone is far worse."""
+    free, outdoor, solar = room_and_weather(3)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    residual = build_free_response("residual")
+    before = residual.weight_hash()
+    error = np.abs(residual.forecast(free[: N + 1], history, boundary).median_C - free[N + 1 :]).mean()
+    alone = np.abs(build_free_response("chronos").forecast(free[: N + 1], history, boundary).median_C - free[N + 1 :])
+    assert error < 0.2
+    assert error < 0.5 * alone.mean()
+    assert residual.weight_hash() == before
+
+
+def test_trials_see_nothing_of_what_they_forecast() -> None:
+    free, outdoor, solar = room_and_weather(4)
+    history, _ = past_and_ahead(outdoor, solar, free)
+    free = free[: N + 1]
+    seen: list[tuple[int, int, float]] = []
+
+    class Watching(Fixed):
+        def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+            seen.append((free_C.size, history.n_steps, float(boundary.time_s[0] - history.time_s[-1])))
+            assert not np.isfinite(boundary.lower_C).any()
+            return super().forecast(free_C, history, boundary)
+
+    origins = trial_origins(N, AHEAD, least_context=72, span=168, every=7)
+    trials = run_trials(Watching(0.0), free, history, AHEAD, origins)
+    assert trials is not None
+    assert origins[-1] == N - AHEAD
+    assert origins[0] >= N - AHEAD - 168
+    assert seen == [(origin + 1, origin, 0.0) for origin in origins]
+    for origin, trial in zip(origins, trials, strict=True):
+        np.testing.assert_array_equal(trial.truth_C, free[origin + 1 : origin + AHEAD + 1])
+        np.testing.assert_allclose(trial.forecast.median_C, free[origin])
+
+
+def test_a_method_that_cannot_forecast_drops_out_of_the_trials() -> None:
+    free, outdoor, solar = room_and_weather(5)
+    history, _ = past_and_ahead(outdoor, solar, free)
+    assert run_trials(LinearWeather(), free[: N + 1], history, AHEAD, [12, 200]) is None
+
+
+def test_the_scaled_interval_holds_four_of_five_values() -> None:
+    rng = np.random.default_rng(6)
+    free = 20 + 0.5 * rng.standard_normal(4001)
+    free[::7] = np.nan
+    history = history_of(free)
+    narrow = Fixed(0.0, spread_K=0.05)
+    scale = interval_scale(run_trials(narrow, free[:2001], history.tail(2000), 12, range(100, 1900, 5)))
+    assert (scale == 4.0).all()  # never more than fourfold
+    fitting = Fixed(0.0, spread_K=0.5)
+    trials = run_trials(fitting, free, history, 12, range(100, 1900, 5))
+    assert trials is not None
+    scale = interval_scale(trials)
+    later = run_trials(fitting, free, history, 12, range(2000, 3900, 5))
+    assert later is not None
+    wide = [rescaled(trial.forecast, scale) for trial in later]
+    inside = np.concatenate(
+        [
+            ((t.truth_C >= f.quantiles_C[0]) & (t.truth_C <= f.quantiles_C[-1]))[np.isfinite(t.truth_C)]
+            for t, f in zip(later, wide, strict=True)
+        ]
+    )
+    assert inside.mean() == pytest.approx(0.8, abs=0.04)
+
+
+def test_selection_takes_the_best_and_says_why() -> None:
+    free, outdoor, solar = room_and_weather(7)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    selected = SelectedFreeResponse({"far": Fixed(5.0), "near": Persistence(), "weather": LinearWeather()}, first="far")
+    forecast = selected.forecast(free[: N + 1], history, boundary)
+    assert selected.selection is not None
+    assert selected.selection.name == "weather"
+    assert selected.selection.errors_K["weather"] < selected.selection.errors_K["near"]
+    assert "chosen by" in forecast.note
+    assert "weather 0." in forecast.note
+    plain = LinearWeather().forecast(free[: N + 1], history, boundary)
+    np.testing.assert_allclose(forecast.median_C, plain.median_C)
+
+
+@pytest.mark.parametrize(("offset_K", "chosen"), [(0.0125, "simple"), (0.05, "elaborate")])
+def test_a_more_elaborate_method_must_gain_two_percent(offset_K: float, chosen: str) -> None:
+    """On a ramp of 0.1 K per hour repeating the last value errs by 1.25 K over a day, an offset takes off its size."""
+    free = 10 + 0.1 * hours(N)
+    selected = SelectedFreeResponse({"simple": Fixed(0.0), "elaborate": Fixed(offset_K)}, first="simple")
+    selected.forecast(free, history_of(free), boundary_of(N, AHEAD))
+    assert selected.selection is not None
+    assert selected.selection.errors_K["simple"] == pytest.approx(1.25)
+    assert selected.selection.name == chosen
+
+
+def test_without_enough_history_the_first_is_used_and_the_note_says_so() -> None:
+    free = 15 + np.sin(hours(80) / 4)
+    selected = SelectedFreeResponse({"persistence": Persistence(), "fixed": Fixed(0.5)}, first="fixed")
+    forecast = selected.forecast(free, history_of(free), boundary_of(80, AHEAD))
+    np.testing.assert_allclose(forecast.median_C, free[-1] + 0.5)
+    assert "history allows 0 trials" in forecast.note
+
+
+def test_selection_is_renewed_after_a_day_and_kept_within_it() -> None:
+    free, outdoor, _ = room_and_weather(8)
+    selected = SelectedFreeResponse({"persistence": Persistence(), "weather": LinearWeather()}, first="persistence")
+
+    def at(k: int) -> float:
+        selected.forecast(free[: k + 1], history_of(free[: k + 1], T_out_C=outdoor[: k + 1]), boundary_of(k, 12))
+        assert selected.selection is not None
+        return selected.selection.time_s
+
+    assert [at(k) / 3600 for k in (300, 312, 323, 324, 330)] == [300, 300, 300, 324, 324]
+
+
+def test_an_unknown_first_candidate_is_refused() -> None:
+    with pytest.raises(DataError, match="'best' is not among the candidates persistence"):
+        SelectedFreeResponse({"persistence": Persistence()}, first="best")
+
+
+def test_the_shipped_selection_has_frozen_weights() -> None:
+    free, outdoor, solar = room_and_weather(9)
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    selected = build_free_response("selected")
+    before = selected.weight_hash()
+    forecast = selected.forecast(free[: N + 1], history, boundary)
+    assert selected.weight_hash() == before == ChronosFreeResponse().weight_hash()
+    assert np.abs(forecast.median_C - free[N + 1 :]).mean() < 0.3

@@ -1,0 +1,250 @@
+"""The operator in its three forms (numpy, torch, CasADi), its size, its steps and its refusals."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from operators import HEAT_MAP, random_features, random_operator
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.operator import (
+    IDENTITY,
+    ActuatorMap,
+    OnLoad,
+    OperatorParameters,
+    feature_matrix,
+    forced_rollout,
+    linear_operator,
+)
+from thermoforce_mpc.model.operator.casadi_export import modulation_function, rollout_function, step_function
+from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
+
+N = 24
+TWO = np.array([[0.0, 0.7], [0.7, 1.0]])
+
+
+def _loop(params: OperatorParameters, F0, u, features) -> np.ndarray:
+    """Paper eq:operator, step by step, as printed."""
+    F, out = np.array(F0, dtype=float), []
+    for t in range(len(u)):
+        x = (features[t] - params.feature_mean) / params.feature_scale
+        mlp = params.output_weight @ np.tanh(params.hidden_weight @ x + params.hidden_bias) + params.output_bias
+        m = 1 + params.gamma * np.tanh(mlp)
+        v = float(params.actuator(u[t], features[t, 1]))
+        F = params.poles * F + params.gains * m * v
+        out.append(F)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("actuator", [IDENTITY, HEAT_MAP], ids=["identity", "heat"])
+def test_rollouts_equal_the_printed_recursion(order, actuator):
+    rng = np.random.default_rng(order)
+    params = random_operator(order, order, actuator=actuator)
+    F0, u, features = rng.normal(size=order), rng.uniform(0, 1, N), random_features(rng, N)
+    expected = _loop(params, F0, u, features)
+    module = ForcedResponseOperator(params)
+    by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
+    np.testing.assert_allclose(forced_rollout(params, F0, u, features), expected, atol=1e-12)
+    np.testing.assert_allclose(by_torch, expected, atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    order=st.integers(1, 3),
+    scale=st.sampled_from([0.1, 1.0, 10.0]),
+    actuator=st.sampled_from([IDENTITY, HEAT_MAP]),
+)
+def test_casadi_equals_torch(seed, order, scale, actuator):
+    rng = np.random.default_rng(seed)
+    params = random_operator(seed, order, scale=scale, actuator=actuator)
+    module = ForcedResponseOperator(params)
+    F0, u, features = rng.normal(size=order) * 5, rng.uniform(0, 1, N), random_features(rng, N)
+    by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
+    modes, forced = rollout_function(params, N)(F0, u, features.T)
+    assert np.abs(np.array(modes).T - by_torch).max() <= 1e-10
+    assert np.abs(np.array(forced).ravel() - by_torch.sum(-1)).max() <= 1e-10
+    m = np.array(modulation_function(params).map(N)(features.T)).ravel()
+    assert np.abs(m - module.modulation(torch.tensor(features)).detach().numpy()).max() <= 1e-10
+    one = np.array(step_function(params)(F0, u[0], features[0])).ravel()
+    assert np.abs(one - by_torch[0]).max() <= 1e-10
+
+
+def test_casadi_derivative_equals_autodiff():
+    rng = np.random.default_rng(9)
+    params = random_operator(9, 3, actuator=HEAT_MAP)
+    F0, u, features = rng.normal(size=3), rng.uniform(0.3, 1, N), random_features(rng, N)
+    plan = ca.MX.sym("u", N)
+    forced = rollout_function(params, N)(F0, plan, features.T)[1]
+    by_casadi = np.array(ca.Function("j", [plan], [ca.jacobian(forced, plan)])(u))
+    module = ForcedResponseOperator(params)
+    by_torch = torch.autograd.functional.jacobian(
+        lambda actions: module(torch.tensor(F0), actions, torch.tensor(features)).sum(-1), torch.tensor(u)
+    ).numpy()
+    np.testing.assert_allclose(by_casadi, by_torch, atol=1e-10)
+
+
+@pytest.mark.parametrize(("order", "count"), [(1, 195), (2, 197), (3, 199)])
+def test_number_of_trained_parameters(order, count):
+    params = random_operator(0, order)
+    module = ForcedResponseOperator(params)
+    assert params.n_trained == count
+    assert sum(p.numel() for p in module.parameters() if p.requires_grad) == count
+    assert {p.dtype for p in module.parameters()} == {torch.float64}
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_torch_and_back_is_the_same_operator(order):
+    params = random_operator(3, order, sign=-1, actuator=HEAT_MAP)
+    back = ForcedResponseOperator(params).numpy()
+    for name in ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "output_bias", "pole_bounds"):
+        np.testing.assert_allclose(getattr(back, name), getattr(params, name), rtol=1e-9, err_msg=name)
+    assert (back.sign, back.gamma, back.actuator) == (params.sign, params.gamma, params.actuator)
+
+
+@pytest.mark.parametrize("edge", [0.0, 1.0])
+def test_a_pole_on_its_bound_survives_the_way_through_torch(edge):
+    bounds = np.array([[0.5, 0.9]])
+    params = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=bounds)
+    back = ForcedResponseOperator(params).numpy()
+    np.testing.assert_allclose(back.poles, params.poles, atol=1e-8)
+    assert 0 <= back.gains[0] < 1e-11
+
+
+def test_candidates_are_rolled_out_together():
+    rng = np.random.default_rng(4)
+    params = random_operator(4, 3)
+    u, features, F0 = rng.uniform(0, 1, (7, N)), random_features(rng, N), rng.normal(size=3)
+    together = forced_rollout(params, F0, u, features)
+    assert together.shape == (7, N, 3)
+    for i in range(7):
+        np.testing.assert_allclose(together[i], _loop(params, F0, u[i], features), atol=1e-12)
+
+
+@pytest.mark.parametrize("step_s", [900.0, 300.0, 7200.0])
+def test_resampled_operator_says_the_same_at_common_times(step_s):
+    params = random_operator(6, 3)
+    other = params.resampled(step_s)
+    x, hours = random_features(np.random.default_rng(0), 1), 6
+    coarse, fine = (
+        forced_rollout(p, np.array([1.0, 2.0, 3.0]), np.full(n, 0.7), np.repeat(x, n, axis=0))
+        for p, n in ((params, hours), (other, round(hours * 3600 / step_s)))
+    )
+    np.testing.assert_allclose(coarse[-1], fine[-1], rtol=1e-12)
+    np.testing.assert_allclose(other.time_constants_h, params.time_constants_h, rtol=1e-12)
+
+
+def test_features_are_what_the_docstring_says():
+    time_s = np.array([0.0, 3 * 3600.0, 15 * 3600.0, 24 * 3600.0])
+    x = feature_matrix(np.arange(4.0), np.full(4, 5.0), np.full(4, 100.0), time_s)
+    assert x.shape == (4, 4)
+    np.testing.assert_allclose(x[:, 3], [np.cos(-2 * np.pi * 15 / 24), -1.0, 1.0, x[0, 3]])
+    np.testing.assert_allclose(x[:, :3], [[i, 5.0, 100.0] for i in range(4)])
+    with pytest.raises(DataError, match="solar"):
+        feature_matrix(np.zeros(2), np.zeros(2), np.array([1.0, np.nan]), np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"poles": np.array([1.0])}, "poles"),
+        ({"poles": np.array([0.0])}, "poles"),
+        ({"poles": np.array([0.2])}, "poles"),  # outside of its own bounds
+        ({"gains": np.array([-0.1])}, "gains"),
+        ({"gains": np.array([0.1, 0.1])}, "gains"),
+        (
+            {"poles": np.array([0.8, 0.6]), "gains": np.ones(2), "pole_bounds": np.array([[0, 0.9], [0.5, 1]])},
+            "increase",
+        ),
+        ({"poles": np.array([0.5, 0.9]), "gains": np.array([1.0, -0.1]), "pole_bounds": TWO}, "beyond the first"),
+        ({"poles": np.array([0.5, 0.9]), "gains": np.array([-2.0, 1.0]), "pole_bounds": TWO}, "answer an action"),
+        ({"gamma": 1.0}, "gamma"),
+        ({"sign": 0}, "sign"),
+        ({"step_s": 0.0}, "step_s"),
+        ({"hidden_weight": np.full((32, 4), np.nan)}, "hidden_weight"),
+        ({"hidden_weight": np.zeros((32, 3))}, "hidden_weight"),
+        ({"output_bias": np.inf}, "output_bias"),
+        ({"feature_scale": np.zeros(4)}, "feature_scale"),
+        ({"pole_bounds": np.array([[0.9, 0.5]])}, "pole_bounds"),
+    ],
+)
+def test_impossible_operators_are_refused(change, word):
+    params = linear_operator(np.array([0.8]), np.array([0.1]), step_s=3600.0, pole_bounds=np.array([[0.5, 0.9]]))
+    with pytest.raises(DataError, match=word):
+        replace(params, **change)
+
+
+def test_rollout_refuses_what_does_not_fit():
+    params = random_operator(0, 2)
+    features = random_features(np.random.default_rng(0), N)
+    with pytest.raises(DataError, match="same steps"):
+        forced_rollout(params, np.zeros(2), np.zeros(N - 1), features)
+    with pytest.raises(DataError, match="F0"):
+        forced_rollout(params, np.zeros(3), np.zeros(N), features)
+    with pytest.raises(DataError, match="finite"):
+        forced_rollout(params, np.zeros(2), np.full(N, np.nan), features)
+
+
+def test_parameters_are_frozen_to_the_last_number():
+    params = random_operator(0)
+    with pytest.raises(ValueError, match="read-only"):
+        params.poles[0] = 0.5
+
+
+def test_actuator_map_is_monotone_and_switches_below_its_lowest_level():
+    u = np.linspace(0, 1, 101)
+    for T in (-30.0, -4.0, 5.0, 15.0, 40.0):
+        assert np.all(np.diff(HEAT_MAP(u, np.full(101, T))) > 0)
+    # Below the lowest level the machine cycles there: everything is proportional to u.
+    np.testing.assert_allclose(HEAT_MAP(0.1, 0.0), 0.5 * HEAT_MAP(0.2, 0.0))
+    np.testing.assert_allclose(HEAT_MAP(1.0, 0.0), 1.0)
+    # Outside the range seen the nearer end holds.
+    np.testing.assert_allclose(HEAT_MAP(0.5, -30.0), HEAT_MAP(0.5, -4.0))
+
+
+def test_slope_bounds_contain_the_slopes():
+    low, high = HEAT_MAP.slope_bounds()
+    u = np.linspace(0, 1, 401)
+    slopes = np.concatenate([np.diff(HEAT_MAP(u, np.full(401, T))) / np.diff(u) for T in np.linspace(-10, 20, 31)])
+    assert slopes.min() >= low - 1e-9
+    assert slopes.max() <= high + 1e-9
+    assert slopes.min() == pytest.approx(low)
+    assert slopes.max() == pytest.approx(high)
+
+
+def test_actuator_maps_that_are_not_monotone_are_refused():
+    with pytest.raises(DataError, match="not increasing"):
+        OnLoad((1000.0, 0.0, 5000.0, 600.0), (-20.0, 15.0))
+    with pytest.raises(DataError, match="lowest level"):
+        OnLoad((1000.0, 0.0, 5000.0, 0.0), (0.0, 15.0), lowest_level=0.0)
+
+
+def test_other_levels_need_to_have_been_seen():
+    unseen = ActuatorMap(OnLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
+    assert unseen.at_lowest_level(1.0) == unseen
+    with pytest.raises(DataError, match="intermediate levels"):
+        unseen.at_lowest_level(0.3)
+    duty = HEAT_MAP.at_lowest_level(1.0)
+    np.testing.assert_allclose(duty(0.25, 3.0), 0.25 * HEAT_MAP(1.0, 3.0))
+
+
+def test_using_an_operator_imports_neither_torch_nor_casadi():
+    code = (
+        "import sys, numpy as np\n"
+        "from thermoforce_mpc.model.operator import linear_operator, forced_rollout\n"
+        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.model_file\n"
+        "p = linear_operator([0.9], [0.1], step_s=3600.0)\n"
+        "forced_rollout(p, np.zeros(1), np.ones(3), np.zeros((3, 4)))\n"
+        "sys.exit(', '.join(m for m in ('torch', 'casadi') if m in sys.modules) or 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,138 @@
+"""The forced state followed step by step, and what a wrong model costs in closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from thermoforce_mpc.data import HOUR_S, FreeForecast, History
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
+from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
+from thermoforce_mpc.model.predictor import WorldModel, forced_history
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+
+
+def some_history(n: int = 60, seed: int = 0) -> History:
+    rng = np.random.default_rng(seed)
+    return History(
+        time_s=HOUR_S * np.arange(n + 1),
+        T_zone_C=20.0 + np.cumsum(rng.normal(0, 0.1, n + 1)),
+        T_out_C=rng.normal(5, 3, n + 1),
+        solar_W_m2=np.maximum(rng.normal(50, 100, n + 1), 0),
+        u=rng.random(n),
+        power_W=np.full(n, np.nan),
+        heat_W=np.full(n, np.nan),
+    )
+
+
+def expectation(free_C: float, spread_K: float = 0.1) -> FreeForecast:
+    levels = np.arange(1, 10) / 10
+    return FreeForecast(levels, free_C + spread_K * (levels[:, None] - 0.5))
+
+
+def test_step_by_step_is_the_rollout_of_the_whole_history():
+    operator, history = simple_model().operator, some_history()
+    estimator = ForcedStateEstimator(operator)
+    for n in (0, 1, 2, 3, 30, 31, 60):
+        followed = estimator.update(history.part(0, n))
+    # The first day sets the steady start, so the start is known from the first whole rollout on.
+    again = ForcedStateEstimator(operator)
+    again.update(history.part(0, 30))
+    np.testing.assert_allclose(again.update(history), forced_history(operator, history), atol=1e-12)
+    assert followed.shape == (61, operator.order)
+
+
+def test_another_run_starts_anew():
+    operator = simple_model().operator
+    estimator = ForcedStateEstimator(operator)
+    estimator.update(some_history(40))
+    other = some_history(50, seed=3)
+    other = replace(other, time_s=other.time_s + 5 * 86400.0)
+    np.testing.assert_allclose(estimator.update(other), forced_history(operator, other), atol=1e-12)
+
+
+def test_a_gap_in_a_new_step_is_refused_with_its_place():
+    history = some_history(10)
+    estimator = ForcedStateEstimator(simple_model().operator)
+    estimator.update(history.part(0, 9))
+    broken = replace(history, T_out_C=np.append(history.T_out_C[:-1], np.nan))
+    with pytest.raises(DataError, match="T_out_C is not finite at step 10 of 10"):
+        estimator.update(broken)
+
+
+def surprised(config: EstimatorConfig, spread_K: float) -> float:
+    """By how much the forced part moves when the zone is 0.5 K warmer than expected after a step of full heat."""
+    history = some_history(30)
+    history = replace(history, u=np.append(history.u[:-1], 1.0))
+    plain = forced_history(simple_model().operator, history)[-1].sum()
+    estimator = ForcedStateEstimator(simple_model().operator, config=config)
+    estimator.update(history.part(0, 29))
+    free_C = history.T_zone_C[-1] - 0.5 - plain
+    estimator.expect(float(history.time_s[-1]), expectation(free_C, spread_K))
+    return float(estimator.update(history)[-1].sum() - plain)
+
+
+def test_a_surprise_is_divided_by_who_was_surer():
+    assert surprised(EstimatorConfig(), 0.1) == pytest.approx(0.0, abs=1e-12)
+    sure, unsure = surprised(EstimatorConfig(correct=True), 0.01), surprised(EstimatorConfig(correct=True), 2.0)
+    assert 0.0 < unsure < 0.1 * sure
+    assert 0.4 < sure < 0.5
+
+
+def test_free_and_forced_always_add_up_to_what_was_measured():
+    model, history = simple_model(), some_history()
+    estimator = ForcedStateEstimator(model.operator, config=EstimatorConfig(correct=True))
+    world = WorldModel(model, OutdoorResponse(), estimator=estimator)
+    free = world.free_history(history)
+    np.testing.assert_allclose(free + world.forced_history(history).sum(axis=1), history.T_zone_C, atol=1e-12)
+
+
+class BiasedHouse(SimpleHouse):
+    """A house whose outdoor sensor reads too warm; the weather forecast is right."""
+
+    bias_K = 1.0
+
+    def _measure(self, u: float = np.nan):
+        measurement = super()._measure(u)
+        return replace(measurement, T_out_C=measurement.T_out_C + self.bias_K)
+
+
+BOTH = pytest.mark.parametrize("correct", [False, True], ids=["output disturbance", "kalman"])
+
+
+@BOTH
+@pytest.mark.parametrize("gain_error", [0.8, 1.2])
+def test_a_wrong_gain_leaves_no_lasting_offset(gain_error, correct):
+    model = simple_model()
+    wrong = replace(model, operator=replace(model.operator, gains=gain_error * model.operator.gains))
+    # A rigid free model, which does not learn from T − F, keeps the error for ever.
+    rigid = lasting_offset_K(wrong, SimpleHouse(), correct=False, free=OutdoorResponse())
+    assert abs(rigid) > 0.02
+    assert abs(lasting_offset_K(wrong, SimpleHouse(), correct)) < min(0.015, 0.5 * abs(rigid))
+
+
+@BOTH
+def test_a_biased_outdoor_sensor_leaves_no_lasting_offset(correct):
+    assert abs(lasting_offset_K(simple_model(), BiasedHouse(), correct)) < 0.01
+
+
+def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> float:
+    """Mean of what one-step predictions were off on the last day of a closed loop, K."""
+    # Blocks shorter than the step would add their own rounding: the level is held here.
+    load = replace(model.power.load, lowest_level=0.01)
+    model = replace(model, power=replace(model.power, load=load))
+    config = MPCConfig(
+        horizon_h=24,
+        actuation={"mode": "modulating", "lowest_level": 0.01},
+        estimator=EstimatorConfig(correct=correct),
+    )
+    mpc = ThermoForceMPC(model, config, free_response=free or LinearWeather())
+    result = run_closed_loop(house, mpc, house.period("x"))
+    pairs = zip(result.steps[-25:-1], result.steps[-24:], strict=True)
+    return float(np.mean([after.T_zone_C - before.plan.T_zone_C[0] for before, after in pairs]))

@@ -1,0 +1,151 @@
+"""Saved models come back as they were, and nothing else is taken for one."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from operators import HEAT_MAP, random_features, random_operator
+
+from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME, load_model, save_model
+from thermoforce_mpc.model.operator import forced_rollout, linear_operator
+from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
+
+
+@pytest.fixture
+def model() -> ThermalModel:
+    free = RcParameters(
+        poles=np.array([0.5, 0.98]),
+        weights=np.arange(16.0).reshape(2, 8) / 100,
+        step_s=3600.0,
+        process_sd_K=np.array([0.05, 0.01]),
+    )
+    card = ModelCard(
+        source="test",
+        data={"probe": "ab" * 32},
+        ranges={"T_out_C": (-3.0, 10.0)},
+        scores={"rmse_K": 0.02, "unknown": float("nan")},
+        uncertainty={"gain": 0.01},
+        config={"order": 3},
+        notes=("one", "two"),
+    )
+    heat = HEAT_MAP.heat
+    assert heat is not None
+    return ThermalModel(random_operator(1, 3, actuator=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card)
+
+
+def test_a_model_comes_back_bit_for_bit(tmp_path, model):
+    back = load_model(save_model(tmp_path / "model", model))
+    features = random_features(np.random.default_rng(0), 10)
+    u = np.linspace(0, 1, 10)
+    for operator in (model.operator, model.operator.resampled(900.0)):
+        step = operator.step_s
+        np.testing.assert_array_equal(
+            forced_rollout(back.operator.resampled(step), np.ones(3), u, features),
+            forced_rollout(operator, np.ones(3), u, features),
+        )
+    assert back.power == model.power
+    assert back.free is not None
+    assert model.free is not None
+    for name in ("poles", "weights", "process_sd_K"):
+        np.testing.assert_array_equal(getattr(back.free, name), getattr(model.free, name))
+    assert back.card.ranges == model.card.ranges
+    assert back.card.scores["rmse_K"] == 0.02
+    assert np.isnan(back.card.scores["unknown"])
+    assert back.card.notes == ("one", "two")
+
+
+def test_a_bare_operator_can_be_saved(tmp_path):
+    model = ThermalModel(linear_operator([0.9], [0.1], step_s=3600.0))
+    back = load_model(save_model(tmp_path / "deep" / "model", model))
+    assert back.power is None
+    assert back.free is None
+
+
+def test_same_model_same_bytes(tmp_path, model):
+    for name in ("a", "b"):
+        save_model(tmp_path / name, model)
+    for file in (JSON_NAME, ARRAYS_NAME):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_nothing_is_overwritten_unless_asked(tmp_path, model):
+    folder = save_model(tmp_path / "model", model)
+    with pytest.raises(ArtifactError, match="exists already"):
+        save_model(folder, model)
+    other = ThermalModel(linear_operator([0.9], [0.1], step_s=3600.0))
+    save_model(folder, other, overwrite=True)
+    assert load_model(folder).operator.order == 1
+    precious = tmp_path / "thesis"
+    precious.mkdir()
+    (precious / "chapter").write_text("words")
+    with pytest.raises(ArtifactError, match="not a saved model"):
+        save_model(precious, model, overwrite=True)
+    assert (precious / "chapter").read_text() == "words"
+    assert {path.name for path in tmp_path.iterdir()} == {"model", "thesis"}, "leftovers of an unfinished write"
+
+
+def _edit(folder, **changes):
+    path = folder / JSON_NAME
+    document = json.loads(path.read_text())
+    document.update(changes)
+    path.write_text(json.dumps(document))
+
+
+def test_damage_is_named(tmp_path, model):
+    folder = save_model(tmp_path / "model", model)
+    arrays = folder / ARRAYS_NAME
+    raw = bytearray(arrays.read_bytes())
+    raw[-1] ^= 1
+    arrays.write_bytes(bytes(raw))
+    with pytest.raises(ArtifactError, match=rf"{ARRAYS_NAME}.*sha256"):
+        load_model(folder)
+    arrays.unlink()
+    with pytest.raises(ArtifactError, match=rf"{ARRAYS_NAME}.*cannot be read"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": "something else"}, "not a model of thermoforce-mpc"),
+        ({"version": 99}, "version 99"),
+        ({"operator": {}}, "missing"),
+        ({"operator": None}, "model.json"),
+        ({"card": {"source": "x"}}, "missing"),
+    ],
+)
+def test_foreign_or_edited_json_is_refused(tmp_path, model, changes, message):
+    folder = save_model(tmp_path / "model", model)
+    _edit(folder, **changes)
+    with pytest.raises(ArtifactError, match=message):
+        load_model(folder)
+
+
+def test_an_edited_sign_fails_at_load(tmp_path, model):
+    folder = save_model(tmp_path / "model", model)
+    document = json.loads((folder / JSON_NAME).read_text())
+    _edit(folder, operator=document["operator"] | {"sign": -1})
+    with pytest.raises(ArtifactError, match="gains"):
+        load_model(folder)
+
+
+def test_missing_and_unreadable_folders(tmp_path):
+    with pytest.raises(ArtifactError, match="no such folder"):
+        load_model(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ArtifactError, match=JSON_NAME):
+        load_model(tmp_path / "empty")
+    (tmp_path / "empty" / JSON_NAME).write_text("{")
+    with pytest.raises(ArtifactError, match="not valid JSON"):
+        load_model(tmp_path / "empty")
+
+
+def test_an_operator_without_effect_is_not_saved(tmp_path):
+    with pytest.raises(ArtifactError, match="certificate"):
+        save_model(tmp_path / "model", ThermalModel(linear_operator([0.9], [0.0], step_s=3600.0)))
+    assert not (tmp_path / "model").exists()

@@ -1,0 +1,259 @@
+"""Superposition: free and forced are taken apart and put together without loss."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from operators import HEAT_MAP, random_operator
+
+from thermoforce_mpc.data import Boundary, FreeForecast, History, Observation
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
+from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
+from thermoforce_mpc.model.predictor import ThermalModel, WorldModel, forced_history
+
+STEP = 3600.0
+
+
+class HoldLast:
+    """A free response that stays where it is."""
+
+    name = "hold"
+
+    def forecast(self, free_C, history, boundary) -> FreeForecast:
+        last = free_C[np.isfinite(free_C)][-1]
+        return FreeForecast(levels=np.array([0.5]), quantiles_C=np.full((1, boundary.n_steps), last))
+
+
+def make_history(n: int = 48, seed: int = 0, T_zone=None) -> History:
+    rng = np.random.default_rng(seed)
+    hours = np.arange(n + 1)
+    return History(
+        time_s=hours * STEP,
+        T_zone_C=rng.normal(21, 0.5, n + 1) if T_zone is None else T_zone,
+        T_out_C=5 + 3 * np.cos(2 * np.pi * (hours - 15) / 24),
+        solar_W_m2=np.maximum(0, 300 * np.cos(2 * np.pi * (hours - 13) / 24)),
+        u=rng.choice([0.0, 0.5, 1.0], n),
+        power_W=np.full(n, np.nan),
+        heat_W=np.full(n, np.nan),
+    )
+
+
+def make_boundary(history: History, n: int = 24) -> Boundary:
+    hours = history.time_s[-1] / STEP + np.arange(n + 1)
+    return Boundary(
+        time_s=hours * STEP,
+        T_out_C=5 + 3 * np.cos(2 * np.pi * (hours - 15) / 24),
+        solar_W_m2=np.maximum(0, 300 * np.cos(2 * np.pi * (hours - 13) / 24)),
+        occupancy=np.zeros(n + 1),
+        lower_C=np.full(n + 1, 21.0),
+        upper_C=np.full(n + 1, 24.0),
+        price_per_kWh=np.full(n + 1, 0.25),
+        emission_kg_per_kWh=np.full(n + 1, 0.17),
+    )
+
+
+@pytest.fixture
+def world() -> WorldModel:
+    return WorldModel(ThermalModel(random_operator(3, 3, actuator=HEAT_MAP)), HoldLast())
+
+
+def test_free_plus_forced_is_what_was_measured(world):
+    history = make_history()
+    total = world.free_history(history) + world.forced_history(history).sum(axis=1)
+    np.testing.assert_allclose(total, history.T_zone_C, atol=1e-12)
+    np.testing.assert_array_equal(world.forced_state(history), world.forced_history(history)[-1])
+
+
+def test_zero_start_is_the_papers_and_steady_start_holds():
+    operator = linear_operator([0.5, 0.98], [0.3, 0.05], step_s=STEP)
+    history = replace(make_history(), u=np.full(48, 0.6))
+    zero = forced_history(operator, history, initial_force="zero")
+    assert np.all(zero[0] == 0)
+    steady = forced_history(operator, history, initial_force="steady")
+    np.testing.assert_allclose(steady, np.broadcast_to(0.6 * operator.steady_gains_K, (49, 2)), rtol=1e-12)
+
+
+def test_exact_recovery_of_a_free_response_under_control():
+    """A building that *is* the model: subtracting F must give its control-free temperature back."""
+    operator = linear_operator([0.9], [0.2], step_s=STEP)
+    base = make_history()
+    free, forced = np.empty(49), np.empty(49)
+    free[0], forced[0] = 19.0, 0.0
+    for t in range(48):
+        free[t + 1] = 0.9 * free[t] + 0.1 * base.T_out_C[t] + 1.2
+        forced[t + 1] = 0.9 * forced[t] + 0.2 * base.u[t]
+    history = replace(base, T_zone_C=free + forced)
+    world = WorldModel(ThermalModel(operator), HoldLast(), initial_force="zero")
+    np.testing.assert_allclose(world.free_history(history), free, atol=1e-12)
+
+
+def test_predict_effect_and_counterfactuals_agree(world):
+    history = make_history()
+    outlook = world.outlook(Observation(history, make_boundary(history)))
+    rng = np.random.default_rng(1)
+    u, alt = rng.uniform(0, 1, 24), rng.uniform(0, 1, 24)
+    np.testing.assert_allclose(
+        outlook.effect(alt, u), outlook.predict(alt).total_C - outlook.predict(u).total_C, atol=1e-12
+    )
+    levels = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    fan = outlook.counterfactuals(levels)
+    assert fan.forced_K.shape == (5, 24)
+    assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
+    np.testing.assert_allclose(fan.total_C[1], outlook.predict(np.full(24, 0.25)).total_C, atol=1e-12)
+    np.testing.assert_allclose(outlook.predict(u).total_C, outlook.free.median_C + outlook.predict(u).forced_K)
+
+
+def test_plan_continues_the_history(world):
+    """Splitting time into past and future must not change the forced response."""
+    history = make_history(72)
+    operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, actuator=HEAT_MAP)
+    world = WorldModel(ThermalModel(operator), HoldLast())
+    past = history.part(0, 48)
+    outlook = world.outlook(Observation(past, make_boundary(past)))
+    whole = forced_history(operator, history).sum(axis=1)[49:]
+    np.testing.assert_allclose(outlook.predict(history.u[48:]).forced_K, whole, atol=1e-9)
+
+
+def test_silent_sensor_leaves_a_hole_and_nothing_else(world):
+    history = make_history()
+    T = np.array(history.T_zone_C)
+    T[10:14] = np.nan
+    free = world.free_history(replace(history, T_zone_C=T))
+    assert np.isnan(free[10:14]).all()
+    assert np.isfinite(np.delete(free, range(10, 14))).all()
+    silent = Observation(replace(history, T_zone_C=np.full(49, np.nan)), make_boundary(history))
+    with pytest.raises(DataError, match="never measured"):
+        world.outlook(silent)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "word"), [("u", np.nan, "u is not finite at step 5"), ("u", 1.5, "u is 1.5")]
+)
+def test_broken_histories_are_refused_with_the_place(world, name, value, word):
+    history = make_history()
+    u = np.array(history.u)
+    u[5] = value
+    with pytest.raises(DataError, match=word):
+        world.forced_state(replace(history, **{name: u}))
+
+
+def test_impossible_actions_are_refused(world):
+    history = make_history()
+    outlook = world.outlook(Observation(history, make_boundary(history)))
+    with pytest.raises(DataError, match="expected"):
+        outlook.predict(np.zeros(23))
+    with pytest.raises(DataError, match=r"inside \[0, 1\]"):
+        outlook.predict(np.full(24, np.nan))
+    with pytest.raises(DataError, match="initial_force"):
+        WorldModel(world.model, HoldLast(), initial_force="warm")  # type: ignore[arg-type]
+
+
+RC = RcParameters(
+    poles=np.array([0.6, 0.985]),
+    weights=np.array([[0.05, 5e-4, 1.0, 1e-4, -1e-4, 0.02, 0.01, 1e-4], [0.006, 1e-4, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]]),
+    step_s=STEP,
+    process_sd_K=np.array([0.02, 0.01]),
+)
+
+
+def _simulate(params: RcParameters, T_out, solar, start, patterns: bool = True) -> np.ndarray:
+    """The modes' recursion written out, with the mean weather of each step."""
+    z, out = np.array(start, dtype=float), [float(np.sum(start))]
+    for t in range(len(T_out) - 1):
+        T, sun = 0.5 * (T_out[t] + T_out[t + 1]), 0.5 * (solar[t] + solar[t + 1])
+        angle = 2 * np.pi * ((t + 0.5) * params.step_s / 86400 - 0.5)
+        c, s = (np.cos(angle), np.sin(angle)) if patterns else (0.0, 0.0)
+        z = params.poles * z + params.weights @ np.array([T, sun, 1.0, sun * c, sun * s, c, s, sun**2 / 300])
+        out.append(float(z.sum()))
+    return np.array(out)
+
+
+def test_rc_forecast_follows_a_building_that_is_the_model():
+    history = make_history(96)
+    boundary = make_boundary(history)
+    T_out = np.concatenate([history.T_out_C, boundary.T_out_C[1:]])
+    solar = np.concatenate([history.solar_W_m2, boundary.solar_W_m2[1:]])
+    truth = _simulate(RC, T_out, solar, [3.0, 12.0])
+    free = truth[:97].copy()
+    free[30:40] = np.nan
+    forecast = RcFreeResponse(RC).forecast(free, history, boundary)
+    np.testing.assert_allclose(forecast.median_C, truth[97:], atol=0.05)
+    assert np.all(np.diff(forecast.quantiles_C, axis=0) > 0)
+    spread = forecast.quantiles_C[-1] - forecast.quantiles_C[0]
+    assert spread[-1] > spread[0]
+
+
+def test_rc_keeps_its_response_when_resampled():
+    constant = np.full(200, 7.0), np.full(200, 100.0)
+    hourly = _simulate(RC, *constant, start=[0.0, 0.0], patterns=False)
+    fine = _simulate(RC.resampled(900.0), np.full(797, 7.0), np.full(797, 100.0), start=[0.0, 0.0], patterns=False)
+    np.testing.assert_allclose(fine[::4], hourly, atol=1e-9)
+
+
+def test_rc_refuses_what_it_cannot_use():
+    history = make_history(24)
+    free_response = RcFreeResponse(RC)
+    with pytest.raises(DataError, match="shape"):
+        free_response.forecast(np.zeros(3), history, make_boundary(history))
+    with pytest.raises(DataError, match="silent"):
+        free_response.forecast(np.full(25, np.nan), history, make_boundary(history))
+    with pytest.raises(DataError, match="poles"):
+        replace(RC, poles=np.array([0.5, 1.0]))
+
+
+def test_a_level_that_averaging_rounded_beyond_one_is_one():
+    steps = 24
+    time_s = np.arange(steps + 1) * 3600.0
+    still = np.zeros(steps + 1)
+    operator = linear_operator(np.array([0.9]), np.array([0.5]), step_s=3600.0)
+
+    def history(level: float) -> History:
+        u = np.full(steps, level)
+        return History(time_s, 21.0 + still, still, still, u, u, np.full(steps, np.nan))
+
+    exact, rounded = (forced_history(operator, history(level)) for level in (1.0, np.nextafter(1.0, 2.0)))
+    np.testing.assert_array_equal(exact, rounded)
+    with pytest.raises(DataError, match=r"expected values in \[0, 1\]"):
+        forced_history(operator, history(1.001))
+
+
+def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
+    for sign in (1, -1):
+        operator = random_operator(3, 1, actuator=HEAT_MAP, sign=sign)
+        base = make_history()
+        heat = sign * HEAT_MAP.reference_W * HEAT_MAP(base.u, base.T_out_C[:-1])
+        by_map = forced_history(operator, base)
+        np.testing.assert_allclose(forced_history(operator, replace(base, heat_W=heat)), by_map, rtol=1e-9)
+        more = forced_history(operator, replace(base, heat_W=1.5 * heat), initial_force="zero")
+        assert sign * (more - forced_history(operator, base, initial_force="zero"))[-1, 0] > 0
+
+
+def test_total_features_see_the_measured_temperature_in_the_past():
+    operator = replace(random_operator(3, 2, scale=0.2, actuator=HEAT_MAP), feature_temperature="total")
+    history = make_history()
+    forced = forced_history(operator, history, initial_force="zero")
+    for t in range(history.n_steps):
+        x = np.array([history.T_zone_C[t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
+        drive = operator.modulation(x) * HEAT_MAP(history.u[t], history.T_out_C[t])
+        np.testing.assert_allclose(forced[t + 1], operator.poles * forced[t] + operator.gains * drive, atol=1e-12)
+    outlook = WorldModel(ThermalModel(operator), HoldLast()).outlook(Observation(history, make_boundary(history)))
+    fan = outlook.counterfactuals(np.array([0.0, 0.5, 1.0]))
+    one = forced_rollout(operator, outlook.forced_K, np.full(24, 0.5), outlook.features).sum(-1)
+    np.testing.assert_allclose(fan.forced_K[1], one, atol=1e-12)
+
+
+def test_any_arrangement_of_candidates_at_once(world):
+    history = make_history()
+    outlook = world.outlook(Observation(history, make_boundary(history)))
+    u = np.random.default_rng(5).uniform(0, 1, (3, 4, 24))
+    together = outlook.predict(u)
+    assert together.total_C.shape == (3, 4, 24)
+    effects = outlook.effect(u, u[0, 0])
+    for i in range(3):
+        for j in range(4):
+            alone = outlook.predict(u[i, j]).forced_K
+            np.testing.assert_allclose(together.forced_K[i, j], alone, atol=1e-12)
+            np.testing.assert_allclose(effects[i, j], alone - together.forced_K[0, 0], atol=1e-12)

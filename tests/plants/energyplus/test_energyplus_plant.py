@@ -1,0 +1,144 @@
+"""The engine as a plant: steps of a controller, its clock, its record, its end."""
+
+import multiprocessing
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError
+from thermoforce_mpc.plants.energyplus.engine import is_available
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+
+needs_engine = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
+HEATED, COOLED = load_testcase("energyplus:heating_chicago"), load_testcase("energyplus:cooling_phoenix")
+
+
+def plant_of(testcase):
+    from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
+
+    return EnergyPlusPlant(testcase)
+
+
+@needs_engine
+def test_it_is_a_plant_that_remembers_what_it_was_told():
+    with plant_of(HEATED) as plant:
+        assert isinstance(plant, Plant)
+        first = plant.reset(20.25 * DAY_S, 0.5 * DAY_S)
+        assert first.time_s == 20.25 * DAY_S
+        assert np.isnan(first.u)
+        assert plant.kpis() == dict.fromkeys(plant.kpis(), 0.0), "nothing counts before the warm-up is over"
+        warm = plant.advance(1.0, HOUR_S)
+        assert (warm.time_s, warm.u, warm.heat_W) == (20.25 * DAY_S + HOUR_S, 1.0, 4000.0)
+        assert warm.T_zone_C > first.T_zone_C + 1.0
+        cold = plant.advance(0.0, HOUR_S)
+        assert cold.T_zone_C < warm.T_zone_C - 1.0
+        assert cold.power_W == 0.0
+        native = plant.advance(None, 900.0)
+        past = plant.past(900.0)
+        assert past.n_steps == 12 * 4 + 9
+        assert past.time_s[-1] == native.time_s
+        assert (past.u[-9:-5] == 1.0).all()
+        assert (past.u[-5:-1] == 0.0).all()
+        assert past.T_zone_C[-1] == pytest.approx(native.T_zone_C)
+        kpis = plant.kpis()
+        # An hour at 4 kW of heat, at the efficiency of -10 to 5 °C outdoors, and nothing but the thermostat since.
+        assert 4.0 / 48 / 4.2 < kpis["ener_tot"] < 4.0 / 48 / 2.5
+        assert kpis["cost_tot"] == pytest.approx(0.2535 * kpis["ener_tot"])
+
+
+@needs_engine
+def test_electric_power_is_that_of_the_machine_described():
+    from thermoforce_mpc.plants.energyplus.plant import electric_power_W
+
+    heat = electric_power_W(HEATED.energyplus, "heating", np.array([4000.0]), np.array([-5.0]))
+    assert heat == pytest.approx(4000.0 * 40.0 / (0.40 * 308.15))
+    cold = electric_power_W(COOLED.energyplus, "cooling", np.array([-3500.0, -3500.0]), np.array([42.0, 15.0]))
+    assert cold == pytest.approx([3500.0 * 30.0 / (0.30 * 285.15), 3500.0 * 15.0 / (0.30 * 285.15)])
+
+
+@needs_engine
+def test_the_forecast_is_the_weather_that_comes_and_the_bounds_are_those_of_the_thermostat():
+    with plant_of(COOLED) as plant:
+        plant.reset(186 * DAY_S, 0.0)
+        outlook = plant.forecast(DAY_S, HOUR_S)
+        plant.advance(None, DAY_S)
+        came = plant.past(HOUR_S)
+        assert outlook.T_out_C == pytest.approx(came.T_out_C, abs=0.5)
+        assert np.abs(outlook.solar_W_m2 - came.solar_W_m2).max() < 60.0
+        assert outlook.upper_C[0] == 27.0
+        assert outlook.upper_C[12] == 25.0
+        assert (outlook.lower_C == 22.0).all()
+        day = came.T_zone_C[8:23]
+        assert np.abs(day - 24.7).mean() < 0.4, "the plant's own thermostat keeps inside the bound"
+        assert (came.heat_W <= 0.0).all()
+
+
+@needs_engine
+def test_the_same_actions_give_the_same_bits():
+    def run(plant):
+        plant.reset(20 * DAY_S, 6 * HOUR_S, "dynamic")
+        for u in (0.3, None, 0.8):
+            plant.advance(u, 900.0)
+        return plant.past(900.0)
+
+    with plant_of(HEATED) as plant:
+        a, b = run(plant), run(plant)
+        assert a.T_zone_C.tobytes() == b.T_zone_C.tobytes()
+        assert a.u.tobytes() == b.u.tobytes()
+
+
+@needs_engine
+def test_what_cannot_be_done_is_refused_and_the_process_ends_with_the_plant():
+    plant = plant_of(HEATED)
+    with pytest.raises(InputError, match="call reset"):
+        plant.advance(0.5, 900.0)
+    plant.reset(0.0, 0.0)
+    with pytest.raises(InputError, match="steps of 300 s"):
+        plant.advance(0.5, 450.0)
+    with pytest.raises(InputError, match="from 0 to 1"):
+        plant.advance(1.5, 900.0)
+    with pytest.raises(InputError, match="unknown tariff"):
+        plant.reset(0.0, 0.0, "free")
+    with pytest.raises(InputError, match="peak_heat_day"):
+        plant.period("peak_cool_day")
+    plant.reset(0.0, 0.0)
+    (process,) = multiprocessing.active_children()
+    process.kill()
+    with pytest.raises(PlantError, match=r"day 0.*reset the plant"):
+        plant.advance(0.5, 900.0)
+    plant.reset(0.0, 0.0)
+    plant.close()
+    plant.close()
+    assert not multiprocessing.active_children()
+
+
+@needs_engine
+def test_a_scenario_runs_to_its_end(tmp_path):
+    out = tmp_path / "run"
+    command = ["run", "--testcase", "energyplus:heating_chicago", "--period", "20", "--days", "0.25", "--quiet"]
+    done = CliRunner().invoke(cli, [*command, "--controller", "thermostat", "--baselines", "native", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert (out / "report.html").is_file()
+    assert not multiprocessing.active_children()
+
+
+def test_without_the_engine_it_says_what_to_install(monkeypatch):
+    from thermoforce_mpc.plants.energyplus import engine
+    from thermoforce_mpc.simulation import composition
+
+    monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
+    scenario = Scenario(testcase="energyplus:heating_chicago")
+    with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[energyplus\]'"):
+        composition.validate_scenario(scenario)
+
+
+def test_its_own_weather_is_not_replaced_in_silence():
+    from thermoforce_mpc.simulation.composition import validate_scenario
+
+    scenario = Scenario(testcase="energyplus:heating_chicago", plant={"weather": "Brussels.mos"})
+    with pytest.raises(ConfigError, match=r"plant\.weather"):
+        validate_scenario(scenario)

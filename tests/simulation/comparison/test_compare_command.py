@@ -1,0 +1,98 @@
+"""`tf-mpc compare` end to end: parallel processes, results kept, failures told apart, nothing run twice."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.simulation.comparison.cells import expand
+from thermoforce_mpc.simulation.comparison.store import Store
+from thermoforce_mpc.simulation.comparison.variants import Variant
+from thermoforce_mpc.simulation.comparison.worker import failure
+
+TESTCASE = "bestest_hydronic_heat_pump"
+
+
+def tf_mpc(*words: str):
+    return CliRunner().invoke(cli, list(words))
+
+
+def test_cells_run_once_failed_ones_again_and_the_rest_goes_on(tmp_path):
+    out, model = tmp_path / "comparison", tmp_path / "model"
+    model.mkdir()
+    (model / "manifest.json").write_text("not a model", encoding="utf-8")
+    contestants = {
+        "native": {"controller": "native"},
+        "thermostat": {"controller": "thermostat"},
+        "broken": {"controller": "rc_mpc", "identification": {"model": str(model)}},
+    }
+    variants = tmp_path / "mine.yaml"
+    variants.write_text(json.dumps({"variants": contestants, "windows": [44]}), encoding="utf-8")
+    call = ("compare", "--testcase", TESTCASE, "--variants", str(variants), "--days", "0.5", "--jobs", "2")
+    done = tf_mpc(*call, "--out", str(out))
+    assert done.exit_code == 3, done.output
+    assert done.output.count("FAILED  [") == 1
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    by_name = {row["controller"]: row for row in results["rows"]}
+    assert by_name["native"]["cost_tot"] > 0
+    assert by_name["thermostat"]["cost_tot"] > 0
+    assert by_name["broken"]["status"] == "failed"
+    assert str(model) in by_name["broken"]["reason"]
+    again = tf_mpc(*call, "--out", str(out))
+    assert again.exit_code == 3, again.output
+    assert "3 cells: 2 done before and kept, 1 to run" in again.output
+    del contestants["broken"]
+    variants.write_text(json.dumps({"variants": contestants, "windows": [44]}), encoding="utf-8")
+    without = tf_mpc(*call, "--out", str(out))
+    assert without.exit_code == 0, without.output
+    assert (out / "comparison.html").exists()
+
+
+def test_only_whole_and_finished_files_count_as_done(tmp_path):
+    (cell,) = expand(Scenario(testcase=TESTCASE), {"n": Variant(controller="native")}, ["44"], ["constant"])
+    store = Store(tmp_path)
+    assert store.finished(cell) is None
+    store.write(cell, failure(cell, "because"))
+    assert store.finished(cell) is None
+    store.cell_path(cell).write_text('{"format": 1, "key": "', encoding="utf-8")
+    assert store.finished(cell) is None
+    store.write(cell, failure(cell, "") | {"status": "done"})
+    assert store.finished(cell) is not None
+    (renamed,) = expand(Scenario(testcase=TESTCASE), {"m": Variant(controller="native")}, ["44"], ["constant"])
+    found = store.finished(renamed)
+    assert found is not None
+    assert found["variant"] == "m", "the same run under another name is the same run"
+    assert not [path for path in (tmp_path / "cells").iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--windows", "someday"), "someday"),
+        (("--prices", "cheap"), "unknown tariff 'cheap'"),
+        (("--controllers", "thermostat,thermostat"), "given twice"),
+        (("--forecast-uncertainty", "huge"), "unknown level 'huge'"),
+        (("--variants", "ablatio"), "ablatio"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_is_made(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    done = tf_mpc("compare", "--testcase", TESTCASE, *words)
+    assert message in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words, message in (
+        (("--over", "colour"), "no such numeric option"),
+        (("--values", "1,x"), "'x' is not a number"),
+        (("--values", ","), "--values"),
+    ):
+        done = tf_mpc("sweep", "--testcase", TESTCASE, *words)
+        assert message in str(done.exception), words
+    assert not list(tmp_path.iterdir())

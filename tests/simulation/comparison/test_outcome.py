@@ -1,0 +1,87 @@
+"""Who is best, who is beaten by nobody, and where a baseline wins: on figures worked out by hand."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import pytest
+
+from thermoforce_mpc.simulation.comparison.files import write_outcome
+from thermoforce_mpc.simulation.comparison.outcome import cost_targets, outcome_rows, verdicts
+
+
+def record(name: str, cost: float, discomfort: float, *, needs_model: bool, window: str = "44", **other) -> dict:
+    return {
+        "variant": name,
+        "controller": name,
+        "needs_model": needs_model,
+        "window": window,
+        "price": "constant",
+        "uncertainty": "none",
+        "status": "done",
+        "reason": "",
+        "kpis": {"cost_tot": cost, "tdis_tot": discomfort, "ener_tot": 3.0, "emis_tot": 0.5, "pele_tot": 0.02},
+        "ladder": {"solved": 90, "shifted": 2, "thermostat": 1, "rule": 3, "refused": 0},
+        "seconds": {"plan_median": 0.02, "controller": 2.0, "plant": 0.1},
+        "plant": {"kind": "embedded", "weather": "synthetic"},
+        "scenario": {"controller": {"options": {}}, "step_s": None, "identification": {}},
+        **other,
+    }
+
+
+RECORDS = [
+    record("ours", 0.60, 0.10, needs_model=True),
+    record("other mpc", 0.66, 0.30, needs_model=True),
+    record("thermostat", 0.65, 0.20, needs_model=False),
+    record("native", 0.90, 0.00, needs_model=False),
+]
+FAILED = record("broken", 0, 0, needs_model=True) | {"status": "failed", "reason": "no such file"}
+
+
+def test_best_front_and_fallbacks():
+    rows = {row["controller"]: row for row in outcome_rows([*RECORDS, FAILED])}
+    assert [name for name, row in rows.items() if row["best_cost"]] == ["ours"]
+    assert [name for name, row in rows.items() if row["best_discomfort"]] == ["native"]
+    assert [name for name, row in rows.items() if row["pareto"]] == ["ours", "native"]
+    assert rows["ours"]["fallbacks"] == 3
+    assert rows["broken"]["cost_tot"] is None
+
+
+def test_windows_are_judged_apart():
+    rows = outcome_rows([*RECORDS, record("thermostat", 0.1, 0.0, needs_model=False, window="58")])
+    assert sum(row["best_cost"] for row in rows) == 2
+
+
+def test_it_says_where_a_baseline_wins():
+    says = "\n".join(verdicts(outcome_rows(RECORDS)))
+    assert "baseline thermostat beats other mpc (0.6500 / 0.20 K·h against 0.6600 / 0.30 K·h)" in says
+    assert "baseline native is more comfortable than ours" in says
+    assert "beats ours" not in says
+
+
+def test_targets_compare_with_the_thermostat():
+    targets = {t.name.split("cost of ")[1]: t for t in cost_targets(outcome_rows(RECORDS))}
+    assert targets["ours over thermostat"].value == pytest.approx(0.60 / 0.65)
+    assert targets["ours over thermostat"].holds
+    assert not targets["other mpc over thermostat"].holds
+
+
+def test_the_files_tell_the_same(tmp_path):
+    result = write_outcome(tmp_path, [*RECORDS, FAILED], name="compare", title="A <title>", currency="EUR")
+    assert result["bench"] == "compare"
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text(encoding="utf-8"))))
+    assert [row["controller"] for row in rows] == ["ours", "other mpc", "thermostat", "native", "broken"]
+    assert float(rows[0]["cost_tot"]) == 0.60
+    table = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| ours (front) | 0.6000* | 0.10 |" in table
+    assert "failed: broken, 44, constant: no such file" in table
+    page = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    assert "A &lt;title&gt;" in page
+    assert "emulator" in page.lower()
+    assert "no such file" in page
+    for name in ("pareto.svg", "pareto.png"):
+        assert (tmp_path / name).stat().st_size > 5000
+    first = (tmp_path / "pareto.svg").read_bytes()
+    write_outcome(tmp_path, [*RECORDS, FAILED], name="compare", title="A <title>", currency="EUR")
+    assert (tmp_path / "pareto.svg").read_bytes() == first

@@ -1,0 +1,134 @@
+"""What is compared, and which runs count as the same run."""
+
+from __future__ import annotations
+
+import pytest
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.scenario.settings import named_configs
+from thermoforce_mpc.simulation.comparison.cells import expand
+from thermoforce_mpc.simulation.comparison.variants import (
+    Variant,
+    load_comparison,
+    numeric_option,
+    swept_variants,
+    variants_by_name,
+)
+
+TESTCASE = "bestest_hydronic_heat_pump"
+BASE = Scenario(testcase=TESTCASE, days=1)
+
+
+def keys(
+    variant: Variant, base: Scenario = BASE, window: str = "44", price: str = "constant"
+) -> tuple[str, str | None]:
+    (cell,) = expand(base, {"any name": variant}, [window], [price])
+    return cell.key, cell.learning_key
+
+
+@pytest.mark.parametrize("name", named_configs("comparisons"))
+def test_every_comparison_that_ships_is_valid(name):
+    file = load_comparison(name)
+    cells = expand(BASE, file.variants, file.windows, file.prices)
+    assert len(cells) == len(file.variants) * len(file.windows) * len(file.prices)
+    assert len({cell.key for cell in cells}) == len(cells), "two variants are the same run"
+
+
+def test_the_ablation_changes_one_part_at_a_time():
+    variants = load_comparison("ablation").variants
+    changed = [v for v in variants.values() if v.controller == "thermoforce_mpc" and (v.options or v.identification)]
+    assert len(changed) >= 8
+    parts = [{key.split("_")[0] for key in v.options} | set(v.identification) for v in changed]
+    assert all(len(part) == 1 for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("variants: {a: {controler: native}}", "controler"),
+        ("variants: {}", "variants"),
+        ("variants: {'a/b': {controller: native}}", "a/b"),
+        ("variants: {a: {controller: native}}\nprices: [cheap]", "prices"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_file_and_key(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as refused:
+        load_comparison(str(path))
+    assert message in str(refused.value)
+    assert str(path) in str(refused.value)
+
+
+def test_windows_may_be_day_numbers(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("variants: {a: {controller: native}}\nwindows: [44, peak_heat_day]", encoding="utf-8")
+    assert load_comparison(str(path)).windows == ("44", "peak_heat_day")
+
+
+def test_names_given_twice_unknown_or_missing_are_refused():
+    with pytest.raises(ConfigError, match="did you mean 'thermostat'"):
+        variants_by_name(["thermostatt"], None)
+    with pytest.raises(ConfigError, match="given twice"):
+        variants_by_name(["native"], load_comparison("ablation"))
+    with pytest.raises(ConfigError, match="nothing to compare"):
+        variants_by_name([], None)
+
+
+def test_a_wrong_option_names_its_variant_before_anything_runs():
+    with pytest.raises(ConfigError, match=r"(?s)variant 'b': .*horizon_hours"):
+        expand(BASE, {"b": Variant(controller="rc_mpc", options={"horizon_hours": 3})}, ["44"], ["constant"])
+
+
+def test_a_run_is_known_by_what_decides_it_not_by_its_name():
+    plain = keys(Variant(controller="thermoforce_mpc"))
+    assert plain == keys(Variant(controller="thermoforce_mpc"))
+    dearer = keys(Variant(controller="thermoforce_mpc", options={"objective": {"comfort_weight": 9}}))
+    assert dearer[0] != plain[0]
+    assert dearer[1] == plain[1], "options of the controller play no part in learning"
+    priced = keys(Variant(controller="thermoforce_mpc"), price="dynamic")
+    assert priced[0] != plain[0]
+    assert priced[1] == plain[1]
+    elsewhere = keys(Variant(controller="thermoforce_mpc"), window="45")
+    assert elsewhere[0] != plain[0]
+    assert elsewhere[1] != plain[1]
+    learned = keys(Variant(controller="thermoforce_mpc", identification={"options": {"order": 1}}))
+    assert learned[0] != plain[0]
+    assert learned[1] != plain[1]
+    assert keys(Variant(controller="native"))[1] is None
+
+
+def test_weather_counts_by_content_not_by_place(tmp_path):
+    (tmp_path / "a.csv").write_text("x", encoding="utf-8")
+    (tmp_path / "b.csv").write_text("x", encoding="utf-8")
+    (tmp_path / "c.csv").write_text("y", encoding="utf-8")
+
+    def key(name: str) -> str:
+        base = Scenario(testcase=TESTCASE, days=1, plant={"prices_file": str(tmp_path / name)})
+        return keys(Variant(controller="native"), base, price="highly_dynamic")[0]
+
+    assert key("a.csv") == key("b.csv") != key("c.csv")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        key("d.csv")
+
+
+def test_an_option_is_found_by_its_last_word():
+    assert numeric_option("thermoforce_mpc", "comfort_weight") == "objective.comfort_weight"
+    assert numeric_option("thermoforce_mpc", "horizon_h") == "horizon_h"
+    with pytest.raises(ConfigError, match="more than one"):
+        numeric_option("thermoforce_mpc", "tolerance")
+    with pytest.raises(ConfigError, match="did you mean 'kp'"):
+        numeric_option("pi", "kpp")
+
+
+def test_a_sweep_is_one_variant_per_value():
+    testcase = load_testcase(TESTCASE)
+    swept = swept_variants("pi", "kp", [0.5, 1.0], testcase)
+    assert {name: v.options for name, v in swept.items()} == {"pi kp=0.5": {"kp": 0.5}, "pi kp=1": {"kp": 1}}
+    with pytest.raises(ConfigError, match="twice"):
+        swept_variants("pi", "kp", [1.0, 1.0], testcase)
+    with pytest.raises(ConfigError, match="finite"):
+        swept_variants("pi", "kp", [float("nan")], testcase)
+    with pytest.raises(ConfigError, match="kp"):
+        swept_variants("pi", "kp", [-1.0], testcase)

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simple_house import SimpleHouse
+
+from thermoforce_mpc.data import HOUR_S, Block, Plan, PlanStatus
+from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
+
+
+def plan(*blocks: Block) -> Plan:
+    return Plan(blocks, PlanStatus.RULE, "test")
+
+
+class Fixed:
+    name, step_s, horizon_s = "fixed", HOUR_S, 2 * HOUR_S
+
+    def __init__(self, *blocks: Block) -> None:
+        self.blocks, self.seen = blocks, []
+
+    def plan(self, observation):
+        self.seen.append(observation)
+        return plan(*self.blocks)
+
+
+@pytest.mark.parametrize("u", [float("nan"), float("inf"), -0.01, 1.01])
+def test_an_unfit_level_never_reaches_the_plant(u):
+    house = SimpleHouse()
+    result = run_closed_loop(house, Fixed(Block(0.5, 1800.0), Block(u, 1800.0)), house.period("x"))
+    assert {level for level, _ in house.applied} == {None}
+    assert result.ladder()["refused"] == len(result.steps) == 48
+    assert "native control instead" in result.steps[0].refused
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_unfit_duration_is_replaced_by_one_step_of_native_control(duration):
+    blocks, why = checked_blocks(plan(Block(0.5, duration)), HOUR_S, 10 * HOUR_S)
+    assert blocks == (Block(None, HOUR_S),)
+    assert why
+
+
+def test_an_empty_plan_is_one_step_of_native_control():
+    assert checked_blocks(plan(), HOUR_S, 10 * HOUR_S)[0] == (Block(None, HOUR_S),)
+
+
+def test_blocks_are_cut_at_the_end_of_the_window():
+    blocks, why = checked_blocks(plan(Block(1.0, 1800.0), Block(0.0, 1800.0)), HOUR_S, 2000.0)
+    assert blocks == (Block(1.0, 1800.0), Block(0.0, 200.0))
+    assert not why
+
+
+def test_the_history_holds_step_means_and_grows_by_one_step_each_time():
+    house = SimpleHouse()
+    controller = Fixed(Block(1.0, 900.0), Block(0.0, 2700.0))
+    result = run_closed_loop(house, controller, house.period("x"))
+    lengths = [seen.history.n_steps for seen in controller.seen]
+    assert lengths == list(range(48, 96)), "two days of warm-up, then one step a plan"
+    last = controller.seen[-1].history
+    np.testing.assert_allclose(last.u[48:], 0.25)
+    np.testing.assert_allclose(np.diff(last.time_s), HOUR_S)
+    assert last.T_zone_C[-1] == controller.seen[-1].T_zone_C == result.steps[-1].T_zone_C
+
+
+def test_samples_carry_the_bounds_and_price_in_force():
+    house = SimpleHouse()
+    result = run_closed_loop(house, Fixed(Block(0.0, HOUR_S)), house.period("x"))
+    at = {round((s.start_s % 86400) / HOUR_S): s.lower_C for s in result.samples[:24]}
+    assert (at[6], at[8], at[19], at[20]) == (21.0, 15.0, 15.0, 21.0)
+
+
+def test_a_failing_plant_ends_the_run_but_not_the_record():
+    house = SimpleHouse(fail_at_s=10.5 * 86400)
+    seen = []
+    with pytest.raises(PlantError, match="lost its connection"):
+        run_closed_loop(house, Fixed(Block(0.0, HOUR_S)), house.period("x"), on_step=seen.append)
+    assert len(seen) == 12

@@ -1,0 +1,7 @@
+"""Weather of a year: files (.mos, .epw), a synthetic default, the sun's position, and irradiance on tilted planes."""
+
+from thermoforce_mpc.boundary.weather.readers import load_weather
+from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
+from thermoforce_mpc.boundary.weather.year import Weather
+
+__all__ = ["Weather", "load_weather", "synthetic_weather"]

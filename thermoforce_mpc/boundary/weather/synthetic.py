@@ -1,0 +1,97 @@
+"""A deterministic temperate-maritime weather year, for users who have no file. Synthetic, and always named so.
+
+Not a place: seasonal and daily cycles, passing weather systems and clouds with the statistics of a north-west European
+coast. Figures next to a measured year are in docs/weather.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2
+from thermoforce_mpc.boundary.weather.solar import sun_position
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+
+_HOURS = 8760
+# Share of Haurwitz' clear sky that a hazy maritime sky lets through.
+_TURBIDITY = 0.86
+_LATITUDE, _LONGITUDE, _ZONE = 51.0, 4.5, 1.0
+
+
+def synthetic_weather(seed: int = 0) -> Weather:
+    """The synthetic year of `seed`: same seed, same bytes."""
+    rng = np.random.default_rng(seed)
+    hour = np.arange(float(_HOURS))
+    day = hour / 24.0
+    # Slow systems of some days, and fronts of half a day.
+    systems = 3.1 * _periodic_noise(rng, 90.0) + 1.2 * _periodic_noise(rng, 14.0)
+    cover = _cover(rng)
+    clear = 1.0 - cover
+    season = -np.cos(2.0 * np.pi * (day - 20.0) / 365.0)  # coldest around 20 January
+    # The daily swing grows with the sun and shrinks under cloud.
+    swing = (1.2 + 3.2 * (season + 1.0) / 2.0) * (0.35 + 1.1 * clear)
+    cycle = np.cos(2.0 * np.pi * (hour % 24 - 15.0) / 24.0)
+    # Clear winter weather is cold, clear summer weather warm.
+    T_dry = 10.3 + 7.0 * season + systems + swing * cycle + 4.0 * (clear - 0.35) * season
+    depression = np.clip(1.2 + 3.0 * clear + 2.5 * np.maximum(cycle, 0) * (season + 1.2) / 2.2, 0.3, 12.0)
+    wind = np.clip(3.9 - 0.7 * season + 1.9 * _periodic_noise(rng, 16.0) + 0.5 * cycle, 0.0, 20.0)
+    wind_from = np.mod(np.deg2rad(235.0) + 1.0 * _periodic_noise(rng, 40.0), 2.0 * np.pi)
+    pressure = 101_300.0 + 900.0 * _periodic_noise(rng, 70.0)
+    global_, normal, diffuse = _radiation(hour, cover)
+    return Weather(
+        name=f"synthetic temperate-maritime year (seed {seed})",
+        latitude_deg=_LATITUDE,
+        longitude_deg=_LONGITUDE,
+        timezone_h=_ZONE,
+        T_dry_C=np.round(T_dry, 1),
+        T_dew_C=np.round(T_dry - depression, 1),
+        global_W_m2=np.round(global_),
+        normal_W_m2=np.round(normal),
+        diffuse_W_m2=np.round(diffuse),
+        wind_m_s=np.round(wind, 1),
+        wind_from_rad=wind_from,
+        opaque_cover=np.round(cover, 1),
+        pressure_Pa=np.round(pressure, -2),
+    )
+
+
+def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:
+    """Gaussian noise of unit variance, correlated over `hours`, that joins itself at the turn of the year."""
+    frequency = np.fft.rfftfreq(_HOURS)
+    # Spectrum of a first-order process, drawn in the frequency domain so that the series is periodic.
+    amplitude = 1.0 / np.sqrt(1.0 + (2.0 * np.pi * frequency * hours) ** 2)
+    amplitude[0] = 0.0
+    spectrum = amplitude * (rng.standard_normal(amplitude.size) + 1j * rng.standard_normal(amplitude.size))
+    noise = np.fft.irfft(spectrum, _HOURS)
+    return np.asarray(noise / noise.std())
+
+
+def _cover(rng: np.random.Generator) -> Array:
+    """Opaque cover, 0 to 1: often overcast, sometimes clear, little in between."""
+    state = 0.85 * _periodic_noise(rng, 18.0) + 0.5 * _periodic_noise(rng, 4.0) + 0.55
+    return np.asarray(np.clip(0.5 + 0.55 * np.tanh(1.3 * state), 0.0, 1.0))
+
+
+def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
+    """Means over the hour that ends at each row: clear-sky after Haurwitz (1945), thinned by cover, split by clearness.
+
+    Cover factor after Kasten and Czeplak (1980); diffuse share after Erbs, Klein and Duffie (1982).
+    """
+    minutes = (np.arange(6) + 0.5) * 600.0 - HOUR_S
+    time_s = hour[:, None] * HOUR_S + minutes[None, :]
+    sun = sun_position(np.mod(time_s, 365 * DAY_S), _LATITUDE, _LONGITUDE, _ZONE)
+    cos_zenith = np.maximum(np.cos(sun.zenith), 0.0)
+    global_ = (_TURBIDITY * clear_sky_W_m2(sun) * (1.0 - 0.75 * cover[:, None] ** 3.4)).mean(axis=1)
+    cos_mean = cos_zenith.mean(axis=1)
+    clearness = np.clip(global_ / np.maximum(1367.0 * cos_mean, 1.0), 0.0, 0.85)
+    diffuse_share = np.where(
+        clearness <= 0.22,
+        1.0 - 0.09 * clearness,
+        0.9511 - 0.1604 * clearness + 4.388 * clearness**2 - 16.638 * clearness**3 + 12.336 * clearness**4,
+    )
+    diffuse = global_ * np.where(clearness > 0.8, 0.165, diffuse_share)
+    # With the sun at the horizon all light is diffuse: the quotient below would blow up.
+    normal = np.where(cos_mean > 0.04, (global_ - diffuse) / np.maximum(cos_mean, 0.04), 0.0)
+    diffuse = np.where(cos_mean > 0.04, diffuse, global_)
+    return global_, np.clip(normal, 0.0, 1000.0), diffuse

@@ -1,0 +1,119 @@
+"""One year of weather at hourly rows, read between the rows as the BOPTEST test case does."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from scipy.interpolate import Akima1DInterpolator
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.errors import WeatherError
+
+YEAR_S = 365 * DAY_S
+_HOURS = 8760
+_KELVIN = 273.15
+_STEFAN_BOLTZMANN = 5.670374419e-8
+# Rows of radiation are means over the hour that ends there; read half an hour ahead they are centred on their hour.
+_RADIATION_SHIFT_S = 1800.0
+_RADIATION = ("global_W_m2", "normal_W_m2", "diffuse_W_m2")
+
+# What a row may hold: (lowest, highest) per column.
+_LIMITS = {
+    "T_dry_C": (-70.0, 60.0),
+    "T_dew_C": (-80.0, 50.0),
+    "global_W_m2": (0.0, 1500.0),
+    "normal_W_m2": (0.0, 1500.0),
+    "diffuse_W_m2": (0.0, 1000.0),
+    "wind_m_s": (0.0, 60.0),
+    "wind_from_rad": (0.0, 2 * np.pi + 1e-9),
+    "opaque_cover": (0.0, 1.0),
+    "pressure_Pa": (50_000.0, 110_000.0),
+}
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Hourly rows of a year, all arrays of shape (8760,), the first row at 1 January 00:00 local standard time.
+
+    `T_dry_C`, `T_dew_C` °C; global horizontal, direct normal and diffuse horizontal irradiance W/m² (means over the
+    hour that ends at the row); `wind_m_s`; `wind_from_rad` clockwise from north; `opaque_cover` 0 to 1; `pressure_Pa`.
+
+    Raises:
+        WeatherError: a column has the wrong length, a value that is not finite, or one out of its physical range.
+    """
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    timezone_h: float
+    T_dry_C: Array
+    T_dew_C: Array
+    global_W_m2: Array
+    normal_W_m2: Array
+    diffuse_W_m2: Array
+    wind_m_s: Array
+    wind_from_rad: Array
+    opaque_cover: Array
+    pressure_Pa: Array
+    _splines: dict[str, Akima1DInterpolator] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            if item.name not in _LIMITS:
+                continue
+            column = np.array(getattr(self, item.name), dtype=np.float64)
+            if column.shape != (_HOURS,):
+                raise WeatherError(f"{self.name}: {item.name} has {column.size} rows, a year has {_HOURS}")
+            low, high = _LIMITS[item.name]
+            bad = np.flatnonzero(~((column >= low) & (column <= high)))
+            if bad.size:
+                hour = int(bad[0])
+                raise WeatherError(
+                    f"{self.name}: {item.name} is {column[hour]:g} at day {hour // 24 + 1}, hour {hour % 24}, expected "
+                    f"{low:g} to {high:g} ({bad.size} such rows); repair the file or use another"
+                )
+            column.setflags(write=False)
+            object.__setattr__(self, item.name, column)
+
+    @property
+    def fingerprint(self) -> str:
+        """Twelve hexadecimal digits that tell these values and this place from any other, whatever the file's form."""
+        digest = hashlib.sha256()
+        place = np.array([self.latitude_deg, self.longitude_deg, self.timezone_h])
+        for values in (place, *(getattr(self, name) for name in _LIMITS)):
+            digest.update((np.round(values, 6) + 0.0).astype("<f8").tobytes())  # adding zero turns -0.0 into 0.0
+        return digest.hexdigest()[:12]
+
+    def at(self, column: str, time_s: Array) -> Array:
+        """`column` at `time_s` (s since 1 January, periodic over the year), any shape, by smooth interpolation.
+
+        Akima's spline is what Modelica's `ContinuousDerivative` tables use; radiation is clipped at zero.
+        """
+        shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
+        values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
+        low, high = _LIMITS[column]
+        return np.asarray(np.clip(values, low, high))
+
+    def _spline(self, column: str) -> Akima1DInterpolator:
+        """Kept once made: it costs more than reading a horizon from it."""
+        if column not in self._splines:
+            rows = getattr(self, column)
+            # Three rows beyond either end make the spline periodic.
+            padded = np.concatenate([rows[-3:], rows, rows[:4]])
+            self._splines[column] = Akima1DInterpolator((np.arange(padded.size) - 3) * HOUR_S, padded)
+        return self._splines[column]
+
+    def sky_temperature_C(self, time_s: Array) -> Array:
+        """Black-body sky temperature from dew point, dry bulb and opaque cover, °C.
+
+        Clear-sky emissivity and cover factor after Clark and Allen (1978) and Walton (1983), as in EnergyPlus'
+        engineering reference and the IBPSA Modelica library.
+        """
+        dew_K = self.at("T_dew_C", time_s) + _KELVIN
+        tenths = 10.0 * self.at("opaque_cover", time_s)
+        clear = 0.787 + 0.764 * np.log(dew_K / _KELVIN)
+        emissivity = clear * (1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3)
+        dry_K = self.at("T_dry_C", time_s) + _KELVIN
+        return np.asarray(dry_K * emissivity**0.25 - _KELVIN)

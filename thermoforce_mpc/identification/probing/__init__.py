@@ -1,0 +1,1 @@
+"""Probing a building: which levels, when, and the closed run that applies them."""

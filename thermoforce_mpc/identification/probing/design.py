@@ -1,0 +1,140 @@
+"""Choosing what to probe with: the candidate from which most can be learned (D-optimal, Fedorov 1972).
+
+What is to be learned are the time constants and gains of the forced response; what the weather, drift and the state
+before the record add is unknown too and integrated out, exactly as the joint estimator does it afterwards. With the
+sensitivities S of the temperature to the parameters, that covariance C and the parameters' prior covariance P, a
+candidate is worth log det(I + P^½ Sᵀ C⁻¹ S P^½), over the record so far and the hours it would add: twice the
+information gained, in nats. All of it is computed from priors, so no data of the building are needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, History
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.likelihood import residuals
+from thermoforce_mpc.identification.modes import ModePriors, mode_priors, unit_responses
+from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.regression_data import run_episode
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
+
+# Step of the derivative with respect to ln τ.
+_STEP = 0.02
+# Share of full actuation that holds a house at its temperature, until the record tells.
+_HOLDING_SHARE = 0.3
+# Steps of the record from which its own mean action is that share.
+_KNOWN_FROM = 48
+# Rows that are compared: hourly, as the answer to an action takes hours.
+_ROW_H = 1.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to go on: holding times to draw from, and the seed of the draws."""
+
+    law: Law
+    seed: tuple[int, ...]
+
+
+class Designer:
+    """Values candidates for one building before and while it is probed.
+
+    Args:
+        config: the identification that will use the record; its priors and disturbances.
+    """
+
+    def __init__(self, config: IdentificationConfig | None = None) -> None:
+        self._config = config or IdentificationConfig()
+        order = max(self._config.orders())
+        self._priors = mode_priors(order, self._config, IDENTITY, None)
+
+    def choose(
+        self,
+        history: History,
+        ahead: Boundary,
+        excitation: Excitation,
+        candidates: list[Candidate],
+        *,
+        centre_C: float,
+        sign: float,
+    ) -> tuple[Candidate, Array]:
+        """The best candidate for the hours of `ahead`, and what each is worth.
+
+        Args:
+            history: the record so far, one instant or more.
+            ahead: weather of the next hours, at the step of the record.
+            excitation: where the drawing stands.
+            candidates: what to choose from.
+            centre_C: centre of the excursions, °C.
+            sign: +1 heating, −1 cooling.
+
+        Returns:
+            The candidate, and the criterion of each, shape (len(candidates),).
+        """
+        past = history.n_steps
+        step_s = ahead.step_s
+        weather = [
+            np.concatenate([getattr(history, name), getattr(ahead, name)[1:]])
+            for name in ("time_s", "T_out_C", "solar_W_m2")
+        ]
+        n = past + ahead.n_steps
+        nothing = np.zeros(n)
+        planned = History(weather[0], np.zeros(n + 1), weather[1], weather[2], nothing, nothing, nothing)
+        whitener, rows = self._whitener(planned, step_s)
+        holding = float(history.u.mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
+        start_K = sign * (centre_C - float(history.T_zone_C[-1]))
+        worth = []
+        for candidate in candidates:
+            going_on = excitation.resumed(candidate.law, candidate.seed)
+            levels = self._imagined(going_on, ahead.n_steps, step_s, start_K, holding)
+            worth.append(self._criterion(np.concatenate([history.u, levels]), step_s, whitener, rows))
+        return candidates[int(np.argmax(worth))], np.array(worth)
+
+    def information(self, history: History) -> float:
+        """The criterion of a record, nats."""
+        whitener, rows = self._whitener(history, history.step_s)
+        return self._criterion(history.u, history.step_s, whitener, rows)
+
+    def _whitener(self, history: History, step_s: float) -> tuple[Array, Array]:
+        """Lower Cholesky factor of C over hourly rows, and those rows; C does not depend on what is done."""
+        stride = max(1, round(_ROW_H * HOUR_S / step_s))
+        time_s, T_out, solar = (getattr(history, k)[::stride] for k in ("time_s", "T_out_C", "solar_W_m2"))
+        nothing = np.zeros(time_s.size - 1)
+        # Every temperature is planned to be measured.
+        hourly = History(time_s, np.zeros(time_s.size), T_out, solar, nothing, nothing, nothing)
+        rest = residuals(run_episode(hourly, IDENTITY, self._config), self._priors.log_tau)
+        return cholesky(rest.covariance, lower=True), np.arange(time_s.size) * stride
+
+    def _criterion(self, u: Array, step_s: float, whitener: Array, rows: Array) -> float:
+        sensitivities = solve_triangular(whitener, self._sensitivities(u, step_s)[rows], lower=True)
+        return float(np.linalg.slogdet(np.eye(sensitivities.shape[1]) + sensitivities.T @ sensitivities)[1])
+
+    def _sensitivities(self, u: Array, step_s: float) -> Array:
+        """dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
+        p: ModePriors = self._priors
+        sd = p.gains_at(p.log_tau)[1]
+        gains = unit_responses(p.log_tau, step_s, u) * sd
+        slower = []
+        for i in range(p.order):
+            shift = np.zeros(p.order)
+            shift[i] = _STEP
+            # The rate of the slowest mode is what is known, so its gain goes with its time constant.
+            up, down = (
+                unit_responses(p.log_tau + d, step_s, u) @ p.gains_at(p.log_tau + d)[0] for d in (shift, -shift)
+            )
+            slower.append((up - down) / (2.0 * _STEP) * p.log_tau_sd)
+        return np.concatenate([gains, np.stack(slower, axis=1)], axis=1)
+
+    def _imagined(self, excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
+        """Levels that an excitation would come to, were the building its prior and the weather to hold, shape (n,)."""
+        p = self._priors
+        unit = unit_responses(p.log_tau, step_s, np.eye(1, n)[0]) @ p.gains_at(p.log_tau)[0]
+        levels, rise = np.zeros(n), np.zeros(n + 1)
+        for t in range(n):
+            levels[t] = excitation.next(start_K - rise[t])
+            rise[t + 1 :] += (levels[t] - holding) * unit[1 : n + 1 - t]
+        return levels

@@ -1,0 +1,60 @@
+"""Fracast-0: 85 001 pretrained parameters in the wheel of the optional package `fracast` (Apache-2.0)."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
+from thermoforce_mpc.model.free_response.checks import LEVELS
+
+if TYPE_CHECKING:
+    from torch import nn
+
+# More at once are slower: a hundred series make tensors that the system hands out and takes back page by page, which
+# takes three times as long as all the arithmetic.
+_AT_ONCE = 8
+
+
+class FracastBackbone:
+    """`Backbone` by `fracast` with its full-precision weights; sees the series alone, unrolls beyond 48 steps."""
+
+    def __init__(self) -> None:
+        """Load the weights of the wheel; raises `BackboneError` when the package is absent or damaged."""
+        if importlib.util.find_spec("fracast") is None:
+            raise BackboneError("backbone 'fracast': the package is not installed; run `pip install fracast`")
+        try:
+            from fracast import FracastModel
+
+            self._model = FracastModel.from_pretrained(weights="fp32")
+        except Exception as error:  # whatever its readers of JSON and safetensors raise
+            raise BackboneError(
+                f"backbone 'fracast': its weights cannot be loaded: {type(error).__name__}: {error}; reinstall it"
+            ) from error
+        if not np.allclose(self._model.quantiles, LEVELS):
+            raise BackboneError(f"backbone 'fracast': its quantiles are {self._model.quantiles}, expected 0.1 ... 0.9")
+
+    @property
+    def label(self) -> str:
+        """What it is, for reports."""
+        return "Fracast-0"
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights."""
+        return (self._model.core, self._model.head)
+
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """See `Backbone.quantiles_C`."""
+        found: list[Array] = []
+        for first in range(0, len(contexts), _AT_ONCE):
+            some = contexts[first : first + _AT_ONCE]
+            steps = [len(context.ahead_weather) for context in some]
+            values = self._model.forecast_batch(padded_series(some), horizon=max(steps))
+            found += [np.asarray(value[:n].T, dtype=np.float64) for value, n in zip(values, steps, strict=True)]
+        return found

@@ -1,0 +1,186 @@
+"""Find a backbone by name: 'shipped' (or a smaller scale), 'fracast', a directory, or one on the Hugging Face hub.
+
+Every failure is a `BackboneError` that says what was wrong and what to do, at once: no minutes of retries without a
+network, and no quietly random weights where a file lacks tensors.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.model.free_response.backbones.base import Backbone
+
+if TYPE_CHECKING:
+    from torch import nn
+
+SHIPPED = "shipped"
+FRACAST = "fracast"
+_WEIGHTS = "model.safetensors"
+_HUB_TIMEOUT_S = 5.0
+# The forecaster to use, and smaller scales of it for comparison (`tf-mpc bench backbones`).
+_SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
+SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
+
+
+def load_backbone(name: str) -> Backbone:
+    """Load a backbone, frozen: evaluation mode and no gradients.
+
+    Args:
+        name: one of `SHIPPED_SCALES`, 'fracast', a directory with config.json and weights of Chronos-Bolt or
+            Chronos-2, or a hub name such as 'amazon/chronos-bolt-small'.
+
+    Raises:
+        BackboneError: nothing of that name, damaged or incomplete weights, hub out of reach, or another kind of model.
+    """
+    backbone = _fracast() if name == FRACAST else _chronos(name)
+    for module in backbone.modules:
+        module.eval().requires_grad_(False)
+    return backbone
+
+
+def shipped_folder(name: str = SHIPPED) -> Path:
+    """Where a shipped checkpoint, one of `SHIPPED_SCALES`, lies."""
+    return Path(
+        str(
+            resources.files("thermoforce_mpc.model.free_response.backbones").joinpath("weights", _SHIPPED_FOLDERS[name])
+        )
+    )
+
+
+def parameter_count(modules: Sequence[nn.Module]) -> int:
+    """Number of weights; tensors that are shared count once."""
+    tensors = {p.data_ptr(): p.numel() for module in modules for p in module.parameters()}
+    return sum(tensors.values())
+
+
+def _fracast() -> Backbone:
+    from thermoforce_mpc.model.free_response.backbones.fracast import FracastBackbone
+
+    return FracastBackbone()
+
+
+def _chronos(name: str) -> Backbone:
+    shipped = name in SHIPPED_SCALES
+    folder = shipped_folder(name) if shipped else Path(name).expanduser()
+    if shipped or folder.exists() or name.startswith((".", "/", "~")):
+        if not (folder / "config.json").is_file():
+            raise BackboneError(
+                f"backbone {folder}: no config.json there; give the directory of a Chronos-Bolt or Chronos-2 checkpoint"
+            )
+        pipeline = _pipeline(name, str(folder), local=True)
+        weights = folder / _WEIGHTS
+    else:
+        if name.count("/") != 1:
+            raise BackboneError(
+                f"backbone '{name}': neither a directory nor a hub name; use one of {', '.join(SHIPPED_SCALES)}, "
+                f"{FRACAST}, a directory, or a name like 'amazon/chronos-bolt-small'"
+            )
+        # What was downloaded before needs no network, and stays the version it was.
+        cached = _cached(name, "config.json") is not None and _cached(name, _WEIGHTS) is not None
+        if not cached:
+            _check_hub(name)
+        pipeline = _pipeline(name, name, local=cached)
+        weights = _cached(name, _WEIGHTS) or Path()
+    _check_weights(name, pipeline.model, weights)
+    return _wrapped(name, pipeline)
+
+
+def _label(name: str) -> str:
+    if name not in SHIPPED_SCALES:
+        return f"Chronos-Bolt '{name}'"
+    scale = name.removeprefix(SHIPPED).replace("_", " ")
+    return f"shipped{scale} Bolt checkpoint, trained on synthetic series only"
+
+
+def _wrapped(name: str, pipeline: Any) -> Backbone:
+    family = type(pipeline).__name__
+    levels = getattr(pipeline, "quantiles", [])
+    # Outside the levels it was trained for the library clamps, and the interval would be too narrow unnoticed.
+    if family in {"ChronosBoltPipeline", "Chronos2Pipeline"} and not (min(levels) <= 0.1 and max(levels) >= 0.9):
+        raise BackboneError(f"backbone '{name}': trained for the quantiles {levels}; 0.1 to 0.9 are needed")
+    if family == "ChronosBoltPipeline":
+        from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+
+        return BoltBackbone(pipeline, _label(name))
+    if family == "Chronos2Pipeline":
+        from thermoforce_mpc.model.free_response.backbones.chronos2 import Chronos2Backbone
+
+        return Chronos2Backbone(pipeline, f"Chronos-2 '{name}' with weather")
+    raise BackboneError(f"backbone '{name}' is a {family}; Chronos-Bolt and Chronos-2 are supported")
+
+
+def _pipeline(name: str, source: str, *, local: bool) -> Any:
+    import torch
+    from chronos import BaseChronosPipeline
+    from transformers.utils import logging as transformers_logging
+
+    bars = transformers_logging.is_progress_bar_enabled()
+    transformers_logging.disable_progress_bar()
+    try:
+        return BaseChronosPipeline.from_pretrained(
+            source, device_map="cpu", dtype=torch.float32, local_files_only=local
+        )
+    except Exception as error:  # the libraries below raise anything from KeyError to their own types
+        reason = " ".join(str(error).split())[:300]
+        raise BackboneError(
+            f"backbone '{name}': {source} cannot be loaded ({type(error).__name__}: {reason}); "
+            "download or copy the checkpoint again, or use backbone: shipped"
+        ) from error
+    finally:
+        if bars:
+            transformers_logging.enable_progress_bar()
+
+
+def _check_weights(name: str, model: Any, file: Path) -> None:
+    """Refuse weights that are not finite, or that the file lacks: the library would draw those at random."""
+    import torch
+
+    state = model.state_dict()
+    broken = [key for key, value in state.items() if not bool(torch.isfinite(value).all())]
+    if broken:
+        raise BackboneError(f"backbone '{name}': weights of {broken[0]} are not finite; the checkpoint is damaged")
+    if not file.is_file():
+        return  # an older format (pickle, shards), for which the library has no such list
+    from safetensors import safe_open
+
+    with safe_open(str(file), framework="pt") as content:
+        stored = set(content.keys())
+    filled = {state[key].data_ptr() for key in stored & set(state)}
+    missing = [key for key, value in state.items() if key not in stored and value.data_ptr() not in filled]
+    if missing:
+        raise BackboneError(
+            f"backbone '{name}': {file} lacks {len(missing)} of {len(state)} weights, first {missing[0]}; "
+            "the checkpoint is incomplete"
+        )
+
+
+def _cached(name: str, file: str) -> Path | None:
+    from huggingface_hub import try_to_load_from_cache
+
+    found = try_to_load_from_cache(name, file)
+    return Path(found) if isinstance(found, str) else None
+
+
+def _check_hub(name: str) -> None:
+    """Fail at once when the hub does not answer, instead of after the library's many retries."""
+    import requests
+
+    endpoint = os.environ.get("HF_ENDPOINT", "https://huggingface.co").rstrip("/")
+    advice = "download it where there is a network and give its directory, or use backbone: shipped"
+    if os.environ.get("HF_HUB_OFFLINE", "").upper() in {"1", "TRUE", "YES", "ON"}:
+        raise BackboneError(f"backbone '{name}' is not in the local cache and HF_HUB_OFFLINE is set; {advice}")
+    try:
+        answer = requests.head(
+            f"{endpoint}/{name}/resolve/main/config.json", timeout=_HUB_TIMEOUT_S, allow_redirects=True
+        )
+    except requests.RequestException as error:
+        raise BackboneError(
+            f"backbone '{name}': {endpoint} cannot be reached ({type(error).__name__}); {advice}"
+        ) from error
+    if answer.status_code >= 400:
+        raise BackboneError(f"backbone '{name}': {endpoint} answers {answer.status_code}; check the name, or {advice}")

@@ -1,0 +1,154 @@
+"""A frozen time-series foundation model on the control-free series T − F (paper eq:compose), never trained here."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
+from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
+from thermoforce_mpc.model.free_response.multi_resolution import FEWEST_VALUES, View, merged, own_view, views_of
+from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.scenario.settings import suggestion
+
+if TYPE_CHECKING:
+    from torch import nn
+
+__all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
+
+# With less than a day of measurements a daily course cannot be known: persistence takes over and says so.
+_SHORTEST_HISTORY_S = DAY_S
+_SHORTEST_CONTEXT = 16
+_LOOKS = ("several", "one")
+
+
+class ChronosFreeResponse:
+    """`FreeResponse` by a frozen backbone: evaluation mode, no gradients, weights hashed on request."""
+
+    name = "chronos"
+
+    def __init__(self, backbone: str = SHIPPED, context_steps: int = 512, looks: str = "several") -> None:
+        """Load the weights.
+
+        Args:
+            backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
+            context_steps: how many values of the history a look shows the model at most (see `views.py`).
+            looks: 'several' at one series, or 'one' at its own step, unrolled where needed (the paper's way).
+
+        Raises:
+            ConfigError: `context_steps` is less than the 16 a patch has, or `looks` is neither of the two.
+            BackboneError: see `load_backbone`.
+        """
+        if context_steps < _SHORTEST_CONTEXT:
+            raise ConfigError(
+                f"context_steps is {context_steps}: backbones read patches of {_SHORTEST_CONTEXT}, give at least that"
+            )
+        if looks not in _LOOKS:
+            raise ConfigError(f"looks is '{looks}'{suggestion(looks, _LOOKS)}: choose one of {', '.join(_LOOKS)}")
+        self.backbone, self._looks = backbone, looks
+        self._context_steps = context_steps
+        self._model = load_backbone(backbone)
+        self._short = Persistence()
+
+    @property
+    def label(self) -> str:
+        """What it is, for reports."""
+        return self._model.label
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """All that has weights."""
+        return self._model.modules
+
+    def weight_hash(self) -> str:
+        """SHA-256 over names, shapes and values of all weights: equal before and after a run, since they are frozen."""
+        digest = hashlib.sha256()
+        for index, module in enumerate(self._model.modules):
+            for name, tensor in sorted(module.state_dict().items()):
+                digest.update(f"{index}.{name}{tuple(tensor.shape)}".encode())
+                digest.update(tensor.detach().cpu().contiguous().float().numpy().tobytes())
+        return digest.hexdigest()
+
+    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`. NaN gaps are passed to the model as they are, nothing is filled in.
+
+        Raises:
+            DataError: no value was ever measured, history and forecast differ in step, or the model's answer is not
+                finite.
+        """
+        return self.forecast_many([(free_C, history, boundary)])[0]
+
+    def forecast_many(self, tasks: Sequence[tuple[Array, History, Boundary]]) -> list[FreeForecast]:
+        """Forecasts for several buildings, or from several instants, in one pass through the model.
+
+        Each task is what `forecast` takes, and fails or falls back as it would there. Raises what `forecast` raises.
+        """
+        import torch
+
+        answers: list[FreeForecast | None] = []
+        views: list[list[View]] = []
+        for free_C, history, boundary in tasks:
+            free = checked_free(free_C, history)
+            if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
+                raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
+            why = self._too_little(free, boundary.step_s)
+            answers.append(self._persistence(free, history, boundary, why) if why else None)
+            if not why:
+                views.append(self._views(free, history, boundary))
+        if views:
+            with _one_thread(), torch.inference_mode():
+                found = iter(self._model.quantiles_C([view.context for looks in views for view in looks]))
+            of_task = iter(views)
+            for index, (_, _, boundary) in enumerate(tasks):
+                if answers[index] is None:
+                    looks = next(of_task)
+                    quantiles = merged(looks, [next(found) for _ in looks])
+                    answers[index] = self._checked(np.sort(quantiles, axis=0), boundary)
+        return [answer for answer in answers if answer is not None]
+
+    def _too_little(self, free: Array, step_s: float) -> str:
+        """Why persistence must take over, or nothing."""
+        context = free[-self._context_steps :]
+        known, seen_values = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
+        # A day has this many steps, and one more boundary.
+        if known < round(_SHORTEST_HISTORY_S / step_s) + 1:
+            return f"only {(known - 1) * step_s / HOUR_S:g} h of history measured"
+        if seen_values < FEWEST_VALUES:
+            return f"only {seen_values} of the last {context.size} values were measured"
+        return ""
+
+    def _views(self, free: Array, history: History, boundary: Boundary) -> list[View]:
+        past = np.stack([history.T_out_C, history.solar_W_m2], axis=1)
+        ahead = np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:]
+        longest = self._context_steps
+        if self._looks == "one":
+            return [own_view(free, past, ahead, longest)]
+        return views_of(free, past, ahead, boundary.step_s, longest)
+
+    def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
+        if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
+            raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
+        return FreeForecast(LEVELS, quantiles, self.label)
+
+    def _persistence(self, free: Array, history: History, boundary: Boundary, why: str) -> FreeForecast:
+        short = self._short.forecast(free, history, boundary)
+        return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread: sums in one order give the same bits, and such small models gain nothing by more."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,190 @@
+"""A physics-constrained linear free model of the weather, fitted to the control-free history at every call.
+
+Parallel first-order modes at fixed time constants (paper eq:free-evol with q poles), driven by outdoor temperature and
+sunlight, and a daily wave. Outdoor temperature and sun can only warm (weights ≥ 0), and in the long run a zone without
+control follows the outdoors one to one (a prior, not a constraint: neighbours and ground may hold it). With the poles
+fixed the *simulated* course is linear in what is unknown, so the fit is a convex bounded least-squares problem over the
+whole history, not over one-step changes: it is the 24-hour course that has to be right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
+from scipy.signal import lfilter
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
+
+# From a room's air to a massive structure, h.
+TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
+SHORTEST_HISTORY_S = DAY_S
+# Weights of the priors in units of one squared kelvin of misfit; the data have hundreds of them.
+_RIDGE_WEATHER = 0.1
+_RIDGE_WAVE = 1.0
+_RIDGE_START = 0.01
+_LONG_RUN_GAIN_WEIGHT = 5.0
+# Irradiance enters in units that make its weights of the order of one: 100 W/m2.
+_SOLAR_UNIT_W_M2 = 100.0
+_SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """The fitted model over history and horizon.
+
+    `past_C` (n + 1,) is its simulated course over the history, `ahead_C` (N,) over the horizon, both °C, without any
+    correction by what was measured last; `weights` are its parameters in the order of the columns.
+    """
+
+    past_C: Array
+    ahead_C: Array
+    weights: Array
+
+
+def fit_linear_weather(
+    free_C: Array, history: History, boundary: Boundary, disturbance_h: float | None = None
+) -> LinearFit:
+    """Fit to the finite values of `free_C` (n + 1,) and simulate on over the weather of `boundary`.
+
+    Args:
+        free_C: control-free temperature at the boundaries of `history`, °C.
+        history: its weather.
+        boundary: the weather ahead.
+        disturbance_h: None takes what the weather does not explain for independent errors (ordinary least squares); a
+            number takes it for a disturbance that is forgotten in so many hours (generalised least squares with
+            first-order autocorrelation), so that a few days off the model's course do not bend its answer to weather.
+
+    Raises:
+        DataError: less than a day of history, weather that is not finite, or history and forecast of different steps.
+    """
+    step_s = boundary.step_s
+    if history.n_steps * step_s < SHORTEST_HISTORY_S:
+        raise DataError(f"linear weather model needs a day of history, got {history.n_steps * step_s / HOUR_S:g} h")
+    if abs(history.step_s - step_s) > 1e-6:
+        raise DataError(f"history at {history.step_s:g} s and forecast at {step_s:g} s differ in step")
+    time_s = np.concatenate([history.time_s, boundary.time_s[1:]])
+    T_out = np.concatenate([history.T_out_C, boundary.T_out_C[1:]])
+    solar = np.concatenate([history.solar_W_m2, boundary.solar_W_m2[1:]])
+    for name, values in (("T_out_C", T_out), ("solar_W_m2", solar)):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise DataError(f"linear weather model: {name} is not finite at step {bad[0]} ({bad.size} such)")
+    columns, bounded, ridge = _columns(time_s, T_out, solar, step_s)
+    rows, targets = _equations(columns[: free_C.size], free_C, disturbance_h, step_s)
+    modes = TIME_CONSTANTS_H.size
+    # Columns 0..modes-1 are the outdoor gains: their sum is the long-run gain.
+    long_run = np.zeros(columns.shape[1])
+    long_run[:modes] = _LONG_RUN_GAIN_WEIGHT
+    A = np.vstack([rows, np.diag(np.sqrt(ridge)), long_run])
+    b = np.concatenate([targets, np.zeros(ridge.size), [_LONG_RUN_GAIN_WEIGHT]])
+    weights = _bounded_least_squares(A, b, bounded)
+    course = columns @ weights
+    return LinearFit(course[: free_C.size], course[free_C.size :], weights)
+
+
+def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_s: float) -> tuple[Array, Array]:
+    """Rows and right-hand sides for the known values; with a disturbance each is whitened by the one before.
+
+    Whitened rows keep the disturbance's own variance as their unit, so the priors weigh the same in both.
+    """
+    known = np.flatnonzero(np.isfinite(free_C))
+    rows, targets = columns[known], free_C[known]
+    if disturbance_h is None:
+        return rows, targets
+    # Across a gap the disturbance has been forgotten for as long as the gap is.
+    kept = np.exp(-np.diff(known) * step_s / HOUR_S / disturbance_h)
+    unit = 1.0 / np.sqrt(1.0 - kept**2)
+    whitened = unit[:, None] * (rows[1:] - kept[:, None] * rows[:-1])
+    return (
+        np.concatenate([rows[:1], whitened]),
+        np.concatenate([targets[:1], unit * (targets[1:] - kept * targets[:-1])]),
+    )
+
+
+def _bounded_least_squares(A: Array, b: Array, bounded: NDArray[np.bool_]) -> Array:
+    """The weights with the least |A w − b|, those of the `bounded` columns ≥ 0, exactly.
+
+    By way of the normal equations, since there are thousands of rows and few columns; the ridge rows of A make them
+    positive definite. With the free columns first in the triangle, the bounded ones are a nonnegative least-squares
+    problem of their own, and the free ones follow.
+    """
+    order = np.argsort(bounded, kind="stable")
+    free = int((~bounded).sum())
+    R = cholesky(A[:, order].T @ A[:, order])
+    z = solve_triangular(R, A[:, order].T @ b, trans="T")
+    above, _ = nnls(R[free:, free:], z[free:])
+    weights = np.empty(bounded.size)
+    weights[order[free:]] = above
+    weights[order[:free]] = solve_triangular(R[:free, :free], z[:free] - R[:free, free:] @ above)
+    return weights
+
+
+class LinearWeather:
+    """`FreeResponse` by the fitted linear model; the last deviation from it fades as past ones did."""
+
+    name = "linear_weather"
+
+    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`; raises what `fit_linear_weather` raises."""
+        free = checked_free(free_C, history)
+        fit = fit_linear_weather(free, history, boundary)
+        residual = free - fit.past_C
+        n = boundary.n_steps
+        fading = _fading(residual, n, boundary.step_s)
+        latest = np.flatnonzero(np.isfinite(residual))[-1]
+        # A silent sensor's last deviation has been fading since.
+        age = residual.size - 1 - latest
+        tail = np.concatenate([fading, np.full(age, fading[-1])])[age:]
+        center = fit.ahead_C + residual[latest] * tail
+        errors = np.full((residual.size, n), np.nan)
+        for lead in range(1, min(n, residual.size - 1) + 1):
+            errors[: residual.size - lead, lead - 1] = residual[lead:] - fading[lead - 1] * residual[:-lead]
+        note = "linear model of outdoor temperature and sun"
+        return FreeForecast(LEVELS, quantiles_from_errors(center, errors), note)
+
+
+def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Simulated answer to one unit of every unknown, (n + N + 1, p); which must be ≥ 0 and ridge weights, (p,)."""
+    poles = np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H)
+    hour_angle = 2 * np.pi * time_s / DAY_S
+    drives = np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1)
+    mean = 0.5 * (drives[:-1] + drives[1:])
+    first = drives[0] * np.array([1.0, 0.0])
+    states = np.empty((time_s.size, poles.size, 2))
+    states[0] = first
+    for mode, pole in enumerate(poles):
+        states[1:, mode] = lfilter([1.0 - pole], [1.0, -pole], mean, axis=0, zi=pole * first[None])[0]
+    waves = [f(k * hour_angle) for k in (1, 2) for f in (np.cos, np.sin)]
+    start = poles[None, :] ** np.arange(time_s.size)[:, None]
+    columns = np.concatenate(
+        [states[:, :, 0], states[:, :, 1], np.stack([np.ones(time_s.size), *waves], axis=1), start], axis=1
+    )
+    q = poles.size
+    bounded = np.arange(columns.shape[1]) < 2 * q
+    ridge = np.concatenate(
+        [np.full(2 * q, _RIDGE_WEATHER), [0.0], np.full(len(waves), _RIDGE_WAVE), np.full(q, _RIDGE_START)]
+    )
+    return columns, bounded, ridge
+
+
+def _fading(residual: Array, n: int, step_s: float) -> Array:
+    """exp(−lead / τ), shape (n,): of a few τ the one that would have forecast the past residuals best up to 24 h."""
+    leads = np.arange(1, n + 1)
+    hours = leads * step_s / HOUR_S
+    best, least = np.zeros(n), np.inf
+    for tau_h in _SHORT_TAU_H:
+        fading = np.exp(-hours / tau_h)
+        loss = 0.0
+        for lead in leads[:: max(1, n // 8)]:
+            if lead < residual.size:
+                gap = residual[lead:] - fading[lead - 1] * residual[:-lead]
+                loss += float(np.mean(np.abs(gap[np.isfinite(gap)]))) if np.isfinite(gap).any() else 0.0
+        if loss < least:
+            best, least = fading, loss
+    return best

@@ -1,0 +1,24 @@
+"""Persistence: it stays as it is. The floor every forecaster has to beat, and what takes over when history is short."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
+
+
+class Persistence:
+    """The last finite value of the control-free series; quantiles from its own past changes over each lead time."""
+
+    name = "persistence"
+
+    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`; raises `DataError` when no value was ever measured."""
+        free = checked_free(free_C, history)
+        n = boundary.n_steps
+        last = free[np.flatnonzero(np.isfinite(free))[-1]]
+        errors = np.full((free.size, n), np.nan)
+        for lead in range(1, min(n, free.size - 1) + 1):
+            errors[: free.size - lead, lead - 1] = free[lead:] - free[:-lead]
+        return FreeForecast(LEVELS, quantiles_from_errors(np.full(n, last), errors), "persistence")

@@ -1,0 +1,183 @@
+"""The linear, weather-driven free response of the grey-box model (paper eq:free-evol), with q parallel modes.
+
+z_i(t+1) = a_i z_i(t) + c_i T_out(t) + d_i I_sol(t) + e_i and T_free = Σ z_i. One mode is the paper's (a, c, d, e); a
+building with a slab needs two. What the sun does depends on where it stands and people come and go by the clock, so
+irradiance and constant may also carry a daily wave (their weights are zero in the paper's form). The modes are not
+measured: a Kalman filter (Kalman 1960) estimates them from the control-free history, skips silent sensors, and its
+covariance gives the quantiles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.stats import norm
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.errors import DataError
+
+LEVELS = np.arange(1, 10) / 10.0
+
+INPUTS: tuple[str, ...] = (
+    "outdoor",
+    "solar",
+    "constant",
+    "solar_cosine",
+    "solar_sine",
+    "daily_cosine",
+    "daily_sine",
+    "solar_squared",
+)
+"""What drives the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the day from noon, and
+irradiance²/300 W/m²: a clear sky sends most of it straight through a window, a grey one does not."""
+
+_SQUARE_W_M2 = 300.0
+
+# How uncertain the modes are before the first measurement, K: a building's temperature is known to some ten degrees.
+_PRIOR_SD_K = 10.0
+
+
+@dataclass(frozen=True)
+class RcParameters:
+    """The free part of the grey-box model.
+
+    Attributes:
+        poles: a_i, shape (q,), in (0, 1) per step.
+        weights: shape (q, 8), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
+        step_s: length of a step, s.
+        process_sd_K: what the weather does not explain, per mode and step, shape (q,), K.
+        sensor_sd_K: noise of the temperature sensor, K.
+
+    Raises:
+        DataError: a shape or value is not allowed; the message names the field.
+    """
+
+    poles: Array
+    weights: Array
+    step_s: float
+    process_sd_K: Array
+    sensor_sd_K: float = 0.02
+
+    def __post_init__(self) -> None:
+        q = np.size(self.poles)
+        for item in fields(self):
+            if item.name in ("step_s", "sensor_sd_K"):
+                continue
+            array = np.array(getattr(self, item.name), dtype=np.float64)
+            shape = (q, len(INPUTS)) if item.name == "weights" else (q,)
+            if array.shape != shape or q == 0 or not np.isfinite(array).all():
+                raise DataError(
+                    f"free model: {item.name} is {array.tolist()}, expected finite numbers of shape {shape}"
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, item.name, array)
+        if not ((self.poles > 0) & (self.poles < 1)).all():
+            raise DataError(f"free model: poles {self.poles.tolist()} leave (0, 1)")
+        if not (self.step_s > 0 and self.sensor_sd_K > 0 and (self.process_sd_K >= 0).all()):
+            raise DataError("free model: step_s and sensor_sd_K must be positive, process_sd_K nonnegative")
+
+    @property
+    def order(self) -> int:
+        """Number of modes q."""
+        return int(self.poles.size)
+
+    @property
+    def time_constants_h(self) -> Array:
+        """−step / ln(a_i), shape (q,), h."""
+        return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
+
+    def resampled(self, step_s: float) -> RcParameters:
+        """The same model at another step: exact where the weather is constant over the longer of the two steps."""
+        ratio = step_s / self.step_s
+        if ratio == 1.0:
+            return self
+        poles = self.poles**ratio
+        scale = (1.0 - poles) / (1.0 - self.poles)
+        # Variance of an AR(1) sum over the step keeps the stationary spread of the mode.
+        spread = np.sqrt((1.0 - poles**2) / (1.0 - self.poles**2))
+        return RcParameters(
+            poles=poles,
+            weights=self.weights * scale[:, None],
+            step_s=step_s,
+            process_sd_K=self.process_sd_K * spread,
+            sensor_sd_K=self.sensor_sd_K,
+        )
+
+    def drive(self, time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
+        """What enters each mode in each of n steps, shape (n, q), K; weather sampled at the n + 1 boundaries."""
+        return weather_inputs(time_s, T_out_C, solar_W_m2) @ self.weights.T
+
+
+def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
+    """`INPUTS` over n steps, shape (n, 8): means of the samples at both ends of each step, arguments (n + 1,)."""
+    T_out, solar = (0.5 * (np.asarray(x)[:-1] + np.asarray(x)[1:]) for x in (T_out_C, solar_W_m2))
+    time_s = np.asarray(time_s)
+    # Angle of the clock at mid-step, zero at noon.
+    angle = 2.0 * np.pi * (0.5 * (time_s[:-1] + time_s[1:]) / DAY_S - 0.5)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    square = solar**2 / _SQUARE_W_M2
+    return np.stack([T_out, solar, np.ones_like(T_out), solar * cosine, solar * sine, cosine, sine, square], axis=1)
+
+
+class RcFreeResponse:
+    """`FreeResponse` by the grey-box model: filter the control-free history, then follow the weather forecast."""
+
+    name = "rc"
+
+    def __init__(self, params: RcParameters) -> None:
+        self._params = params
+
+    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`.
+
+        Raises:
+            DataError: `free_C` does not belong to `history`, has no finite value, or the weather has gaps.
+        """
+        free_C = np.asarray(free_C, dtype=np.float64)
+        if free_C.shape != history.time_s.shape:
+            raise DataError(f"control-free history has shape {free_C.shape}, the history {history.time_s.shape}")
+        if not np.isfinite(free_C).any():
+            raise DataError("control-free history has no finite value: the temperature sensor was silent throughout")
+        past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
+        mean, covariance = _filter(past, free_C, history)
+        ahead = self._params.resampled(boundary.step_s)
+        drive = ahead.drive(boundary.time_s, boundary.T_out_C, boundary.solar_W_m2)
+        if not np.isfinite(drive).all():
+            raise DataError("weather forecast has values that are not finite")
+        n = boundary.n_steps
+        center, spread = np.empty(n), np.empty(n)
+        for t in range(n):
+            mean, covariance = _predict(ahead, mean, covariance, drive[t])
+            center[t], spread[t] = mean.sum(), np.sqrt(covariance.sum())
+        quantiles = center + norm.ppf(LEVELS)[:, None] * spread
+        note = f"linear free model of order {ahead.order}, weather-driven"
+        return FreeForecast(levels=LEVELS, quantiles_C=quantiles, note=note)
+
+
+def _predict(params: RcParameters, mean: Array, covariance: Array, drive: Array) -> tuple[Array, Array]:
+    a = params.poles
+    return a * mean + drive, a[:, None] * covariance * a[None, :] + np.diag(params.process_sd_K**2)
+
+
+def _filter(params: RcParameters, free_C: Array, history: History) -> tuple[Array, Array]:
+    """Mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
+    q = params.order
+    first = free_C[np.isfinite(free_C)][0]
+    drive = params.drive(history.time_s, history.T_out_C, history.solar_W_m2)
+    if not np.isfinite(drive).all():
+        raise DataError("weather of the history has values that are not finite")
+    # Start from the steady state under the first day's weather, shifted so that the modes add up to what was measured.
+    day = max(1, min(len(drive), round(24 * HOUR_S / params.step_s)))
+    mean = drive[:day].mean(axis=0) / (1.0 - params.poles) if len(drive) else np.full(q, first / q)
+    mean = mean + (first - mean.sum()) / q
+    covariance = np.eye(q) * _PRIOR_SD_K**2
+    for t, value in enumerate(free_C):
+        if np.isfinite(value):
+            gain = covariance.sum(axis=1) / (covariance.sum() + params.sensor_sd_K**2)
+            mean = mean + gain * (value - mean.sum())
+            covariance = covariance - np.outer(gain, covariance.sum(axis=0))
+            covariance = 0.5 * (covariance + covariance.T)
+        if t < len(drive):
+            mean, covariance = _predict(params, mean, covariance, drive[t])
+    return mean, covariance

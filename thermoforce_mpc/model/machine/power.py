@@ -1,0 +1,167 @@
+"""Total electric power as a function of the action: a fixed part while on, a part that follows u, both with T_out.
+
+P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor where
+the return water's temperature is measured (`return_water.py`). A model without the fixed part believes that running
+slowly is cheap; on a machine with losses that do not scale with speed that costs a controller a quarter of the energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.model.machine.load_regression import (
+    LEAST_W,
+    MISFIT,
+    EndValues,
+    Quality,
+    Steps,
+    levels_to_try,
+    usable_steps,
+)
+from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_water
+from thermoforce_mpc.model.operator.heat_input import OnLoad
+
+
+@dataclass(frozen=True)
+class SlopePrior:
+    """What is believed about (1/load) · d load/d T_out before measuring: mean and standard deviation, 1/K.
+
+    A few days of one season say little about it, and the days to be planned for are colder or warmer.
+    """
+
+    mean_per_K: float
+    sd_per_K: float
+
+
+POWER_SLOPE = SlopePrior(0.0, 0.015)
+"""Electric power at a given speed hardly depends on the outdoor temperature."""
+
+
+@dataclass(frozen=True)
+class LoadFit:
+    """A fitted load and how good it is."""
+
+    load: OnLoad
+    quality: Quality
+
+
+@dataclass(frozen=True)
+class PowerModel:
+    """P(u, T_out, T_return) in W with the quality of its fit; `load.coefficients` are (c0 … c3).
+
+    `water` says how the power follows the return water; None where that was not measured.
+    """
+
+    load: OnLoad
+    rmse_W: float = float("nan")
+    r2: float = float("nan")
+    source: str = "given"
+    water: ReturnWater | None = None
+
+    def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
+        """Mean electric power over a step for `u` in [0, 1] at `T_out_C` and return water at `T_return_C` °C, W.
+
+        Shapes broadcast. Where the return temperature is NaN it is taken to be the one of the fit.
+        """
+        return np.asarray(self.load(u, T_out_C) * self._factor(T_return_C))
+
+    def parts(self, T_out_C: Array, T_return_C: Array | float = float("nan")) -> tuple[Array, Array]:
+        """The part that is fixed while on and the part per unit of u, both W; see `OnLoad.parts`."""
+        fixed, per_u = self.load.parts(T_out_C)
+        factor = self._factor(T_return_C)
+        return np.asarray(fixed * factor), np.asarray(per_u * factor)
+
+    def at_lowest_level(self, lowest_level: float) -> PowerModel:
+        """The same machine actuated with another lowest level, see `OnLoad.at_lowest_level`."""
+        return replace(self, load=self.load.at_lowest_level(lowest_level))
+
+    @property
+    def coefficients(self) -> tuple[float, float, float, float]:
+        """(c0, c1, c2, c3) in W, W/K, W, W/K."""
+        return self.load.coefficients
+
+    def _factor(self, T_return_C: Array | float) -> Array:
+        T_return = np.asarray(T_return_C, dtype=np.float64)
+        return np.ones_like(T_return) if self.water is None else self.water.factor(T_return)
+
+
+def fit_power(
+    histories: Sequence[History], *, lowest_level: float | None = None, slope: SlopePrior = POWER_SLOPE
+) -> PowerModel:
+    """Fit the power model to the measured power of probes; see `fit_load` for arguments and errors."""
+    u, T_out, power, T_return, T_zone = (
+        np.concatenate([values(history) for history in histories])
+        for values in (
+            lambda h: h.u,
+            lambda h: h.T_out_C[:-1],
+            lambda h: h.power_W,
+            lambda h: h.T_return_C,
+            lambda h: h.T_zone_C[:-1],
+        )
+    )
+
+    def fit(factor: Array) -> LoadFit:
+        what = "electric power"
+        return fit_load(u, T_out, power, what=what, lowest_level=lowest_level, slope=slope, factor=factor)
+
+    plain = fit(np.ones_like(u))
+    full_W = float(np.nanmax(power))
+    water = fit_return_water(
+        T_return, T_zone, u, lambda factor: fit(factor).quality.rmse_W ** 2 * plain.quality.n_running, full_W=full_W
+    )
+    found = plain if water is None else fit(water.factor(T_return))
+    quality = found.quality
+    return PowerModel(found.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
+
+
+def fit_load(
+    u: Array,
+    T_out_C: Array,
+    load_W: Array,
+    *,
+    what: str,
+    lowest_level: float | None = None,
+    slope: SlopePrior | None = None,
+    factor: Array | None = None,
+) -> LoadFit:
+    """Least squares for `OnLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
+
+    Args:
+        u: mean control over each step, shape (n,), in [0, 1].
+        T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
+        load_W: measured mean load over each step, shape (n,), W; NaN where silent.
+        what: name of the load for messages.
+        lowest_level: level below which the machine switches. By default both an on/off machine (1, where fixed and
+            proportional part are one) and one with the lowest level in the data are tried, and the better fit kept.
+        slope: prior on the dependence on T_out; none by default.
+        factor: what the load is known to be multiplied by in each step, shape (n,); 1 by default.
+
+    Raises:
+        DataError: fewer than ten usable steps, or the load was on in fewer than five.
+    """
+    steps = usable_steps(u, T_out_C, load_W, what)
+    times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]
+    fits = [_fit_at(steps, times, lowest, slope) for lowest in levels_to_try(steps, lowest_level)]
+    return min(fits, key=lambda fit: fit.quality.rmse_W)
+
+
+def _fit_at(steps: Steps, times: Array, lowest_level: float, slope: SlopePrior | None) -> LoadFit:
+    ends = EndValues.around(steps)
+    on, level = times * np.minimum(steps.u / lowest_level, 1.0), times * steps.u
+    carriers = [on, level] if lowest_level < 1.0 else [level]
+    design = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
+    full = float(np.max(steps.load_W[steps.running]))
+    rows: list[Array] = [design / (MISFIT * full)]
+    values: list[Array] = [steps.load_W / (MISFIT * full)]
+    if slope is not None:
+        # Zero, give or take; the load's own size sets the scale.
+        per_part = slope.sd_per_K * full / len(carriers)
+        rows.append(np.asarray(np.kron(np.eye(len(carriers)), ends.sloping(slope.mean_per_K)) / per_part))
+        values.append(np.zeros(len(carriers)))
+    solution = lsq_linear(np.concatenate(rows), np.concatenate(values), bounds=(LEAST_W, np.inf)).x
+    return LoadFit(ends.load(solution, lowest_level), Quality.of(design @ solution, steps))

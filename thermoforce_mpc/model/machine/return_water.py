@@ -1,0 +1,95 @@
+"""How electric power follows the water that comes back from the emitters: a factor 1 + κ (T_return − reference).
+
+At a given level a heat pump draws more when it works against warmer water. The return temperature is measured, so κ is
+identified with the rest of the power; ahead it is not known, but it follows the zone: the floor that returns the water
+is as much warmer than the zone as it was on the day before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from thermoforce_mpc.data import DAY_S, Array, History
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, MISFIT
+
+# Fewer running steps than this with a measured return temperature cannot tell κ from the rest.
+_LEAST_STEPS = 20
+# One kelvin of lift is 2 to 3 % of a heat pump's efficiency, part of which shows in the heat and not in the power.
+_PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
+_BOUNDS_PER_K = (-0.02, 0.05)
+# How far beyond the temperatures seen the law is trusted, K.
+_TRUST_K = 5.0
+
+
+@dataclass(frozen=True)
+class ReturnWater:
+    """Electric power is multiplied by `factor(T_return_C)`.
+
+    `per_K` is κ in 1/K, `reference_C` °C the return temperature at which the load was fitted, `range_C` °C where the
+    law holds (held beyond), `above_zone_K` by how much the running machine's return water was warmer than the zone.
+    """
+
+    per_K: float
+    reference_C: float
+    range_C: tuple[float, float]
+    above_zone_K: float
+
+    def factor(self, T_return_C: Array) -> Array:
+        """Factor on the power at `T_return_C` °C; 1 where it is NaN (not measured)."""
+        T = np.clip(T_return_C, *self.range_C)
+        return np.where(np.isfinite(T), 1.0 + self.per_K * (T - self.reference_C), 1.0)
+
+    def expected_C(self, history: History, T_zone_C: Array) -> Array:
+        """Return temperature to be expected where the zone is at `T_zone_C` °C and the machine runs, same shape, °C.
+
+        As far above the zone as in the running steps of the last day of `history`, or of the identification where it
+        did not run or was not measured.
+        """
+        if history.n_steps:
+            last_day = history.tail(max(1, round(DAY_S / history.step_s)))
+            above_K = above_zone(last_day.T_return_C, last_day.T_zone_C[:-1], last_day.u)
+        else:
+            above_K = float("nan")
+        return np.asarray(T_zone_C + (above_K if np.isfinite(above_K) else self.above_zone_K))
+
+
+def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
+    """Mean of return minus zone temperature over running steps, weighted by u, K; NaN where nothing was measured."""
+    weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > LEVEL_EDGE), u, 0.0)
+    if not weight.sum() > 0:
+        return float("nan")
+    return float(np.average(np.nan_to_num(T_return_C - T_zone_C), weights=weight))
+
+
+def fit_return_water(
+    T_return_C: Array, T_zone_C: Array, u: Array, misfit_of: Callable[[Array], float], full_W: float
+) -> ReturnWater | None:
+    """κ by least squares with a prior, or None where too few running steps have a measured return temperature.
+
+    Args:
+        T_return_C: mean over each step, (n,), °C; T_zone_C: at the start of each step, (n,), °C; u: (n,).
+        misfit_of: sum of squared misfits in W² of the load fitted to the measured power over factors (n,) given.
+        full_W: scale of the power, W: a step's power is believed to `MISFIT` of it, as in `fit_load`.
+    """
+    known = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
+    if known.sum() < _LEAST_STEPS:
+        return None
+    low, high = float(T_return_C[known].min()), float(T_return_C[known].max())
+    reference = float(np.average(T_return_C[known], weights=u[known]))
+    above_K = above_zone(T_return_C, T_zone_C, u)
+    if not np.isfinite(above_K):
+        return None
+
+    def water(per_K: float) -> ReturnWater:
+        return ReturnWater(per_K, reference, (low - _TRUST_K, high + _TRUST_K), above_K)
+
+    def loss(per_K: float) -> float:
+        prior = ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
+        return misfit_of(water(per_K).factor(T_return_C)) / (MISFIT * full_W) ** 2 + prior
+
+    found = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
+    return water(float(found.x))

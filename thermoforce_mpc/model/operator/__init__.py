@@ -1,0 +1,28 @@
+"""The forced-response operator: what an action adds to the zone temperature. Imports neither torch nor casadi."""
+
+from thermoforce_mpc.model.operator.certificate import Certificate, certificate
+from thermoforce_mpc.model.operator.features import FEATURES, feature_matrix, time_of_day
+from thermoforce_mpc.model.operator.feedback import FeedbackBounds, feedback_bounds, modulation_slope
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap, OnLoad
+from thermoforce_mpc.model.operator.parameters import GAMMA, HIDDEN, OperatorParameters, linear_operator
+from thermoforce_mpc.model.operator.rollout import forced_rollout, marginal_effect
+
+__all__ = [
+    "FEATURES",
+    "GAMMA",
+    "HIDDEN",
+    "IDENTITY",
+    "ActuatorMap",
+    "Certificate",
+    "FeedbackBounds",
+    "OnLoad",
+    "OperatorParameters",
+    "certificate",
+    "feature_matrix",
+    "feedback_bounds",
+    "forced_rollout",
+    "linear_operator",
+    "marginal_effect",
+    "modulation_slope",
+    "time_of_day",
+]

@@ -1,0 +1,64 @@
+"""The trained operator as CasADi functions: the same equations, weights as constants, exact derivatives."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import casadi as ca
+
+from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
+from thermoforce_mpc.model.operator.heat_input import ActuatorMap, OnLoad
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+Expression = TypeVar("Expression", ca.SX, ca.MX)
+
+
+def on_load_expression(load: OnLoad, u: Expression, T_out_C: Expression) -> Expression:
+    """`load(u, T_out)` in W as an expression (elementwise), for delivered heat and for electric power."""
+    low, high = load.T_out_range_C
+    T = ca.fmin(ca.fmax(T_out_C, low), high)
+    c0, c1, c2, c3 = load.coefficients
+    # At lowest_level 1 the load is linear in u: no kink for the solver to stumble over.
+    on = u if load.lowest_level == 1.0 else ca.fmin(u / load.lowest_level, 1.0)
+    return on * (c0 + c1 * T) + u * (c2 + c3 * T)
+
+
+def actuator_expression(actuator: ActuatorMap, u: Expression, T_out_C: Expression) -> Expression:
+    """v(u, T_out) as an expression (elementwise)."""
+    if actuator.heat is None:
+        return u
+    return on_load_expression(actuator.heat, u, T_out_C) / actuator.reference_W
+
+
+def modulation_function(params: OperatorParameters) -> ca.Function:
+    """`m(x)` (paper eq:mod): x (4,) in physical units → scalar; use `.map(N)` for a horizon."""
+    x = ca.SX.sym("x", N_FEATURES)
+    normalised = (x - ca.DM(params.feature_mean)) / ca.DM(params.feature_scale)
+    hidden = ca.tanh(ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias))
+    output = ca.mtimes(ca.DM(params.output_weight).T, hidden) + params.output_bias
+    return ca.Function("modulation", [x], [1.0 + params.gamma * ca.tanh(output)], ["x"], ["m"])
+
+
+def step_function(params: OperatorParameters) -> ca.Function:
+    """`F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
+    F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
+    seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.sees_forced else x
+    drive = modulation_function(params)(seen) * actuator_expression(params.actuator, u, x[OUTDOOR])
+    F_next = ca.DM(params.poles) * F + ca.DM(params.gains) * drive
+    return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
+
+
+def rollout_function(params: OperatorParameters, n_steps: int) -> ca.Function:
+    """The forced response over `n_steps` steps as one function.
+
+    Inputs F0 (r,) K, u (n_steps,), X (4, n_steps) with x_t of each step in its column; outputs `modes` (r, n_steps) K
+    at the end of each step and `forced` (1, n_steps) K, their sum.
+    """
+    F0, u, X = ca.SX.sym("F0", params.order), ca.SX.sym("u", n_steps), ca.SX.sym("X", N_FEATURES, n_steps)
+    step = step_function(params)
+    columns, F = [], F0
+    for t in range(n_steps):
+        F = step(F, u[t], X[:, t])
+        columns.append(F)
+    modes = ca.horzcat(*columns)
+    return ca.Function("forced_rollout", [F0, u, X], [modes, ca.sum1(modes)], ["F0", "u", "X"], ["modes", "forced"])

@@ -1,0 +1,122 @@
+"""The certificate: what the weights at hand guarantee about the effect of an action (paper, proposition).
+
+For k = 1 … K, ∂F(t+k)/∂u(t) = m(x_t) · ∂v/∂u · Σ_i g_i a_i^(k−1). With a_i in (0, 1), an impulse response of one sign
+(see `operator.parameters` for why two conditions on the gains are enough), m inside [1 − γ, 1 + γ] and ∂v/∂u inside
+known bounds, the effect lies in an interval that never crosses zero, for any features.
+
+Where m sees the predicted zone temperature this form is lost; then the interval comes from `operator.feedback`, holds
+for the `n_steps` of the certificate, and may cross zero: such an operator is not certified.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.operator.feedback import feedback_bounds
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+# Share of the gains by which rounding may put a response below zero.
+_ROUNDING = 1e-8
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Proven bounds; `certified` only where every clause holds, `reasons` says which do not.
+
+    `feedback_slope_per_K` encloses v ∂m/∂T where the modulation sees the predicted temperature, else (0, 0).
+    """
+
+    certified: bool
+    sign: int
+    poles: tuple[float, ...]
+    modulation_bounds: tuple[float, float]
+    actuator_slope_bounds: tuple[float, float]
+    effect_low_K: tuple[float, ...]
+    effect_high_K: tuple[float, ...]
+    reasons: tuple[str, ...]
+    feature_temperature: str = "free"
+    feedback_slope_per_K: tuple[float, float] = (0.0, 0.0)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values, for the artifact."""
+        return {
+            "certified": self.certified,
+            "sign": self.sign,
+            "poles": list(self.poles),
+            "modulation_bounds": list(self.modulation_bounds),
+            "actuator_slope_bounds": list(self.actuator_slope_bounds),
+            "effect_low_K": list(self.effect_low_K),
+            "effect_high_K": list(self.effect_high_K),
+            "reasons": list(self.reasons),
+            "feature_temperature": self.feature_temperature,
+            "feedback_slope_per_K": list(self.feedback_slope_per_K),
+        }
+
+
+def modulation_interval(params: OperatorParameters) -> tuple[float, float]:
+    """Interval that contains m(x) for every x: the output layer sees hidden units inside [−1, 1], whatever they saw."""
+    reach = float(np.abs(params.output_weight).sum())
+    low, high = np.tanh(params.output_bias - reach), np.tanh(params.output_bias + reach)
+    return 1.0 + params.gamma * float(low), 1.0 + params.gamma * float(high)
+
+
+def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
+    """Prove the proposition for these weights over `n_steps` steps.
+
+    Raises:
+        DataError: `n_steps` is not positive.
+    """
+    if n_steps < 1:
+        raise DataError(f"certificate over {n_steps} steps: expected at least 1")
+    reasons: list[str] = []
+    if not ((params.poles > 0) & (params.poles < 1)).all():
+        reasons.append(f"a pole is outside (0, 1): {params.poles.tolist()}")
+    least, most, slope = _responses(params, n_steps)
+    if not (most > 0).any():
+        reasons.append(f"no action has an effect: gains {params.gains.tolist()}")
+    # A response through the free features is never below zero, by its form: rounding is cut off there.
+    refuted = ~(np.isfinite(least) & (least >= -_ROUNDING * np.abs(params.gains).sum()))
+    if refuted.any():
+        first = int(np.flatnonzero(refuted)[0])
+        reasons.append(
+            "the modulation sees the predicted temperature, and its slope "
+            f"(v dm/dT within [{slope[0]:.4g}, {slope[1]:.4g}] per K) could turn the effect of an action around: "
+            f"{first + 1} steps later it is only known to be {least[first]:.4g} K or more in the direction "
+            "of the sign; use features: free, or a smaller gamma or modulation_sd"
+        )
+    m_low, m_high = modulation_interval(params)
+    if m_low <= 0:
+        reasons.append(f"the modulation can reach {m_low:g}")
+    v_low, v_high = params.actuator.slope_bounds()
+    if v_low < 0:
+        reasons.append(f"the actuator map falls with u (slope {v_low:g})")
+    # Times a nonnegative interval of m ∂v/∂u; where the response itself may be negative, so may its product be.
+    weak = np.where(least < 0, least * m_high * v_high, least * m_low * v_low)
+    strong = most * m_high * v_high
+    low, high = (weak, strong) if params.sign > 0 else (-strong, -weak)
+    return Certificate(
+        certified=not reasons,
+        sign=params.sign,
+        poles=tuple(params.poles.tolist()),
+        modulation_bounds=(m_low, m_high),
+        actuator_slope_bounds=(v_low, v_high),
+        effect_low_K=tuple(low.tolist()),
+        effect_high_K=tuple(high.tolist()),
+        reasons=tuple(reasons),
+        feature_temperature=params.feature_temperature,
+        feedback_slope_per_K=slope,
+    )
+
+
+def _responses(params: OperatorParameters, n_steps: int) -> tuple[Array, Array, tuple[float, float]]:
+    """Response to one unit of m ∂v/∂u in the direction of the sign: at least and at most (n,) K; feedback slope 1/K."""
+    if not params.sees_forced:
+        impulse: Array = params.impulse(n_steps) * params.sign
+        return impulse, impulse, (0.0, 0.0)
+    bounds = feedback_bounds(params, n_steps)
+    low, high = bounds.response_low_K, bounds.response_high_K
+    return (low, high, bounds.slope_per_K) if params.sign > 0 else (-high, -low, bounds.slope_per_K)

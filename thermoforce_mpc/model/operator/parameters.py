@@ -1,0 +1,256 @@
+"""The forced-response operator in numbers (paper eq:operator to eq:mod), in numpy alone.
+
+`r` parallel modes, fastest first, F = Σ F_i with F_i(t+1) = a_i F_i(t) + g_i m(x_t) v(u_t, T_out). Order 1 with v = u
+is the paper's operator. A sum of modes of one sign is strongest right after the action, but a floor slab answers hours
+later: so the fastest gain may be negative, as the delay of what the others bring, as far as Σ g_i (−ln a_i)/(1 − a_i)
+keeps the sign. That sum is the slope of the step response at its start (up to the step), and it is enough: divided by
+the fastest decay the impulse response only grows, so it never crosses zero, at any step length and for any weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
+
+FeatureTemperature = Literal["free", "total"]
+
+HIDDEN = 32
+GAMMA = 0.75
+
+# Weights and features below this cannot overflow float64 inside the network, so saturation is the worst that happens.
+_LARGEST = 1e100
+# A pure delay has a starting slope of exactly zero, which rounding may put a hair below.
+_ROUNDING = 1e-9
+
+
+def initial_weight(poles: Array) -> Array:
+    """(−ln a_i)/(1 − a_i): what one unit of each g_i adds to the starting slope of the step response, shape (r,)."""
+    return np.asarray(-np.log(poles) / (1.0 - poles))
+
+
+@dataclass(frozen=True)
+class OperatorParameters:
+    """One identified operator.
+
+    Attributes:
+        poles: a_i, shape (r,), 1, in (0, 1), per step, increasing.
+        gains: g_i, shape (r,), K per step at v = 1 and m = 1; all but the first are of `sign` or zero.
+        hidden_weight, hidden_bias, output_weight, output_bias: the MLP, shapes (H, 4), (H,), (H,), scalar.
+        feature_mean, feature_scale: normalisation of the features, shape (4,), in their physical units.
+        gamma: γ of eq:mod, in [0, 1).
+        sign: +1 heating, −1 cooling.
+        step_s: length of the step the poles and gains belong to, s.
+        pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2), not overlapping.
+        actuator: v(u, T_out) in front of the modes.
+        feature_temperature: which zone temperature m(x) sees: 'free' is T − F (the paper's), 'total' is T itself, as
+            predicted. With 'total' past actions change the gain of later ones: see `operator.feedback` for what can
+            still be proven.
+
+    Raises:
+        DataError: a shape or value is not allowed; the message names the field.
+    """
+
+    poles: Array
+    gains: Array
+    hidden_weight: Array
+    hidden_bias: Array
+    output_weight: Array
+    output_bias: float
+    feature_mean: Array
+    feature_scale: Array
+    step_s: float
+    pole_bounds: Array
+    gamma: float = GAMMA
+    sign: int = 1
+    actuator: ActuatorMap = field(default=IDENTITY)
+    feature_temperature: FeatureTemperature = "free"
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray | list | tuple):
+                array = np.array(value, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, item.name, array)
+        r, h = np.size(self.poles), np.size(self.hidden_bias)
+        shapes = {
+            "poles": (r,),
+            "gains": (r,),
+            "pole_bounds": (r, 2),
+            "hidden_weight": (h, N_FEATURES),
+            "hidden_bias": (h,),
+            "output_weight": (h,),
+            "feature_mean": (N_FEATURES,),
+            "feature_scale": (N_FEATURES,),
+        }
+        for name, shape in shapes.items():
+            found = np.shape(getattr(self, name))
+            if found != shape or 0 in shape:
+                raise DataError(f"operator: {name} has shape {found}, expected {shape} with nothing empty")
+        for name in (*shapes, "output_bias", "step_s", "gamma"):
+            value = np.asarray(getattr(self, name))
+            if not (np.isfinite(value).all() and (np.abs(value) <= _LARGEST).all()):
+                raise DataError(f"operator: {name} has values that are not finite or beyond ±{_LARGEST:g}")
+        low, high = self.pole_bounds[:, 0], self.pole_bounds[:, 1]
+        if not ((low >= 0) & (low < high) & (high <= 1)).all():
+            raise DataError(f"operator: pole_bounds {self.pole_bounds.tolist()} are not inside [0, 1] and ordered")
+        if not ((self.poles > 0) & (self.poles < 1) & (self.poles >= low) & (self.poles <= high)).all():
+            raise DataError(f"operator: poles {self.poles.tolist()} leave (0, 1) or {self.pole_bounds.tolist()}")
+        if self.sign not in (1, -1):
+            raise DataError(f"operator: sign is {self.sign}, expected 1 (heating) or -1 (cooling)")
+        if not ((np.diff(self.poles) > 0).all() and (high[:-1] <= low[1:]).all()):
+            raise DataError(f"operator: poles {self.poles.tolist()} and their bounds must increase without overlap")
+        if (self.gains[1:] * self.sign < 0).any():
+            raise DataError(f"operator: gains {self.gains.tolist()} beyond the first must have the sign {self.sign:+d}")
+        rates = self.gains * initial_weight(self.poles) * self.sign
+        if rates.sum() < -_ROUNDING * np.abs(rates).sum():
+            raise DataError(
+                f"operator: gains {self.gains.tolist()} answer an action with the sign {-self.sign:+d} first"
+            )
+        if not 0.0 <= self.gamma < 1.0:
+            raise DataError(f"operator: gamma is {self.gamma}, expected a value in [0, 1)")
+        if not (self.feature_scale > 0).all():
+            raise DataError(f"operator: feature_scale {self.feature_scale.tolist()} is not positive")
+        if self.feature_temperature not in ("free", "total"):
+            raise DataError(
+                f"operator: feature_temperature is '{self.feature_temperature}', expected 'free' or 'total'"
+            )
+        if not self.step_s > 0:
+            raise DataError(f"operator: step_s is {self.step_s}, expected a positive number of seconds")
+
+    @property
+    def order(self) -> int:
+        """Number of modes r."""
+        return int(self.poles.size)
+
+    @property
+    def n_trained(self) -> int:
+        """Number of trained parameters: 195 at order 1 with 32 hidden units."""
+        return int(self.poles.size + self.gains.size + self.hidden_weight.size + self.hidden_bias.size) + int(
+            self.output_weight.size + 1
+        )
+
+    @property
+    def time_constants_h(self) -> Array:
+        """−step / ln(a_i), shape (r,), h."""
+        return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
+
+    @property
+    def steady_gains_K(self) -> Array:
+        """g_i / (1 − a_i): what full actuation adds in the end at m = 1, shape (r,), K."""
+        return np.asarray(self.gains / (1.0 - self.poles))
+
+    def impulse(self, n_steps: int) -> Array:
+        """Σ g_i a_i^(k−1) for k = 1 … `n_steps`, shape (n_steps,), K: what one step of v = m = 1 adds k steps on.
+
+        Never of the other sign; what rounding leaves beyond zero is cut off.
+        """
+        response = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
+        return np.asarray(self.sign * np.maximum(self.sign * response, 0.0))
+
+    def modulation(self, features: Array) -> Array:
+        """m(x) of eq:mod for `features` (..., 4) in physical units; shape (...), inside [1 − γ, 1 + γ]."""
+        x = (np.asarray(features, dtype=np.float64) - self.feature_mean) / self.feature_scale
+        hidden = np.tanh(x @ self.hidden_weight.T + self.hidden_bias)
+        return np.asarray(1.0 + self.gamma * np.tanh(hidden @ self.output_weight + self.output_bias))
+
+    @property
+    def sees_forced(self) -> bool:
+        """Whether the modulation depends on F: then a rollout is not linear in the drive."""
+        # A constant modulation sees nothing, whatever it is shown.
+        connected = (self.output_weight != 0.0) & (self.hidden_weight[:, ZONE] != 0.0)
+        return self.feature_temperature == "total" and self.gamma > 0.0 and bool(connected.any())
+
+    def seen(self, features: Array, forced_K: Array) -> Array:
+        """`features` (..., 4) with T − F in them, as the modulation sees them at the forced state `forced_K` (..., r).
+
+        Callers always give T − F: with `feature_temperature` 'total', F is added here and nowhere else.
+        """
+        features = np.asarray(features, dtype=np.float64)
+        if self.feature_temperature == "free":
+            return features
+        forced = np.asarray(forced_K, dtype=np.float64).sum(axis=-1)
+        lead = np.broadcast_shapes(features.shape[:-1], forced.shape)
+        features = np.array(np.broadcast_to(features, (*lead, N_FEATURES)))
+        features[..., ZONE] += forced
+        return features
+
+    def drive(self, u: Array, features: Array) -> Array:
+        """m(x_t) · v(u_t, T_out,t), the scalar that enters every mode; `u` (..., N), `features` (..., N, 4) as seen."""
+        features = np.asarray(features, dtype=np.float64)
+        return self.modulation(features) * self.actuator(u, features[..., OUTDOOR])
+
+    def advance(self, forced_K: Array, heat: Array, features: Array) -> Array:
+        """One step under v = `heat` (...): `forced_K` (..., r) K, `features` (..., 4) with T − F → (..., r) K."""
+        drive = self.modulation(self.seen(features, forced_K)) * heat
+        return np.asarray(self.poles * forced_K + self.gains * np.asarray(drive)[..., None])
+
+    def step(self, forced_K: Array, u: Array, features: Array) -> Array:
+        """One step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) with T − F → (..., r) K."""
+        features = np.asarray(features, dtype=np.float64)
+        return self.advance(forced_K, self.actuator(u, features[..., OUTDOOR]), features)
+
+    def resampled(self, step_s: float) -> OperatorParameters:
+        """The same operator at another step: exact where v and m are constant over the longer of the two steps."""
+        ratio = step_s / self.step_s
+        if ratio == 1.0:
+            return self
+        poles = self.poles**ratio
+        return replace(
+            self,
+            poles=poles,
+            gains=self.steady_gains_K * (1.0 - poles),
+            # Rounding must not push a pole that sits on its bound outside of it.
+            pole_bounds=np.stack(
+                [
+                    np.minimum(self.pole_bounds[:, 0] ** ratio, poles),
+                    np.maximum(self.pole_bounds[:, 1] ** ratio, poles),
+                ],
+                axis=1,
+            ),
+            step_s=step_s,
+        )
+
+
+def bounds_between(poles: Array) -> Array:
+    """Bounds (r, 2) that fill (0, 1) and part in the middle between neighbouring poles."""
+    edges = np.concatenate([[0.0], 0.5 * (poles[:-1] + poles[1:]), [1.0]])
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
+def linear_operator(
+    poles: Array,
+    gains: Array,
+    *,
+    step_s: float,
+    pole_bounds: Array | None = None,
+    sign: int = 1,
+    gamma: float = GAMMA,
+    feature_mean: Array | None = None,
+    feature_scale: Array | None = None,
+    actuator: ActuatorMap = IDENTITY,
+    hidden: int = HIDDEN,
+) -> OperatorParameters:
+    """An operator whose modulation is exactly 1 (all weights zero): the linear gain of paper eq:arx."""
+    return OperatorParameters(
+        poles=np.asarray(poles, dtype=np.float64),
+        gains=np.asarray(gains, dtype=np.float64),
+        hidden_weight=np.zeros((hidden, N_FEATURES)),
+        hidden_bias=np.zeros(hidden),
+        output_weight=np.zeros(hidden),
+        output_bias=0.0,
+        feature_mean=np.zeros(N_FEATURES) if feature_mean is None else feature_mean,
+        feature_scale=np.ones(N_FEATURES) if feature_scale is None else feature_scale,
+        gamma=gamma,
+        sign=sign,
+        step_s=step_s,
+        pole_bounds=bounds_between(np.asarray(poles, dtype=np.float64)) if pole_bounds is None else pole_bounds,
+        actuator=actuator,
+    )

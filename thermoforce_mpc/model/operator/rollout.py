@@ -1,0 +1,80 @@
+"""Rolling the forced state over a horizon, for any number of candidate trajectories at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.operator.features import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+
+def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
+    """Forced state of every mode at the end of each of N steps (paper eq:operator).
+
+    Args:
+        params: the operator; its step is the step of `u`.
+        F0: forced state now, shape (..., r), K.
+        u: planned control, acting over each step, shape (..., N), in [0, 1].
+        features: x_t at the start of each step, shape (..., N, 4), physical units; the zone's column is always T − F.
+
+    Returns:
+        Shape (..., N, r), K; the sum over the last axis is the forced response F.
+
+    Raises:
+        DataError: shapes do not fit together, or a value is not finite.
+    """
+    u = np.asarray(u, dtype=np.float64)
+    F0 = np.asarray(F0, dtype=np.float64)
+    features = np.asarray(features, dtype=np.float64)
+    if u.ndim < 1 or features.shape[-2:] != (u.shape[-1], N_FEATURES):
+        raise DataError(f"forced rollout: u {u.shape} and features {features.shape} do not describe the same steps")
+    if F0.shape[-1:] != (params.order,):
+        raise DataError(f"forced rollout: F0 has shape {F0.shape}, expected (..., {params.order})")
+    if not (np.isfinite(u).all() and np.isfinite(F0).all() and np.isfinite(features).all()):
+        raise DataError("forced rollout: u, F0 and features must be finite")
+    if params.sees_forced:
+        return _stepwise(params, F0, u, features)
+    return driven_rollout(params, F0, params.drive(u, features))
+
+
+def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
+    """Forced state of every mode when m(x)·v is known: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
+    lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
+    drive = np.broadcast_to(drive, (*lead, drive.shape[-1]))
+    F0 = np.broadcast_to(F0, (*lead, params.order))
+    modes = [
+        lfilter([g], [1.0, -a], drive, axis=-1, zi=(a * F0[..., i])[..., None])[0]
+        for i, (a, g) in enumerate(zip(params.poles, params.gains, strict=True))
+    ]
+    return np.stack(modes, axis=-1)
+
+
+def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
+    """The recursion step by step, all candidates at once: m(x) depends on where the actions have led."""
+    lead = np.broadcast_shapes(u.shape[:-1], features.shape[:-2], F0.shape[:-1])
+    n = u.shape[-1]
+    forced = np.empty((*lead, n, params.order))
+    state = np.broadcast_to(F0, (*lead, params.order))
+    for t in range(n):
+        state = params.step(state, u[..., t], features[..., t, :])
+        forced[..., t, :] = state
+    return forced
+
+
+def marginal_effect(params: OperatorParameters, features: Array, n_steps: int) -> Array:
+    """∂F(t+k)/∂v(t) for k = 1 … `n_steps` at the features x_t (4,), shape (n_steps,), K (paper eq:marginal).
+
+    The paper's a^k counts the steps after the action's own step has ended: lag k here is a^(k−1) g m(x_t).
+
+    Raises:
+        DataError: the modulation sees F, so that the effect depends on the whole plan.
+    """
+    if params.sees_forced:
+        raise DataError(
+            "marginal effect: this operator's modulation sees the predicted temperature, so an action's effect depends "
+            "on the rest of the plan; use the difference of two rollouts, or the bounds of its certificate"
+        )
+    return np.asarray(params.impulse(n_steps) * params.modulation(features))

@@ -1,0 +1,297 @@
+"""Superposition: the only place where free and forced response are added (paper eq:compose, eq:effect)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.signal import lfilter
+
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, History, Observation
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.features import OUTDOOR, feature_matrix
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import forced_rollout
+from thermoforce_mpc.protocols import FreeResponse
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.forced_state import ForcedStateEstimator
+
+InitialForce = Literal["steady", "zero"]
+
+# How far beyond [0, 1] a level may be: means over a step and solutions of a solver are, by rounding.
+ROUNDING = 1e-6
+
+# Fixed-point rounds for the starting force: the modulation moves it by percents, so a handful settles it.
+_START_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """Where a model comes from and what it has seen; everything here is plain JSON.
+
+    `data` maps the name of each record to its sha256, `ranges` a signal to the (low, high) it was identified on,
+    `scores` and `uncertainty` hold numbers by name, `config` the configuration of the identification.
+    """
+
+    source: str = "given"
+    data: Mapping[str, str] = field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scores: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ThermalModel:
+    """Everything identified on one building: operator, linear free model, electric power. This is what is saved."""
+
+    operator: OperatorParameters
+    power: PowerModel | None = None
+    free: RcParameters | None = None
+    card: ModelCard = field(default_factory=ModelCard)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Free and forced parts of a prediction over N steps, at the end of each step.
+
+    `free_C` °C has shape (N,), `forced_K` K shape (..., N), one row per candidate.
+    """
+
+    free_C: Array
+    forced_K: Array
+
+    @property
+    def total_C(self) -> Array:
+        """Free plus forced (paper eq:compose), shape (..., N), °C."""
+        return np.asarray(self.free_C + self.forced_K)
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """The world as seen from one instant: what will happen without us, and what each action would add.
+
+    Attributes:
+        operator: the operator at the step of `boundary`.
+        forced_K: forced state now, shape (r,), K.
+        free: forecast of the free response, N steps.
+        features: x_t at the start of each step, shape (N, 4).
+        boundary: boundary conditions of the N steps.
+        seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
+    """
+
+    operator: OperatorParameters
+    forced_K: Array
+    free: FreeForecast
+    features: Array
+    boundary: Boundary
+    seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps N."""
+        return self.boundary.n_steps
+
+    def predict(self, u: Array) -> Prediction:
+        """Temperature under `u` (..., N) in [0, 1], free and forced apart; all candidates at once.
+
+        Raises:
+            DataError: `u` has another number of steps, is not finite, or leaves [0, 1].
+        """
+        u = np.asarray(u, dtype=np.float64)
+        if u.shape[-1:] != (self.n_steps,):
+            raise DataError(f"u has shape {u.shape}, expected (..., {self.n_steps})")
+        if not ((u >= -ROUNDING) & (u <= 1 + ROUNDING)).all():
+            raise DataError("u must be finite and inside [0, 1]")
+        u = np.clip(u, 0.0, 1.0)
+        forced = forced_rollout(self.operator, self.forced_K, u, self.features).sum(axis=-1)
+        return Prediction(free_C=self.free.median_C, forced_K=forced)
+
+    def effect(self, u_alt: Array, u: Array) -> Array:
+        """What `u_alt` instead of `u` changes (paper eq:effect), shape (..., N), K. The free response cancels."""
+        return np.asarray(self.predict(u_alt).forced_K - self.predict(u).forced_K)
+
+    def counterfactuals(self, levels: Array) -> Prediction:
+        """Temperature under each constant level, `levels` (L,) in [0, 1]; `forced_K` has shape (L, N)."""
+        levels = np.asarray(levels, dtype=np.float64)
+        return self.predict(np.broadcast_to(levels[:, None], (levels.size, self.n_steps)))
+
+
+class WorldModel:
+    """A thermal model together with a frozen forecaster: splits history into free and forced, and composes the future.
+
+    Args:
+        model: what was identified.
+        free_response: forecaster of the control-free series.
+        initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
+            does (F_t0 = 0); with modes of days the difference takes days to fade.
+        estimator: follows the forced state of one run step by step; by default it is rolled out anew at each call.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        free_response: FreeResponse,
+        *,
+        initial_force: InitialForce = "steady",
+        estimator: ForcedStateEstimator | None = None,
+    ) -> None:
+        if initial_force not in ("steady", "zero"):
+            raise DataError(f"initial_force is '{initial_force}', expected 'steady' or 'zero'")
+        self._model = model
+        self._free_response = free_response
+        self._initial_force: InitialForce = initial_force
+        self._estimator = estimator
+
+    @property
+    def model(self) -> ThermalModel:
+        """What was identified."""
+        return self._model
+
+    @property
+    def free_response(self) -> FreeResponse:
+        """The forecaster of the control-free series."""
+        return self._free_response
+
+    def operator_at(self, step_s: float) -> OperatorParameters:
+        """The operator at a step of `step_s` seconds."""
+        return self._model.operator.resampled(step_s)
+
+    def forced_history(self, history: History) -> Array:
+        """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K."""
+        if self._estimator is not None:
+            return self._estimator.update(history)
+        return forced_history(self._model.operator, history, initial_force=self._initial_force)
+
+    def forced_state(self, history: History) -> Array:
+        """Forced state of each mode now, shape (r,), K."""
+        return np.asarray(self.forced_history(history)[-1])
+
+    def free_history(self, history: History) -> Array:
+        """Control-free temperature T − F at each boundary of `history`, shape (n + 1,), °C; NaN where T is."""
+        return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=1))
+
+    def outlook(self, observation: Observation) -> Outlook:
+        """Forecast the free response and set up everything an action could change.
+
+        Raises:
+            DataError: the history cannot be split (see `forced_history`) or its temperature is silent throughout.
+        """
+        history, boundary = observation.history, observation.boundary
+        began = time.perf_counter()
+        forced = self.forced_history(history)
+        estimated = time.perf_counter()
+        free_C = history.T_zone_C - forced.sum(axis=1)
+        measured = np.flatnonzero(np.isfinite(free_C))
+        if measured.size == 0:
+            raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
+        free = self._free_response.forecast(free_C, history, boundary)
+        forecast_s = time.perf_counter() - estimated
+        if self._estimator is not None:
+            self._estimator.expect(float(boundary.time_s[1]), free)
+        starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
+        features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
+        return Outlook(
+            operator=self.operator_at(boundary.step_s),
+            forced_K=forced[-1],
+            free=free,
+            features=features,
+            boundary=boundary,
+            seconds={"estimate": estimated - began, "forecast": forecast_s},
+        )
+
+
+def forced_history(operator: OperatorParameters, history: History, *, initial_force: InitialForce = "steady") -> Array:
+    """Forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
+
+    The free temperature that the modulation sees is T − F as it unfolds; a silent sensor's last value holds. Where the
+    operator is driven by heat and the heat was measured, the measured heat drives it: it is what entered the building,
+    whoever was in control.
+
+    Raises:
+        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
+    """
+    n = history.n_steps
+    if n == 0:
+        return np.zeros((1, operator.order))
+    operator = operator.resampled(history.step_s)
+    heat = heat_drive(operator, history, 0, n)
+    T_zone = _held(history.T_zone_C)
+    features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
+    forced = np.empty((n + 1, operator.order))
+    forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
+    if not operator.output_weight.any():  # the modulation sees nothing: all steps at once
+        drive = operator.modulation(features[0]) * heat
+        for i, (a, g) in enumerate(zip(operator.poles, operator.gains, strict=True)):
+            forced[1:, i] = lfilter([g], [1.0, -a], drive, zi=[a * forced[0, i]])[0]
+        return forced
+    for t in range(n):
+        features[t, 0] = T_zone[t] - forced[t].sum()
+        forced[t + 1] = operator.advance(forced[t], heat[t], features[t])
+    return forced
+
+
+def heat_drive(operator: OperatorParameters, history: History, start: int, stop: int) -> Array:
+    """v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,): from measured heat where there is any.
+
+    Raises:
+        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
+    """
+    steps = slice(start, stop)
+    heat_W, u = history.heat_W[steps], history.u[steps]
+    T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
+    measured = np.isfinite(heat_W) & (operator.actuator.heat is not None)
+    u = np.where(measured & ~np.isfinite(u), 0.0, u)  # not needed there
+    for name, values in (("u", u), ("T_out_C", T_out), ("solar_W_m2", solar)):
+        gaps = np.flatnonzero(~np.isfinite(values))
+        if gaps.size:
+            raise DataError(
+                f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
+                "fill it first"
+            )
+    # Averaging blocks of full level over a step rounds to a hair beyond 1.
+    outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
+    if outside.size:
+        raise DataError(f"history: u is {u[outside[0]]:g} at step {start + outside[0]}, expected values in [0, 1]")
+    heat = operator.actuator(np.clip(u, 0.0, 1.0), T_out[:-1])
+    return np.where(measured, operator.sign * heat_W / operator.actuator.reference_W, heat)
+
+
+def _steady_start(operator: OperatorParameters, heat: Array, features: Array) -> Array:
+    """Forced state that the first day's mean drive would hold for ever, shape (r,), K."""
+    day = max(1, min(heat.size, round(DAY_S / operator.step_s)))
+    heat, features = heat[:day], features[:day].copy()
+    T_zone = features[:, 0].copy()
+    forced = operator.steady_gains_K * heat.mean()
+    for _ in range(_START_ROUNDS):
+        features[:, 0] = T_zone - forced.sum()
+        forced = operator.steady_gains_K * np.mean(operator.modulation(operator.seen(features, forced)) * heat)
+    return np.asarray(forced)
+
+
+def _held(values: Array) -> Array:
+    """`values` with each gap filled by the last finite value before it (the first one after, at the start)."""
+    finite = np.isfinite(values)
+    if not finite.any():
+        return np.zeros_like(values)
+    index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
+    index = np.where(index < 0, np.flatnonzero(finite)[0], index)
+    return np.asarray(values[index])
+
+
+def power_of(model: ThermalModel, outlook: Outlook, u: Array) -> Array:
+    """Electric power of `u` (..., N) over the steps of `outlook`, W.
+
+    Raises:
+        DataError: the model was identified without measured power.
+    """
+    if model.power is None:
+        raise DataError("the model has no electric power: it was identified without measured power")
+    return model.power(u, outlook.features[:, OUTDOOR])

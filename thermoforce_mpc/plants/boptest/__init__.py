@@ -1,0 +1,1 @@
+"""A building behind the BOPTEST REST service."""

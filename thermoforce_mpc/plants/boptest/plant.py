@@ -1,0 +1,340 @@
+"""The real plant: a test of a BOPTEST service behind the `Plant` protocol. Kelvin ends here."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Literal
+
+import numpy as np
+
+from boptest_client import (
+    BadAddress,
+    BoptestClient,
+    BoptestError,
+    RequestRejected,
+    Scenario,
+    TransportConfig,
+    UnknownTest,
+)
+from thermoforce_mpc.data import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError
+from thermoforce_mpc.plants.boptest.points import check_points
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
+from thermoforce_mpc.scenario.testcase import PRICES, TestCase
+
+_LOG = logging.getLogger(__name__)
+_KELVIN = 273.15
+# BOPTEST initialises a scenario's time period with this much of the embedded control, and ends it after this much.
+_SCENARIO_WARMUP_S = 7 * DAY_S
+_SCENARIO_LENGTH_S = 14 * DAY_S
+_CLOCK_TOLERANCE_S = 1e-3
+
+Uncertainty = Literal["none", "low", "medium", "high"]
+
+
+class BoptestPlant:
+    """One test case on a service. The test is stopped when the plant is closed.
+
+    ```python
+    with BoptestPlant("http://127.0.0.1:8000", testcase) as plant:
+        window = plant.period("peak_heat_day")
+        plant.reset(window.start_s, window.warmup_s)
+        measurement = plant.advance(u=0.5, duration_s=900)
+    ```
+    """
+
+    def __init__(
+        self,
+        url: str,
+        testcase: TestCase,
+        *,
+        forecast_uncertainty: Uncertainty = "none",
+        seed: int = 1,
+        config: TransportConfig | None = None,
+        start_timeout_s: float = 120.0,
+    ) -> None:
+        """Select the test case and check that every point of `testcase` exists there, in the unit expected.
+
+        Args:
+            forecast_uncertainty: level of the service's errors of the weather forecast, drawn with `seed`.
+            config: how patient the client is.
+            start_timeout_s: how long the test may be queued for.
+
+        Raises:
+            ConfigError: the service does not offer the test case, `testcase` does not fit its points, or the seed is 0
+                where forecast errors are drawn.
+            PlantError: the service cannot be reached or failed.
+        """
+        self.testcase = testcase
+        self._url, self._config, self._start_timeout_s = url, config, start_timeout_s
+        level = None if forecast_uncertainty == "none" else forecast_uncertainty
+        if level and seed < 1:
+            raise ConfigError(
+                f"seed: {seed} means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
+            )
+        self._scenario = Scenario(
+            electricity_price="constant",
+            temperature_uncertainty=level,
+            solar_uncertainty=level,
+            seed=None if level is None else seed,
+        )
+        self._start_of: dict[str, float] = {}
+        self._step_s = math.nan
+        self._now_s = self._begin_s = 0.0
+        self._end_s = math.inf
+        self._final_kpis: dict[str, float] | None = None
+        self._client = self._select()
+        try:
+            with _failures():
+                client = self._client
+                check_points(testcase, client.inputs(), client.measurements(), client.forecast_points())
+                self._version = self._client.version()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def info(self) -> PlantInfo:
+        """Which service and version this is; versions differ in results and must not be mixed."""
+        return PlantInfo(
+            kind="boptest",
+            testcase=self.testcase.name,
+            description=f"BOPTEST service at {self._client.url}, version {self._version}",
+            weather="the test case's own weather",
+            version=self._version,
+            details={"url": self._client.url, "testid": self._client.testid},
+        )
+
+    def period(self, name: str) -> Period:
+        """The window of the service's scenario `name`, or of a start day.
+
+        The service tells where a scenario starts only by initialising it, so asking for one (the first time) puts the
+        plant at its start.
+
+        Raises:
+            InputError: neither a scenario of the service nor a day of the year.
+            PlantError: the service failed.
+        """
+        try:
+            day = float(name)
+        except ValueError:
+            if name not in self._start_of:
+                self._start_of[name] = self._initialize_scenario(name).time_s
+            return Period(name, self._start_of[name], _SCENARIO_LENGTH_S, _SCENARIO_WARMUP_S)
+        if not 0.0 <= day < 365.0:
+            raise InputError(f"period '{name}': a start day lies between 0 and 365")
+        return Period(f"day {day:g}", day * DAY_S)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """Start at `start_s` after `warmup_s` of the embedded control.
+
+        Where the times are those of a window that `period` gave, the service's official scenario is set, which ends
+        after two weeks. A test that the service dropped while idle is selected anew.
+
+        Raises:
+            InputError: a time is not a finite nonnegative number, or the tariff is unknown.
+            PlantError: the service failed.
+        """
+        for label, value in (("start", start_s), ("warm-up", warmup_s)):
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
+        if price not in PRICES:
+            raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
+        self._scenario = replace(self._scenario, electricity_price=price)
+        self._wake()
+        if warmup_s == _SCENARIO_WARMUP_S:
+            for name, scenario_start_s in self._start_of.items():
+                if scenario_start_s == start_s:
+                    return self._initialize_scenario(name)
+        with _failures():
+            points = self._client.initialize(start_s, warmup_s)
+            self._client.set_scenario(self._scenario)
+        return self._at_rest(points, warmup_s, end_s=math.inf)
+
+    def advance(self, u: float | None, duration_s: float) -> Measurement:
+        """Hold `u` in [0, 1] (None: nothing is overwritten) for `duration_s`.
+
+        Raises:
+            InputError: `u` or `duration_s` is not a number the plant can take.
+            PlantError: the service failed, or its scenario is over.
+        """
+        if u is not None and not (math.isfinite(u) and 0.0 <= u <= 1.0):
+            raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
+        if not (math.isfinite(duration_s) and duration_s > 0):
+            raise InputError(f"step of {duration_s!r} s: expected a positive number")
+        if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
+            raise PlantError(
+                f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
+                f"from day {self._now_s / DAY_S:g} runs past it; score at most 14 days of a named window"
+            )
+        actuator = self.testcase.actuator
+        before_s = self._now_s
+        with _failures():
+            if duration_s != self._step_s:
+                self._client.set_step(duration_s)
+                self._step_s = duration_s
+            points = self._client.advance(actuator.inputs(u))
+            if not points:
+                raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
+            if "time" not in points:
+                raise PlantError("the service did not say how far it simulated (no 'time' among the measurements)")
+            self._now_s = points["time"]
+            if abs(self._now_s - before_s - duration_s) > _CLOCK_TOLERANCE_S:
+                raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")
+            if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
+                # Whatever is asked past the end may cost the results, so they are taken first.
+                self._final_kpis = self._read_kpis()
+            record = self._recorded(before_s, self._now_s, [f"{actuator.point}_u", *self.testcase.measurements.flows])
+        edges = np.array([before_s, self._now_s])
+        m = self.testcase.measurements
+        return measurement(self._now_s, points, m, acting_means(record, m, self._levels(record, edges), edges))
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, as the service forecasts them.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+            PlantError: the service failed (under forecast uncertainty it refuses horizons beyond 48 h).
+        """
+        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
+            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
+        f = self.testcase.forecast
+        price = f.price[next(name for name in PRICES if name == self._scenario.electricity_price)]
+        names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, f.emission]
+        with _failures():
+            # A point may serve twice, as a price that is the same in two tariffs.
+            data = self._client.forecast(list(dict.fromkeys(names)), horizon_s, interval_s)
+        series = {name: np.array(values) for name, values in data.items()}
+        holes = [name for name in names if not np.isfinite(series[name]).all()]
+        if holes:
+            raise PlantError(f"the service's forecast has no value for some instants of {', '.join(holes)}")
+        return Boundary(
+            time_s=series["time"],
+            T_out_C=series[f.outdoor_temperature] - _KELVIN,
+            solar_W_m2=series[f.solar],
+            occupancy=series[f.occupancy],
+            lower_C=series[f.lower] - _KELVIN,
+            upper_C=series[f.upper] - _KELVIN,
+            price_per_kWh=series[price],
+            emission_kg_per_kWh=series[f.emission],
+        )
+
+    def past(self, step_s: float) -> History:
+        """What the service recorded since the start of the warm-up, at `step_s`; older remainders are cut.
+
+        Raises:
+            InputError: `step_s` is not positive.
+            PlantError: the service failed.
+        """
+        if not (math.isfinite(step_s) and step_s > 0):
+            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        m = self.testcase.measurements
+        sampled = [m.zone_temperature, m.outdoor_temperature, m.solar]
+        names = [*sampled, f"{self.testcase.actuator.point}_u", *m.flows]
+        with _failures():
+            record = self._recorded(self._begin_s, self._now_s, names)
+        # The record begins with the warm-up on services that keep it, with the present on those that do not.
+        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
+        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
+        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in sampled)
+        return History(
+            time_s=edges,
+            T_zone_C=T_zone - _KELVIN,
+            T_out_C=T_out - _KELVIN,
+            solar_W_m2=solar,
+            **acting_means(record, m, self._levels(record, edges), edges),
+        )
+
+    def kpis(self) -> dict[str, float]:
+        """The service's own KPIs since the end of the warm-up; those a test case does not have are left out."""
+        if self._final_kpis is not None:
+            return dict(self._final_kpis)
+        with _failures():
+            return self._read_kpis()
+
+    def close(self) -> None:
+        """Stop the test at the service; safe to call twice. A failure to stop is logged: the service drops idle tests.
+
+        Never raises, so that it cannot hide what went wrong before.
+        """
+        try:
+            self._client.stop()
+        except BoptestError as error:
+            _LOG.warning("the test was not stopped, the service will drop it when idle: %s", error)
+
+    def __enter__(self) -> BoptestPlant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _select(self) -> BoptestClient:
+        with _failures():
+            try:
+                return BoptestClient(
+                    self._url, self.testcase.name, config=self._config, start_timeout_s=self._start_timeout_s
+                )
+            except BadAddress as error:
+                raise ConfigError(f"plant.url: {error}") from error
+            except (RequestRejected, UnknownTest) as error:
+                raise ConfigError(f"testcase '{self.testcase.name}' is not offered: {error}") from error
+
+    def _wake(self) -> None:
+        """Select the test anew when the service dropped it: a run begins from nothing anyway."""
+        with _failures():
+            try:
+                self._client.status()
+            except UnknownTest:
+                _LOG.info("the service dropped the idle test; selecting it again")
+                self.close()
+                self._client = self._select()
+
+    def _initialize_scenario(self, name: str) -> Measurement:
+        with _failures():
+            try:
+                points = self._client.set_scenario(replace(self._scenario, time_period=name))
+            except RequestRejected as error:
+                raise InputError(
+                    f"period '{name}': neither a start day nor a scenario of the service ({error})"
+                ) from error
+        return self._at_rest(points, _SCENARIO_WARMUP_S, end_s=points["time"] + _SCENARIO_LENGTH_S)
+
+    def _at_rest(self, points: dict[str, float], warmup_s: float, end_s: float) -> Measurement:
+        """The measurement right after an initialisation: nothing has been averaged yet."""
+        self._now_s = points["time"]
+        self._begin_s = max(self._now_s - warmup_s, 0.0)
+        self._end_s = end_s
+        self._final_kpis = None
+        self._step_s = math.nan  # initialising may have put the service's own step back
+        return measurement(self._now_s, points, self.testcase.measurements)
+
+    def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
+        data = self._client.results(list(dict.fromkeys(names)), start_s, final_s)
+        if not data["time"]:
+            raise PlantError(f"the service recorded nothing between {start_s:g} s and {final_s:g} s")
+        return {name: np.array(values) for name, values in data.items()}
+
+    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
+        """Mean u in [0, 1] between the edges; the service records what acted, whoever decided it."""
+        actuator = self.testcase.actuator
+        u = actuator.level(record[f"{actuator.point}_u"])
+        return interval_means({"time": record["time"], "u": u}, ["u"], edges)
+
+    def _read_kpis(self) -> dict[str, float]:
+        return {name: value for name, value in self._client.kpi().items() if value is not None}
+
+
+@contextlib.contextmanager
+def _failures() -> Iterator[None]:
+    """Turn the client's errors into this package's, keeping the service's words."""
+    try:
+        yield
+    except BoptestError as error:
+        raise PlantError(f"BOPTEST service: {error}") from error

@@ -1,0 +1,83 @@
+"""Whether a test case file fits a plant: every point must exist there, in the unit and within the limits expected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from boptest_client import Point
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.settings import suggestion
+from thermoforce_mpc.scenario.testcase import TestCase
+
+_KELVIN, _POWER, _IRRADIANCE = "K", "W", "W/m2"
+
+
+class _Wanted(NamedTuple):
+    """A key of the test case file, the point it names, among which points, and the unit (None: any)."""
+
+    key: str
+    point: str
+    offered: Mapping[str, Point]
+    unit: str | None = None
+
+
+def check_points(
+    testcase: TestCase,
+    inputs: Mapping[str, Point],
+    measured: Mapping[str, Point],
+    forecast: Mapping[str, Point],
+    plant: str = "the service",
+) -> None:
+    """Compare a test case file with the points that `plant` offers.
+
+    Raises:
+        ConfigError: lists every key that names an unknown point or one in another unit, and a value that the plant
+            would silently clip.
+    """
+    actuator, m, f = testcase.actuator, testcase.measurements, testcase.forecast
+    wanted = [
+        _Wanted("actuator.point", f"{actuator.point}_u", inputs, actuator.unit),
+        _Wanted("actuator.point", f"{actuator.point}_activate", inputs),
+        _Wanted("measurements.zone_temperature", m.zone_temperature, measured, _KELVIN),
+        _Wanted("measurements.outdoor_temperature", m.outdoor_temperature, measured, _KELVIN),
+        _Wanted("measurements.solar", m.solar, measured, _IRRADIANCE),
+        *(_Wanted("measurements.electric_power", name, measured, _POWER) for name in m.electric_power),
+        *(_Wanted("measurements.heat", name, measured, _POWER) for name in m.heat),
+        *([_Wanted("measurements.return_water", m.return_water, measured, _KELVIN)] if m.return_water else []),
+        _Wanted("forecast.outdoor_temperature", f.outdoor_temperature, forecast, _KELVIN),
+        _Wanted("forecast.solar", f.solar, forecast, _IRRADIANCE),
+        _Wanted("forecast.occupancy", f.occupancy, forecast),
+        _Wanted("forecast.lower", f.lower, forecast, _KELVIN),
+        _Wanted("forecast.upper", f.upper, forecast, _KELVIN),
+        *(_Wanted(f"forecast.price.{key}", name, forecast) for key, name in f.price.items()),
+        _Wanted("forecast.emission", f.emission, forecast),
+    ]
+    for name in actuator.held:
+        wanted += [_Wanted(f"actuator.held.{name}", f"{name}_{end}", inputs) for end in ("u", "activate")]
+    wrong = [problem for item in wanted if (problem := _problem(item, plant))]
+    values = [("minimum", actuator.point, actuator.minimum), ("maximum", actuator.point, actuator.maximum)]
+    values += [(f"held.{name}", name, value) for name, value in actuator.held.items()]
+    for key, name, value in values:
+        point = inputs.get(f"{name}_u")
+        if point is not None:
+            wrong += _clipped(f"actuator.{key}", value, point, plant)
+    if wrong:
+        raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
+
+
+def _problem(wanted: _Wanted, plant: str) -> str:
+    point = wanted.offered.get(wanted.point)
+    if point is None:
+        return f"{wanted.key}: {plant} has no point '{wanted.point}'{suggestion(wanted.point, wanted.offered)}"
+    if wanted.unit is not None and point.unit is not None and point.unit != wanted.unit:
+        return f"{wanted.key}: '{wanted.point}' is in {point.unit} at {plant}, expected {wanted.unit}"
+    return ""
+
+
+def _clipped(key: str, value: float, point: Point, plant: str) -> list[str]:
+    low = point.minimum if point.minimum is not None else value
+    high = point.maximum if point.maximum is not None else value
+    if low <= value <= high:
+        return []
+    return [f"{key}: {value:g} lies outside the limits of '{point.name}' at {plant}, {low:g} to {high:g}"]

@@ -1,0 +1,337 @@
+"""An EnergyPlus zone behind the `Plant` protocol: the engine runs in a process of its own and is told what to do.
+
+Building, gains and climates are those of the interventional suite. What it adds is what a controller needs: electric
+power by a machine of a fixed share of Carnot's efficiency, comfort bounds, tariffs and a forecast.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from types import TracebackType
+
+import numpy as np
+
+from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
+from thermoforce_mpc.boundary.weather import load_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError
+from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
+from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
+from thermoforce_mpc.plants.energyplus.live import Advance, Stretch, serve
+from thermoforce_mpc.plants.energyplus.simulate import Job
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.research.interventions.protocol import CLIMATES, base_setpoint, gains
+from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
+
+_KELVIN = 273.15
+_STEPS_PER_HOUR = 12
+# How long the engine can be asked to go on: a year and what the warm-up and a forecast may add.
+_RUN_DAYS = 400
+_PATIENCE_S = 5.0
+_GAINS_SEED = 1
+
+
+def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Array) -> Array:
+    """Electric power for a heat flow (either sign), W: a share of Carnot's efficiency between air and supply.
+
+    The temperatures are those of supply and outdoor air; their difference counts for no less than `least_lift_K`.
+    """
+    supply_K = zone.supply_C + _KELVIN
+    lift = (zone.supply_C - T_out_C) if mode == "heating" else (T_out_C - zone.supply_C)
+    return np.asarray(np.abs(heat_W) * np.maximum(lift, zone.least_lift_K) / (zone.carnot_share * supply_K))
+
+
+class EnergyPlusPlant:
+    """One zone of the suite, run by the engine's runtime API.
+
+    ```python
+    with EnergyPlusPlant(load_testcase("energyplus:heating_chicago")) as plant:
+        plant.reset(start_s=10 * 86400, warmup_s=7 * 86400)
+        measurement = plant.advance(u=0.5, duration_s=900)
+    ```
+
+    Time goes in steps of 5 minutes: whatever is asked for is a multiple of that. There is no snapshot, so every reset
+    starts a new process.
+    """
+
+    def __init__(
+        self,
+        testcase: TestCase,
+        *,
+        highly_dynamic: tariffs.Tariff | None = None,
+        forecast_error: ForecastError | None = None,
+    ) -> None:
+        """Read the weather; nothing is simulated yet.
+
+        Args:
+            highly_dynamic: tariff of that name; by default a synthetic one, see `boundary.tariffs`.
+            forecast_error: errors of the weather forecast; by default the forecast is perfect.
+
+        Raises:
+            ConfigError: the test case is of another plant, or the engine is not installed.
+        """
+        if testcase.energyplus is None:
+            raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")
+        try:
+            engine_folder()
+        except PlantError as error:
+            raise ConfigError(f"test case '{testcase.name}': {error}") from error
+        self.testcase, self._zone = testcase, testcase.energyplus
+        self._climate = CLIMATES[self._zone.climate]
+        self._spec = replace(self._climate.spec, steps_per_hour=_STEPS_PER_HOUR, engine_steps_per_hour=_STEPS_PER_HOUR)
+        self._file = weather_file(self._spec.weather)
+        self.weather = load_weather(self._file)
+        self._forecast_error = forecast_error
+        self._tariffs = tariffs.by_name(highly_dynamic)
+        self._price = "constant"
+        self._start_s = self._now_s = 0.0
+        self._process: SpawnProcess | None = None
+        self._pipe: Connection | None = None
+
+    @property
+    def info(self) -> PlantInfo:
+        """Which building, weather and engine this is."""
+        return PlantInfo(
+            kind="energyplus",
+            testcase=self.testcase.name,
+            description=f"EnergyPlus zone of {self._spec.floor_area_m2:g} m2 with {self._spec.capacity_W:g} W",
+            weather=self._file.stem,
+            version=engine_version(),
+            details={"weather_sha256": file_hash(self._file)},
+        )
+
+    def period(self, name: str) -> Period:
+        """The window that the test case names, or a start day.
+
+        Raises:
+            InputError: neither.
+        """
+        if name in self._zone.periods:
+            return Period(name, self._zone.periods[name] * DAY_S)
+        return day_period(name, self._zone.periods)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """Start at `start_s` after `warmup_s` of the thermostat (cut at the beginning of the year).
+
+        Raises:
+            InputError: a time is no finite nonnegative number inside the year, or the tariff is unknown.
+            PlantError: the engine failed.
+        """
+        check_start(start_s, warmup_s)
+        if price not in self._tariffs:
+            raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
+        self._stop()
+        self._price = price
+        begin_s = max(start_s - warmup_s, 0.0)
+        first_day = int(begin_s // DAY_S)
+        setpoint = base_setpoint(replace(self._climate, spec=self._spec), _RUN_DAYS)
+        job = Job(
+            spec=self._spec,
+            first_day=first_day,
+            setpoint_C=setpoint + self._zone.native_margin_K * self._climate.sign,
+            gains=gains(replace(self._climate, spec=self._spec), first_day, _RUN_DAYS, _GAINS_SEED),
+        )
+        context = multiprocessing.get_context("spawn")
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=serve, args=(job, other), daemon=True)
+        self._process.start()
+        other.close()
+        self._start_s = float(start_s)
+        self._now_s = first_day * DAY_S
+        first = self._answer()
+        # The engine warms up on its first day again and again, so its weather here is that of the next midnight.
+        midnight = np.array([self._now_s])
+        T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
+        self._times = [self._now_s]
+        self._rows = [(first.readings[0].T_zone_C, T_out, solar, 0.0)]
+        until_begin = begin_s - self._now_s
+        if until_begin > 0:
+            self._advance(None, until_begin)
+            # The day before the warm-up only fills up to midnight, where the engine starts.
+            self._times, self._rows = self._times[-1:], self._rows[-1:]
+        if start_s > begin_s:
+            self._advance(None, start_s - begin_s)
+        return self._measurement(self._now_s)
+
+    def advance(self, u: float | None, duration_s: float) -> Measurement:
+        """Hold `u` in [0, 1] (None: the thermostat) for `duration_s`, a multiple of 5 minutes.
+
+        Raises:
+            InputError: `u` or `duration_s` is not a number the plant can take, or the plant was not reset.
+            PlantError: the engine failed.
+        """
+        check_level_and_duration(u, duration_s)
+        before_s = self._now_s
+        self._advance(None if u is None else float(u), float(duration_s))
+        return self._measurement(before_s)
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+        """
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+        T_out, solar = self.weather.at("T_dry_C", time_s), self.weather.at("global_W_m2", time_s)
+        if self._forecast_error:
+            hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
+            hourly = self.weather.at("global_W_m2", hours)
+            T_out, solar = self._forecast_error.apply(time_s, T_out, hourly, solar)
+        lower, upper = self._bounds(time_s)
+        return Boundary(
+            time_s=time_s,
+            T_out_C=T_out,
+            solar_W_m2=solar,
+            occupancy=np.zeros(time_s.size),
+            lower_C=lower,
+            upper_C=upper,
+            price_per_kWh=self._tariffs[self._price](time_s),
+            emission_kg_per_kWh=np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH),
+        )
+
+    def past(self, step_s: float) -> History:
+        """Everything since the start of the warm-up at `step_s`; older remainders are cut.
+
+        Raises:
+            InputError: `step_s` is not positive, or the plant was not reset.
+        """
+        if not (math.isfinite(step_s) and step_s > 0):
+            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        record = self._record()
+        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
+        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
+        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in ("T", "T_out", "solar"))
+        u, power, heat = (interval_means(record, [name], edges) for name in ("u", "power", "heat"))
+        return History(edges, T_zone, T_out, solar, u, power, heat)
+
+    def kpis(self) -> dict[str, float]:
+        """BOPTEST's KPIs of heat and comfort since the end of the warm-up, from the 5-minute record."""
+        record = self._record()
+        scored = record["time"] >= self._start_s - 1e-6
+        time_s = record["time"][scored]
+        if time_s.size < 2:
+            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "pele_tot"), 0.0)
+        lower, upper = self._bounds(time_s)
+        return building_kpis(
+            time_s,
+            supplies=[
+                Supply(
+                    "ElectricPower",
+                    record["power"][scored],
+                    self._tariffs[self._price](time_s),
+                    np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH),
+                )
+            ],
+            thermal=[Violation("1", excess(record["T"][scored], lower, upper))],
+            air_quality=[],
+            area_m2=self.testcase.floor_area_m2,
+        )
+
+    def close(self) -> None:
+        """End the engine's process; safe to call twice."""
+        self._stop()
+
+    def __enter__(self) -> EnergyPlusPlant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _bounds(self, time_s: Array) -> tuple[Array, Array]:
+        """Comfort bounds: the suite's set-points on the side of the machine, `band_K` further on the other."""
+        step_s = self._spec.step_s
+        day = base_setpoint(replace(self._climate, spec=self._spec), 1)
+        index = np.floor(np.mod(time_s, DAY_S) / step_s + 1e-6).astype(int) % day.size
+        machine, other = day[index], self._climate.comfort_C + self._climate.sign * self._zone.band_K
+        far = np.full(time_s.size, other)
+        return (machine, far) if self._climate.sign > 0 else (far, machine)
+
+    def _advance(self, u: float | None, duration_s: float) -> None:
+        if self._pipe is None:
+            raise InputError("the plant has not been started: call reset() first")
+        step_s = self._spec.step_s
+        n = round(duration_s / step_s)
+        if n < 1 or abs(n * step_s - duration_s) > 1e-6:
+            raise InputError(f"a stretch of {duration_s:g} s: EnergyPlus runs in steps of {step_s:g} s")
+        try:
+            self._pipe.send(Advance(u, n))
+        except OSError as error:
+            raise self._failed("has gone") from error
+        stretch = self._answer()
+        if len(stretch.readings) != n:
+            raise self._failed(f"simulated {len(stretch.readings)} of {n} steps: its run period is over")
+        for reading, level in zip(stretch.readings, stretch.u, strict=True):
+            self._now_s += step_s
+            self._times.append(self._now_s)
+            self._rows.append((reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level))
+
+    def _answer(self) -> Stretch:
+        if self._pipe is None:
+            raise InputError("the plant has not been started: call reset() first")
+        try:
+            answer = self._pipe.recv()
+        except (EOFError, OSError) as error:
+            raise self._failed("ended without an answer") from error
+        if isinstance(answer, Stretch):
+            return answer
+        raise self._failed(f"failed: {answer}")
+
+    def _failed(self, what: str) -> PlantError:
+        """The error to raise, after the process was ended: a step half done cannot be gone on from."""
+        day = self._now_s / DAY_S
+        self._stop()
+        return PlantError(f"EnergyPlus {what} (day {day:g}); reset the plant to start it again")
+
+    def _stop(self) -> None:
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+        if self._process is not None:
+            self._process.join(_PATIENCE_S)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join()
+            self._process.close()
+            self._process = None
+
+    def _record(self, last: int = 0) -> dict[str, Array]:
+        """The record by name, all of it or the `last` samples; power and heat of the step that ends at each."""
+        if self._pipe is None:
+            raise InputError("the plant has not been started: call reset() first")
+        rows = np.array(self._rows[-last:])
+        heat = self._climate.sign * self._spec.capacity_W * rows[:, 3]
+        return {
+            "time": np.array(self._times[-last:]),
+            "T": rows[:, 0],
+            "T_out": rows[:, 1],
+            "solar": rows[:, 2],
+            "u": rows[:, 3],
+            "heat": heat,
+            "power": electric_power_W(self._zone, self.testcase.mode, heat, rows[:, 1]),
+        }
+
+    def _measurement(self, before_s: float) -> Measurement:
+        n = round((self._now_s - before_s) / self._spec.step_s)
+        record = self._record(n + 1)
+        names = ("T", "T_out", "solar")
+        T, T_out, solar = (float(record[name][-1]) for name in names)
+        m = self.testcase.measurements
+        points = {
+            m.zone_temperature: T + _KELVIN,
+            m.outdoor_temperature: T_out + _KELVIN,
+            m.solar: solar,
+            m.electric_power[0]: float(record["power"][-1]),
+        }
+        if before_s >= self._now_s:
+            return Measurement(self._now_s, T, T_out, solar, points=points)
+        edges = np.array([before_s, self._now_s])
+        u, power, heat = (float(interval_means(record, [name], edges)[0]) for name in ("u", "power", "heat"))
+        return Measurement(self._now_s, T, T_out, solar, u, power, heat, points=points)

@@ -1,0 +1,140 @@
+"""Key performance indicators as BOPTEST defines them, computed in one place for every plant.
+
+Definitions: BOPTEST documentation (Blum et al. 2021, doi:10.1080/19401493.2021.1986574): 30-s samples, integrals by the
+trapezoidal rule, per square metre of floor, peak as the highest mean over 15 minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.errors import DataError
+
+_J_PER_KWH = 3.6e6
+_PEAK_WINDOW_S = 900.0
+# The peak KPI of each energy carrier that has one, by BOPTEST's names.
+PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPower": "pdih_tot"}
+
+
+@dataclass(frozen=True)
+class Supply:
+    """One energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
+
+    `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh.
+    """
+
+    carrier: str
+    power_W: Array
+    price_per_kWh: Array
+    emission_kg_per_kWh: Array
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A signal of one zone outside its bounds: `excess` (n,) is nonnegative, K or ppm."""
+
+    zone: str
+    excess: Array
+
+
+def excess(value: Array, lower: Array, upper: Array) -> Array:
+    """How far `value` lies outside the bounds, shape (n,), in its unit."""
+    return np.asarray(np.maximum(np.maximum(lower - value, value - upper), 0.0))
+
+
+def building_kpis(
+    time_s: Array,
+    *,
+    supplies: Sequence[Supply],
+    thermal: Sequence[Violation],
+    air_quality: Sequence[Violation],
+    area_m2: float,
+) -> dict[str, float]:
+    """KPIs of a building with any number of zones and energy carriers over samples at `time_s` (n,), s.
+
+    Energy, cost and emissions add up over carriers; discomfort is the mean over zones. A KPI that nothing was given for
+    (no zone with CO2, no gas) is left out.
+
+    Returns:
+        `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, and kW/m² of
+        `pele_tot`, `pgas_tot`, `pdih_tot`.
+
+    Raises:
+        DataError: arrays differ in length, time does not increase, or an array holds a value that is not finite.
+    """
+    if np.size(time_s) < 2 or not (np.diff(time_s) > 0).all():
+        raise DataError("KPIs: time must increase over at least two samples")
+    for supply in supplies:
+        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh"):
+            _check(getattr(supply, name), time_s, f"{name} of {supply.carrier}")
+    for violation in (*thermal, *air_quality):
+        _check(violation.excess, time_s, f"zone {violation.zone}")
+    hours = time_s / HOUR_S
+    totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
+    for supply in supplies:
+        kW = supply.power_W / 1e3 / area_m2
+        totals["ener_tot"] += float(np.trapezoid(kW, hours))
+        totals["cost_tot"] += float(np.trapezoid(kW * supply.price_per_kWh, hours))
+        totals["emis_tot"] += float(np.trapezoid(kW * supply.emission_kg_per_kWh, hours))
+    for name, zones in (("tdis_tot", thermal), ("idis_tot", air_quality)):
+        if zones:
+            totals[name] = float(np.mean([np.trapezoid(zone.excess, hours) for zone in zones]))
+    for supply in supplies:
+        if supply.carrier in PEAKS:
+            totals[PEAKS[supply.carrier]] = peak_power(time_s, supply.power_W) / 1e3 / area_m2
+    return totals
+
+
+def _check(values: Array, time_s: Array, name: str) -> None:
+    if np.shape(values) != np.shape(time_s):
+        raise DataError(f"KPIs: {name} has {np.size(values)} values for {np.size(time_s)} samples; it needs one each")
+    if not np.isfinite(values).all():
+        first = float(time_s[int(np.argmin(np.isfinite(values)))])
+        raise DataError(f"KPIs: {name} is not a finite number at {first:g} s")
+
+
+def compute_kpis(
+    time_s: Array,
+    *,
+    power_W: Array,
+    T_operative_C: Array,
+    lower_C: Array,
+    upper_C: Array,
+    co2_ppm: Array,
+    co2_limit_ppm: float,
+    price_per_kWh: Array,
+    emission_kg_per_kWh: Array,
+    area_m2: float,
+) -> dict[str, float]:
+    """KPIs of one zone with electricity alone over samples at `time_s` (n,), s; every other array has shape (n,).
+
+    Returns:
+        `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, `pele_tot` kW/m².
+
+    Raises:
+        DataError: arrays differ in length or time does not increase.
+    """
+    arrays = (power_W, T_operative_C, lower_C, upper_C, co2_ppm, price_per_kWh, emission_kg_per_kWh)
+    if any(np.shape(array) != np.shape(time_s) for array in arrays):
+        raise DataError("KPIs: every series needs one value per time sample")
+    return building_kpis(
+        time_s,
+        supplies=[Supply("ElectricPower", power_W, price_per_kWh, emission_kg_per_kWh)],
+        thermal=[Violation("1", excess(T_operative_C, lower_C, upper_C))],
+        air_quality=[Violation("1", np.maximum(co2_ppm - co2_limit_ppm, 0.0))],
+        area_m2=area_m2,
+    )
+
+
+def peak_power(time_s: Array, power_W: Array) -> float:
+    """Highest mean over consecutive 15-minute windows from the first sample, W (the whole span when shorter)."""
+    energy_J = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (power_W[1:] + power_W[:-1]) / 2)])
+    edges = np.arange(time_s[0], time_s[-1] + 1e-6, _PEAK_WINDOW_S)
+    if edges.size < 2:
+        edges = np.array([time_s[0], time_s[-1]])
+    at_edges = np.interp(edges, time_s, energy_J)
+    return float(np.max(np.diff(at_edges) / np.diff(edges)))

@@ -1,0 +1,1 @@
+"""Benches, interventional suite and pretraining. A user of the product need not enter."""

@@ -1,0 +1,136 @@
+"""The same MPC problem in do-mpc (Fiedler et al. 2023), as its documentation would have one write it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from controllers.problem import MPCProblem
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.operator.casadi_export import step_function
+from thermoforce_mpc.model.operator.features import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+# What changes from step to step and instance to instance.
+_TIME_VARYING = ("price", "T_free", "lower", "upper")
+
+
+def load_do_mpc() -> Any:
+    """The package do-mpc; raises `ConfigError` where it is not installed."""
+    try:
+        with warnings.catch_warnings():  # it warns of optional parts that are not there
+            warnings.simplefilter("ignore")
+            import do_mpc
+    except ImportError as error:
+        raise ConfigError("do-mpc is not installed: pip install 'thermoforce-mpc[bench]'") from error
+    return do_mpc
+
+
+@contextmanager
+def quiet_do_mpc() -> Iterator[None]:
+    """Without warnings that are do-mpc's to follow (numpy on CasADi's types) or meant for others (no rterm)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        warnings.filterwarnings("ignore", "rterm was not set")
+        yield
+
+
+class DoMpcPeer:
+    """Solves `MPCProblem`s of one operator, horizon and set of weights through do-mpc's own interface.
+
+    The operator's modes are discrete states, level and slack are inputs, everything that varies is a time-varying
+    parameter; bounds on the temperature at the end of a step are constraints on state and input at its start.
+
+    Args:
+        operator: the forced response.
+        example: an instance with the horizon, step and weights of all.
+        gain_beforehand: whether what a level brings in each step is worked out before and handed in as a number, which
+            takes knowing that it does not depend on the decisions; else the model holds the operator with its network.
+
+    Raises:
+        ConfigError: do-mpc is not installed.
+    """
+
+    def __init__(self, operator: OperatorParameters, example: MPCProblem, *, gain_beforehand: bool) -> None:
+        do_mpc = load_do_mpc()
+        self._operator, self._n, self._gain_beforehand = operator, example.n_steps, gain_beforehand
+        model = do_mpc.model.Model("discrete", "SX")
+        modes = [f"F{i}" for i in range(operator.order)]
+        given = ["drive"] if gain_beforehand else [f"x{i}" for i in range(N_FEATURES)]
+        self._varying = [*given, *_TIME_VARYING]
+        for kind, names in (("_x", modes), ("_u", ["u", "slack"]), ("_tvp", self._varying)):
+            for name in names:
+                model.set_variable(kind, name)
+        step = step_function(operator)
+
+        def after() -> list[ca.SX]:
+            if gain_beforehand:
+                heat = model.tvp["drive"] * model.u["u"]
+                return [
+                    a * model.x[f] + g * heat for a, g, f in zip(operator.poles, operator.gains, modes, strict=True)
+                ]
+            F, x = ca.vertcat(*[model.x[f] for f in modes]), ca.vertcat(*[model.tvp[name] for name in given])
+            return list(ca.vertsplit(step(F, model.u["u"], x)))
+
+        for name, value in zip(modes, after(), strict=True):
+            model.set_rhs(name, value)
+        with quiet_do_mpc():
+            model.setup()  # its symbols are other ones from here on
+        u, slack = model.u["u"], model.u["slack"]
+        price, T_free, lower, upper = (model.tvp[name] for name in _TIME_VARYING)
+        mpc = do_mpc.controller.MPC(model)
+        mpc.settings.n_horizon = self._n
+        mpc.settings.t_step = example.step_s
+        mpc.settings.state_discretization = "discrete"
+        mpc.settings.store_full_solution = False
+        mpc.settings.nlpsol_opts = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0, "ipopt.tol": 1e-8}
+        comfort, curvature = example.comfort_price, example.weights.curvature
+        mpc.set_objective(mterm=ca.SX(0), lterm=price * u + comfort * slack + curvature * u**2)
+        mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = 0.0, example.u_max
+        mpc.bounds["lower", "_u", "slack"] = 0.0
+        T = T_free + sum(after())
+        mpc.set_nl_cons("cold", lower - T - slack, ub=0.0)
+        mpc.set_nl_cons("hot", T - upper - slack, ub=0.0)
+        self._template = mpc.get_tvp_template()
+        mpc.set_tvp_fun(lambda now: self._template)
+        with quiet_do_mpc():
+            mpc.setup()
+        self._mpc = mpc
+        self._guessed = False
+
+    def solve(self, problem: MPCProblem) -> Array:
+        """Levels (N,) for one instance, everything included that a step of do-mpc needs."""
+        p = problem
+        full = np.full(self._n, p.u_max)
+        drive = self._operator.drive(full, p.features) / p.u_max
+        given = [drive] if self._gain_beforehand else list(p.features.T)
+        values = np.stack([*given, p.price_per_W * p.power_W(full) / p.u_max, p.T_free_C, p.lower_C, p.upper_C], axis=1)
+        for k in range(self._n + 1):
+            row = values[min(k, self._n - 1)]
+            for name, value in zip(self._varying, row, strict=True):
+                self._template["_tvp", k, name] = value
+        state = np.asarray(p.forced_state_K).reshape(-1, 1)
+        self._mpc.x0 = state
+        if not self._guessed:
+            self._mpc.set_initial_guess()
+            self._guessed = True
+        with quiet_do_mpc():
+            self._mpc.make_step(state)
+        moves = self._mpc.opt_x_num["_u", :, 0]
+        return np.array([float(move[0]) for move in moves])
+
+
+def without_extras(problem: MPCProblem) -> MPCProblem:
+    """The problem as the peer has it: no peak, no worth of heat at the end."""
+    return replace(
+        problem,
+        terminal_price_per_K=np.zeros_like(problem.terminal_price_per_K),
+        weights=replace(problem.weights, peak=0.0),
+    )

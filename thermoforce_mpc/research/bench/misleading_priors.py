@@ -1,0 +1,87 @@
+"""Part of `tf-mpc bench probing`: what an identification says where its priors mislead, and whether its band admits it.
+
+The priors of capacity and coupling are per floor area. A house that is told to be a quarter larger or smaller than it
+is has both wrong by about one of their standard deviations, in the same direction; the data have to speak against them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.model.predictor import ThermalModel
+from thermoforce_mpc.research.bench.operator_data import ReferencePair
+from thermoforce_mpc.research.bench.operator_score import score_pairs
+from thermoforce_mpc.simulation.bench_result import Target
+
+# Told floor areas as shares of the true one.
+_TOLD = (1.0, 1.25, 0.8)
+_CONFIG = IdentificationConfig(modulation="linear", order=3)
+# A band of ± this many standard deviations holds 90 % of a normal distribution.
+_BAND = 1.645
+# Beyond a day pairs of a day and a quarter do not tell what is true.
+_LAGS_H = tuple(h for h in STEP_RESPONSE_H if h <= 24)
+_COVERED = 0.8
+
+Row = dict[str, Any]
+
+
+def run_misleading_priors(
+    records: Mapping[int, Sequence[History]],
+    pairs: Sequence[ReferencePair],
+    floor_area_m2: float,
+    say: Callable[[str], None],
+) -> tuple[list[Row], list[Target]]:
+    """Identify every record with the true and with false floor areas.
+
+    Args:
+        records: probed records by their days.
+        pairs: pairs of runs of the same plant, which effects are scored on and the true step response comes from.
+        floor_area_m2: true floor area, m².
+        say: told what is being done.
+    """
+    truth = identify(pairs=[p.pair for p in pairs], config=_CONFIG, floor_area_m2=floor_area_m2)
+    rows: list[Row] = []
+    targets: list[Target] = []
+    for days, given in records.items():
+        for share in _TOLD:
+            say(f"{days} days, told {100 * share:.0f} % of the floor area")
+            errors, inside = [], []
+            for record in given:
+                try:
+                    model = identify([record], config=_CONFIG, floor_area_m2=share * floor_area_m2)
+                except DataError:
+                    continue
+                errors.append(score_pairs(model.operator, pairs).rmse_K)
+                inside.append(_inside(model, truth))
+            covered = float(np.mean(inside))
+            rows.append(
+                {
+                    "part": "priors",
+                    "data": f"{days} days, {len(errors)} records",
+                    "told_area": f"{100 * share:.0f} %",
+                    "mean_rmse_K": float(np.mean(errors)),
+                    "worst_rmse_K": float(np.max(errors)),
+                    "in_90_band": covered,
+                }
+            )
+        worst = min(row["in_90_band"] for row in rows[-len(_TOLD) :])
+        targets.append(Target(f"{days} days: truth inside the 90 % band, worst told area", worst, _COVERED, "at least"))
+    return rows, targets
+
+
+def _inside(model: ThermalModel, truth: ThermalModel) -> Array:
+    """Whether the true answer per watt lies in the band, for each lag, shape (lags,)."""
+    known, true = model.card.uncertainty, truth.card.uncertainty
+    # Both are the answers to full heat as each believes it to be at its reference.
+    scale = model.operator.actuator.reference_W / truth.operator.actuator.reference_W
+    names = [f"step_response_{hours}h" for hours in _LAGS_H]
+    return np.array(
+        [abs(known[f"{n}_K"] - scale * true[f"{n}_K"]) <= _BAND * known[f"{n}_sd_K"] for n in names], dtype=np.float64
+    )

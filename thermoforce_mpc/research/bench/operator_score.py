@@ -1,0 +1,76 @@
+"""Scoring an operator on paired interventions it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.operator import OperatorParameters, feature_matrix, forced_rollout
+from thermoforce_mpc.model.predictor import forced_history
+from thermoforce_mpc.research.bench.operator_data import ReferencePair
+
+# Below this, K, the sign of an effect is not scored: nobody could feel or use it.
+SIGN_FROM_K = 0.05
+
+
+@dataclass(frozen=True)
+class PairScores:
+    """Effect error over all pairs and lags.
+
+    `rmse_K` K; `sign_accuracy` where |effect| > 0.05 K (NaN if nowhere); `effect_K` RMS of the effect, K; `n` lags;
+    `own_factor_rmse_K` the RMSE that would be left if the prediction of every pair were multiplied by the factor that
+    suits that very pair best, and `own_factor_sd` how much these factors differ: what the weather, the zone or the hour
+    of a pair could explain by a gain m(x) that hardly changes within a day lies between the two errors.
+    """
+
+    rmse_K: float
+    sign_accuracy: float
+    effect_K: float
+    n: int
+    own_factor_rmse_K: float
+    own_factor_sd: float
+
+
+def predicted_effect(operator: OperatorParameters, reference: ReferencePair) -> Array:
+    """Effect of the first run's actions instead of the second's, shape (n,), K (paper eq:effect).
+
+    Both are rolled out over the free state of the second run: what the first run measured is not looked at.
+    """
+    acted, baseline = reference.pair.a, reference.pair.b
+    operator = operator.resampled(baseline.step_s)
+    free = baseline.T_zone_C - forced_history(operator, baseline).sum(axis=1)
+    features = feature_matrix(free[:-1], baseline.T_out_C[:-1], baseline.solar_W_m2[:-1], baseline.time_s[:-1])
+    start = np.zeros(operator.order)
+    first, second = (forced_rollout(operator, start, run.u, features).sum(axis=-1) for run in (acted, baseline))
+    return np.asarray(first - second)
+
+
+def score_pairs(
+    operator: OperatorParameters, references: Sequence[ReferencePair], horizon_h: float = 24.0
+) -> PairScores:
+    """Score rollouts over `horizon_h` from the start of each intervention."""
+    predicted, measured = [], []
+    for reference in references:
+        run = reference.pair.a
+        steps = round(horizon_h * HOUR_S / run.step_s)
+        window = slice(reference.window_start, reference.window_start + steps)
+        predicted.append(predicted_effect(operator, reference)[window])
+        measured.append((run.T_zone_C - reference.pair.b.T_zone_C)[1:][window])
+    p, m = np.concatenate(predicted), np.concatenate(measured)
+    # A pair without effect in the window (an action that came too late) keeps the factor 1.
+    seen = [(x, y) for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() > SIGN_FROM_K]
+    factors = np.array([float(x @ y) / float(x @ x) for x, y in seen])
+    left = [f * x - y for f, (x, y) in zip(factors, seen, strict=True)]
+    left += [x - y for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() <= SIGN_FROM_K]
+    strong = np.abs(m) > SIGN_FROM_K
+    return PairScores(
+        rmse_K=float(np.sqrt(np.mean((p - m) ** 2))),
+        sign_accuracy=float(np.mean(np.sign(p[strong]) == np.sign(m[strong]))) if strong.any() else float("nan"),
+        effect_K=float(np.sqrt(np.mean(m**2))),
+        n=int(p.size),
+        own_factor_rmse_K=float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
+        own_factor_sd=float(np.std(factors)) if factors.size else float("nan"),
+    )

@@ -1,0 +1,150 @@
+"""How long identification takes, as ratios within one run of the bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.train import causal_convolution, impulse_response, minimise
+from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
+from thermoforce_mpc.model.operator import OperatorParameters
+from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
+from thermoforce_mpc.research.bench.operator_speed import Comparison, median_s, must_agree, random_operator
+from thermoforce_mpc.research.many_buildings import fit_two_stage_many
+
+# Noise of the synthetic targets, K, so that the loss does not end at zero.
+_NOISE_K = 0.05
+# Agreement of batched and single identification, relative: the single one's bounded solver stops within a tolerance.
+_SAME_POLE = 1e-3
+
+
+class _Task:
+    """Operator to train on rollouts of a teacher with noise, its loss by convolution and by a loop over the steps."""
+
+    def __init__(self, n_steps: int, rollouts: int) -> None:
+        rng = np.random.default_rng(0)
+        self.n, self.rollouts = n_steps, rollouts
+        self.n_fft = 1 << (2 * n_steps).bit_length()
+        self.features = torch.tensor(rng.normal(size=(rollouts, n_steps, 4)))
+        self.heat = torch.tensor(rng.uniform(size=(rollouts, n_steps)))
+        with torch.no_grad():
+            clean = self._forced(ForcedResponseOperator(random_operator(3, 7)))
+        self.target = clean + _NOISE_K * torch.tensor(rng.normal(size=(rollouts, n_steps)))
+
+    def start(self) -> ForcedResponseOperator:
+        """A fresh operator, the same every time, with other gains and weights than the teacher's."""
+        base = random_operator(3, 1)
+        return ForcedResponseOperator(OperatorParameters(**{**vars(base), "gains": 0.5 * base.gains}))
+
+    def fast(self, operator: ForcedResponseOperator) -> Tensor:
+        """Mean squared error, all steps of all rollouts in one convolution."""
+        return ((self._forced(operator) - self.target) ** 2).mean()
+
+    def loop(self, operator: ForcedResponseOperator) -> Tensor:
+        """The same, all rollouts at once but step by step."""
+        state = torch.zeros(self.rollouts, 3, dtype=torch.float64)
+        total = torch.zeros((), dtype=torch.float64)
+        for t in range(self.n):
+            drive = operator.modulation(self.features[:, t]) * self.heat[:, t]
+            state = operator.poles * state + operator.gains * drive[:, None]
+            total = total + ((state.sum(-1) - self.target[:, t]) ** 2).sum()
+        return total / self.target.numel()
+
+    def _forced(self, operator: ForcedResponseOperator) -> Tensor:
+        drive = operator.modulation(self.features) * self.heat
+        return causal_convolution(impulse_response(operator, self.n), drive, self.n_fft)
+
+
+def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Comparison:
+    """One epoch (loss and gradient) by convolution against a loop over the steps of all rollouts at once."""
+    task = _Task(n_steps, rollouts)
+    operator = task.start()
+    must_agree("training loss", task.fast(operator).detach().numpy(), task.loop(operator).detach().numpy())
+
+    def epoch(loss: Callable[[ForcedResponseOperator], Tensor]) -> Callable[[], object]:
+        def run() -> None:
+            operator.zero_grad()
+            loss(operator).backward()
+
+        return run
+
+    return Comparison(
+        f"epoch of training, {rollouts} rollouts of {n_steps} steps",
+        median_s(epoch(task.loop), max(3, repeats // 3)),
+        median_s(epoch(task.fast), repeats),
+    )
+
+
+class _Reached(Exception):
+    """The loss aimed at has been reached."""
+
+
+def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> Comparison:
+    """Training to the loss that `epochs` of Adam in a loop over the steps end at, against how the package trains."""
+    task = _Task(n_steps, rollouts)
+    plain = task.start()
+    config = IdentificationConfig(optimiser="adam", epochs=epochs)
+    began = perf_counter()
+    aim = min(minimise(lambda: task.loop(plain), list(plain.parameters()), config))
+    plain_s = perf_counter() - began
+
+    def train() -> None:
+        operator = task.start()
+
+        def loss() -> Tensor:
+            value = task.fast(operator)
+            if float(value.detach()) <= aim:
+                raise _Reached
+            return value
+
+        try:
+            minimise(loss, list(operator.parameters()), IdentificationConfig(epochs=5000))
+        except _Reached:
+            return
+        raise ArithmeticError(f"training: L-BFGS ended above the loss that Adam reached, {aim:g}")
+
+    name = f"training to the loss of {epochs} epochs, {rollouts} rollouts of {n_steps} steps"
+    return Comparison(name, plain_s, median_s(train, 3))
+
+
+def compare_many_buildings(buildings: int, days: int = 3) -> Comparison:
+    """Two-stage identification of synthetic buildings, one after another against all at once."""
+    runs = [_run(seed, days) for seed in range(buildings)]
+
+    def one_by_one() -> list[TwoStageFit]:
+        return [fit_two_stage([run]) for run in runs]
+
+    poles = [np.array([fit.a for fit in fits]) for fits in (one_by_one(), fit_two_stage_many(runs))]
+    loss = 1.0 - poles[0]
+    if not np.allclose(poles[0], poles[1], rtol=0.0, atol=float(_SAME_POLE * loss.max())):
+        raise ArithmeticError("two-stage: many at once and one after another disagree")
+    return Comparison(
+        f"two-stage identification of {buildings} buildings, {days} days each",
+        median_s(one_by_one, 5),
+        median_s(lambda: fit_two_stage_many(runs), 15),
+    )
+
+
+def _run(seed: int, days: int, step_s: float = 900.0) -> History:
+    """A building of order 1 with its own time constant and gain, switched at random."""
+    rng = np.random.default_rng(seed)
+    n = round(days * DAY_S / step_s)
+    time_s: Array = np.arange(n + 1, dtype=np.float64) * step_s
+    hour = time_s / HOUR_S
+    T_out: Array = 5.0 + 4.0 * np.cos(2 * np.pi * (hour - 15) / 24) + rng.normal(size=n + 1).cumsum() * 0.05
+    solar: Array = np.maximum(0.0, 300.0 * np.cos(2 * np.pi * (hour - 12) / 24)) * rng.uniform(0.3, 1.0)
+    u: Array = np.repeat(rng.choice([0.0, 0.5, 1.0], n // 8 + 1), 8)[:n]
+    loss = 1.0 - np.exp(-step_s / HOUR_S / rng.uniform(15.0, 60.0))
+    T = np.empty(n + 1)
+    T[0] = 20.0
+    for t in range(n):
+        gain = loss * (T_out[t] - T[t]) + 2e-5 * solar[t] + loss * (5.0 + 20.0 * u[t])
+        T[t + 1] = T[t] + gain + 0.005 * rng.normal()
+    nothing = np.full(n, np.nan)
+    return History(time_s, T, T_out, solar, u, nothing, nothing)

@@ -1,0 +1,271 @@
+"""The paired data of a suite: simulated once, kept on disk with its hashes, read back bit for bit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.plants.energyplus.engine import engine_hash, engine_version, file_hash, weather_file
+from thermoforce_mpc.plants.energyplus.simulate import Job
+from thermoforce_mpc.plants.energyplus.zone import model_hash, zone_model
+from thermoforce_mpc.research.interventions.pool import simulate_all
+from thermoforce_mpc.research.interventions.protocol import (
+    CLIMATES,
+    WARMUP_DAYS,
+    WINDOW_START_H,
+    Climate,
+    ClimateName,
+    Part,
+    Protocol,
+    WindowName,
+    base_setpoint,
+    days_of,
+    gains,
+    probing_shift,
+    seconds,
+    shift_of,
+)
+
+# The engine's own start is forgotten first; what is left of the warm-up is the context of the forecasters.
+_FORGOTTEN_DAYS = 4
+_FORMAT = 2
+
+
+@dataclass(frozen=True)
+class Window:
+    """One paired intervention: what was known when it began, and both futures over the horizon (N steps each)."""
+
+    climate: ClimateName
+    name: WindowName
+    part: Part
+    day: int
+    shift_K: float
+    history: History
+    factual: History
+    perturbed: History
+
+    @property
+    def boundary(self) -> Boundary:
+        """Weather of the horizon, which both runs share; comfort, price and emission play no part."""
+        return self.factual.weather()
+
+
+@dataclass(frozen=True)
+class Probe:
+    """K probe days: what came before, and the pair of runs (probed, plain operation) that begin in one state."""
+
+    history: History
+    pair: Pair
+
+
+@dataclass(frozen=True)
+class ClimateData:
+    """All of one climate: windows of both parts, and the probe of each number of days."""
+
+    climate: Climate
+    windows: tuple[Window, ...]
+    probes: dict[int, Probe]
+
+    def part(self, part: Part) -> list[Window]:
+        """Windows of one part."""
+        return [w for w in self.windows if w.part == part]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """The suite's data and what they were made from."""
+
+    climates: dict[ClimateName, ClimateData]
+    manifest: dict[str, Any]
+
+
+def load_or_simulate(
+    protocol: Protocol,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Dataset:
+    """The data of `protocol`: from `folder` where they are and their hashes fit, else simulated and put there.
+
+    Raises:
+        DataError: kept data are damaged, or a pair was not identical before its window.
+        PlantError: the engine is missing or failed.
+    """
+    made_from = _made_from(protocol)
+    key = hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()[:16]
+    arrays_file, manifest_file = folder / f"interventions-{key}.npz", folder / f"interventions-{key}.json"
+    if not manifest_file.is_file():
+        jobs, plan = _jobs(protocol)
+        say(f"EnergyPlus: {len(jobs)} simulations")
+        step = max(1, len(jobs) // 20)
+
+        def progress(done: int) -> None:
+            if done % step == 0 or done == len(jobs):
+                say(f"EnergyPlus: {done} of {len(jobs)} simulations")
+
+        records = simulate_all(jobs, workers=workers, on_done=progress)
+        arrays = {
+            f"{label}/{item.name}": getattr(record, item.name)
+            for label, record in _cut(plan, records).items()
+            for item in fields(History)
+        }
+        folder.mkdir(parents=True, exist_ok=True)
+        partial = arrays_file.with_suffix(f".{os.getpid()}.npz")
+        np.savez_compressed(partial, allow_pickle=False, **arrays)
+        partial.replace(arrays_file)
+        manifest = made_from | {"arrays": arrays_file.name, "arrays_sha256": _arrays_hash(arrays)}
+        manifest_file.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
+    return _read(protocol, arrays_file, manifest_file)
+
+
+def _made_from(protocol: Protocol) -> dict[str, Any]:
+    """Everything that decides the bytes of the data."""
+    climates = {}
+    for name in protocol.climates:
+        climate = CLIMATES[name]
+        weather = weather_file(climate.spec.weather)
+        climates[name] = asdict(climate) | {
+            "weather_file": weather.name,
+            "weather_sha256": file_hash(weather),
+            "model_sha256": model_hash(zone_model(climate.spec, climate.first_day, WARMUP_DAYS)),
+        }
+    return {
+        "format": _FORMAT,
+        "engine": engine_version(),
+        "engine_sha256": engine_hash(),
+        "protocol": asdict(protocol),
+        "climates": climates,
+    }
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Which steps of which run become which record of the data."""
+
+    label: str
+    run: int
+    start: int
+    stop: int
+    # The run that this one must equal to the bit up to `start`.
+    twin: int | None = None
+
+
+def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
+    jobs: list[Job] = []
+    plan: list[_Cut] = []
+    for name in protocol.climates:
+        climate = CLIMATES[name]
+        per_hour = HOUR_S / climate.spec.step_s
+        forgotten = round(_FORGOTTEN_DAYS * 24 * per_hour)
+
+        def job(first_day: int, n_days: int, climate: Climate = climate) -> Job:
+            start = first_day - WARMUP_DAYS
+            setpoint = base_setpoint(climate, WARMUP_DAYS + n_days)
+            return Job(climate.spec, start, setpoint, gains(climate, start, WARMUP_DAYS + n_days, protocol.seed))
+
+        warm = round(WARMUP_DAYS * 24 * per_hour)
+        for k in protocol.probe_days:
+            factual = job(climate.first_day + protocol.probe_part_days - k, k)
+            probed = factual.setpoint_C.copy()
+            probed[warm:] += probing_shift(climate, k, protocol.seed)
+            base = len(jobs)
+            jobs += [factual, Job(climate.spec, factual.first_day, probed, factual.gains)]
+            plan.append(_Cut(f"{name}/probe/{k}/history", base, forgotten, warm))
+            plan.append(_Cut(f"{name}/probe/{k}/factual", base, warm, factual.n_steps))
+            plan.append(_Cut(f"{name}/probe/{k}/probed", base + 1, warm, factual.n_steps, twin=base))
+        for part in ("validation", "test"):
+            for index, day in enumerate(days_of(protocol, climate, part)):
+                factual = job(day, 1)
+                base = len(jobs)
+                jobs.append(factual)
+                for position, (window, hour) in enumerate(WINDOW_START_H.items()):
+                    start = warm + round(hour * per_hour)
+                    end = start + round(protocol.horizon_h * per_hour)
+                    setpoint = factual.setpoint_C.copy()
+                    setpoint[start : start + round(protocol.shift_h * per_hour)] += shift_of(index, position)
+                    label = f"{name}/{part}/{day}/{window}"
+                    plan.append(_Cut(f"{label}/history", base, forgotten, start))
+                    plan.append(_Cut(f"{label}/factual", base, start, end))
+                    plan.append(_Cut(f"{label}/perturbed", len(jobs), start, end, twin=base))
+                    jobs.append(Job(climate.spec, factual.first_day, setpoint, factual.gains))
+    return jobs, plan
+
+
+def check_identical(a: History, b: History, n_steps: int, what: str) -> None:
+    """Refuse two runs that differ, in any bit, before the intervention begins after `n_steps` steps.
+
+    Raises:
+        DataError: naming the signal and the first step that differs.
+    """
+    first, second = a.part(0, n_steps), b.part(0, n_steps)
+    for item in fields(History):
+        x, y = getattr(first, item.name), getattr(second, item.name)
+        if x.shape != y.shape or x.tobytes() != y.tobytes():
+            at = int(np.flatnonzero(x != y)[0]) if x.shape == y.shape and (x != y).any() else min(x.size, y.size)
+            raise DataError(f"{what}: {item.name} differs at step {at}, before the intervention at step {n_steps}")
+
+
+def _cut(plan: list[_Cut], records: list[History]) -> dict[str, History]:
+    out = {}
+    for item in plan:
+        if item.twin is not None:
+            check_identical(records[item.run], records[item.twin], item.start, item.label)
+        out[item.label] = records[item.run].part(item.start, item.stop)
+    return out
+
+
+def _arrays_hash(arrays: dict[str, Any]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(arrays[name], dtype=np.float64).tobytes())
+    return digest.hexdigest()
+
+
+def _read(protocol: Protocol, arrays_file: Path, manifest_file: Path) -> Dataset:
+    advice = "delete both files and simulate again"
+    try:
+        manifest = json.loads(manifest_file.read_text())
+        with np.load(arrays_file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, EOFError) as error:
+        raise DataError(f"{manifest_file} or {arrays_file.name} cannot be read ({error}); {advice}") from error
+    if _arrays_hash(arrays) != manifest["arrays_sha256"]:
+        raise DataError(f"{arrays_file}: its numbers do not have the hash in {manifest_file.name}; {advice}")
+
+    def record(label: str) -> History:
+        # Data of earlier versions hold no return temperature.
+        kept = [item.name for item in fields(History) if f"{label}/{item.name}" in arrays]
+        return History(**{name: arrays[f"{label}/{name}"] for name in kept})
+
+    climates = {}
+    for name in protocol.climates:
+        climate = CLIMATES[name]
+        windows = []
+        for part in ("validation", "test"):
+            for index, day in enumerate(days_of(protocol, climate, part)):
+                for position, (window, hour) in enumerate(WINDOW_START_H.items()):
+                    label = f"{name}/{part}/{day}/{window}"
+                    past, factual, perturbed = (record(f"{label}/{x}") for x in ("history", "factual", "perturbed"))
+                    if factual.time_s[0] != seconds(day, hour):
+                        raise DataError(f"{arrays_file}: {label} does not begin at day {day}, {hour:g} h; {advice}")
+                    shift = shift_of(index, position)
+                    windows.append(Window(name, window, part, day, shift, past, factual, perturbed))
+        probes = {}
+        for k in protocol.probe_days:
+            past, plain, probed = (record(f"{name}/probe/{k}/{x}") for x in ("history", "factual", "probed"))
+            start = plain.time_s[0] / DAY_S
+            probes[k] = Probe(past, Pair(probed, plain, label=f"{k} days from day {start:g}"))
+        climates[name] = ClimateData(climate, tuple(windows), probes)
+    return Dataset(climates, manifest)

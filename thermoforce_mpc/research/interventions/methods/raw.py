@@ -1,0 +1,22 @@
+"""The forecaster alone: it continues the measured temperature and cannot be asked what an action would do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.research.interventions.dataset import Window
+
+
+class RawForecast:
+    """`Predictor` that answers every plan with the same forecast of T."""
+
+    def __init__(self, free_response: FreeResponse) -> None:
+        self._free_response = free_response
+        self.note = "zero-shot"
+
+    def respond(self, window: Window, u: Array) -> Array:
+        """See `Predictor.respond`."""
+        median = self._free_response.forecast(window.history.T_zone_C, window.history, window.boundary).median_C
+        return np.broadcast_to(median, u.shape).copy()

@@ -1,0 +1,109 @@
+"""All methods of the table by name. A new one is one file and one entry here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.research.interventions.methods.base import Predictor, Training
+
+
+@dataclass(frozen=True)
+class Forecasters:
+    """What methods forecast with: the paper's `tsfm`, and its weights' name for those that put more around them."""
+
+    tsfm: FreeResponse
+    backbone: str = SHIPPED
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the table: `ours` tells ThermoForce from what it is compared with; `in_paper` whether it is there."""
+
+    name: str
+    label: str
+    ours: bool
+    in_paper: bool
+    build: Callable[[Training, Forecasters], Predictor]
+
+
+def _raw(training: Training, free: Forecasters) -> Predictor:
+    from thermoforce_mpc.research.interventions.methods.raw import RawForecast
+
+    return RawForecast(free.tsfm)
+
+
+def _covariates(autoregressive: bool) -> Callable[[Training, Forecasters], Predictor]:
+    def build(training: Training, free: Forecasters) -> Predictor:
+        from thermoforce_mpc.research.interventions.methods.covariates import build_covariates
+
+        return build_covariates(training, free.tsfm, autoregressive=autoregressive)
+
+    return build
+
+
+def _observational(training: Training, free: Forecasters) -> Predictor:
+    from thermoforce_mpc.research.interventions.methods.grey_box import build_observational
+
+    return build_observational(training)
+
+
+def _grey_box_on_probe(training: Training, free: Forecasters) -> Predictor:
+    from thermoforce_mpc.research.interventions.methods.grey_box import build_on_probe
+
+    return build_on_probe(training)
+
+
+def _surrogate(training: Training, free: Forecasters) -> Predictor:
+    from thermoforce_mpc.research.interventions.methods.surrogate import build_surrogate
+
+    return build_surrogate(training, free.tsfm)
+
+
+def _unconstrained(training: Training, free: Forecasters) -> Predictor:
+    from thermoforce_mpc.research.interventions.methods.unconstrained import build_unconstrained
+
+    return build_unconstrained(training, free.tsfm)
+
+
+def _thermoforce(
+    *orders: int, curve: bool = False, residual: bool = False
+) -> Callable[[Training, Forecasters], Predictor]:
+    def build(training: Training, free: Forecasters) -> Predictor:
+        from thermoforce_mpc.research.interventions.methods.curve import EXPONENTS
+        from thermoforce_mpc.research.interventions.methods.thermoforce import build_thermoforce
+
+        forecaster = build_free_response("residual", backbone=free.backbone) if residual else free.tsfm
+        return build_thermoforce(training, forecaster, orders=orders, exponents=EXPONENTS if curve else (1.0,))
+
+    return build
+
+
+MONOTONE, TWO_STATE, BEST = "thermoforce", "thermoforce_two_state", "thermoforce_curve"
+
+METHODS: dict[str, Method] = {
+    m.name: m
+    for m in (
+        Method("tsfm", "TSFM raw", False, True, _raw),
+        Method("tsfm_covariates", "TSFM + covariates (ridge)", False, True, _covariates(False)),
+        Method("tsfm_covariates_ar", "TSFM + covariates + AR", False, True, _covariates(True)),
+        Method("rc", "Observational RC", False, True, _observational),
+        Method("rc_probe", "RC on the probe days", False, False, _grey_box_on_probe),
+        Method("surrogate", "Distillation surrogate", False, True, _surrogate),
+        Method("thermoforce_unconstrained", "ThermoForce (unconstr. gain)", True, True, _unconstrained),
+        Method(MONOTONE, "ThermoForce (monotone)", True, True, _thermoforce(1, curve=True)),
+        Method(TWO_STATE, "ThermoForce (two-state)", True, False, _thermoforce(2)),
+        Method(BEST, "ThermoForce (2–3 states, curve)", True, False, _thermoforce(2, 3, curve=True, residual=True)),
+    )
+}
+
+
+def find_method(name: str) -> Method:
+    """The method called `name`; raises `ConfigError` naming those there are."""
+    if name not in METHODS:
+        raise ConfigError(f"unknown method '{name}'; known: {', '.join(METHODS)}")
+    return METHODS[name]

@@ -1,0 +1,46 @@
+"""One self-contained HTML page of a bench result: targets, tables by their columns, figures inside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+
+def write_page(path: Path, result: Mapping[str, Any], figures: Mapping[str, Path]) -> None:
+    """Write the page of `result`, a dictionary as `bench_result` gives, with SVG `figures` by their captions."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("thermoforce_mpc.research.interventions", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters["cell"] = _cell
+    # Rows that carry the same figures share a table.
+    tables = [
+        {"columns": list(columns), "rows": [list(row.values()) for row in rows]}
+        for columns, rows in groupby(result["rows"], key=tuple)
+    ]
+    # Elements are named alike in every figure; within one page their names must differ.
+    drawn = {
+        name: Markup(_only_svg(re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{name}-", file.read_text(encoding="utf-8"))))
+        for name, file in figures.items()
+    }
+    page = environment.get_template("interventions.html.j2").render(result=result, tables=tables, figures=drawn)
+    path.write_text(page, encoding="utf-8")
+
+
+def _only_svg(text: str) -> str:
+    """The <svg> element without the XML prologue, which has no place inside HTML."""
+    return text[text.index("<svg") :]
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,49 @@
+"""Many simulations, each in a worker process of its own turn: never two at once in one process."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from thermoforce_mpc.data import History
+from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.energyplus.engine import engine_folder
+from thermoforce_mpc.plants.energyplus.simulate import simulate
+
+J = TypeVar("J")
+
+
+def simulate_all(
+    jobs: Sequence[J],
+    *,
+    run: Callable[[J], History] = simulate,  # type: ignore[assignment]
+    workers: int | None = None,
+    on_done: Callable[[int], None] | None = None,
+) -> list[History]:
+    """Run all jobs, `workers` processes at a time (by default one per core); records in the order of the jobs.
+
+    `run` simulates one job in its process, by default one of our zones (`simulate.Job`).
+
+    `on_done` is told how many are finished.
+
+    Raises:
+        PlantError: the engine is missing, failed, or took its process down.
+    """
+    engine_folder()
+    workers = workers or min(len(jobs), os.cpu_count() or 1)
+    records: list[History] = []
+    # Spawned, not forked: the engine must never be loaded into a process that has threads.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max_workers=max(1, workers), mp_context=context) as pool:
+        try:
+            for record in pool.map(run, jobs):
+                records.append(record)
+                if on_done:
+                    on_done(len(records))
+        except BrokenProcessPool as error:
+            raise PlantError(f"EnergyPlus took its process down after {len(records)} of {len(jobs)} runs") from error
+    return records

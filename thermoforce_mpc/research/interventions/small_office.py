@@ -1,0 +1,139 @@
+"""The DOE small office (new 2004 construction, Chicago), shipped with the engine, as an outside check.
+
+Five conditioned zones, five rooftop units with ventilation, people, lights and plugs by schedule: none of it is ours.
+Only the heating set-point of all zones is moved, by its schedule; the cooling set-point is put out of the way. The
+building is looked at as one zone: mean air temperature by floor area, and the sensible heat all units give together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import date, timedelta
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, Array, History
+from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.energyplus.engine import reference_building, weather_file
+from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Reading, Wiring, run_engine, weather_reading
+from thermoforce_mpc.plants.energyplus.zone import YEAR
+
+BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
+WEATHER = "Chicago-OHare"
+STEP_S = 900.0
+FLOOR_AREA_M2 = {
+    "Core_ZN": 149.66,
+    "Perimeter_ZN_1": 113.45,
+    "Perimeter_ZN_2": 67.30,
+    "Perimeter_ZN_3": 113.45,
+    "Perimeter_ZN_4": 67.30,
+}
+# Sensible heat at u = 0 and u = 1, W: ventilation takes some even with the burners off.
+RANGE_W = (-10e3, 50e3)
+_COOLING_C = 40.0
+_ACTUATORS = {name: ("Schedule:Compact", "Schedule Value", name) for name in ("HTGSETP_SCH", "CLGSETP_SCH")}
+_SENSORS = {
+    f"{short}/{zone}": (f"Zone {variable}", zone)
+    for zone in FLOOR_AREA_M2
+    for short, variable in (
+        ("T", "Mean Air Temperature"),
+        ("heating", "Air System Sensible Heating Rate"),
+        ("cooling", "Air System Sensible Cooling Rate"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class OfficeJob:
+    """A run from midnight of `first_day` with one heating set-point, °C, per step of 15 minutes."""
+
+    first_day: int
+    setpoint_C: Array
+
+
+def office_model(first_day: int, days: int) -> str:
+    """The shipped IDF with our run period and 15-minute steps.
+
+    Raises:
+        PlantError: the file is not the one this was written for.
+    """
+    begin = date(YEAR, 1, 1) + timedelta(days=first_day)
+    end = begin + timedelta(days=days - 1)
+    text = reference_building(BUILDING).read_text(encoding="latin-1")
+    period = (
+        f"Ours, {begin.month}, {begin.day}, {begin.year}, {end.month}, {end.day}, {end.year}, , No, No, No, Yes, Yes;"
+    )
+    changes = {
+        r"Timestep,\s*6;": "Timestep,4;",
+        r"(?s)RunPeriod,\s*Annual,.*?Use Weather File Snow Indicators": f"RunPeriod, {period} !",
+        r"YES,(\s*!- Run Simulation for Sizing Periods)": r"NO,\1",
+        r"NO,(\s*!- Run Simulation for Weather File Run Periods)": r"YES,\1",
+    }
+    for pattern, replacement in changes.items():
+        text, found = re.subn(pattern, replacement, text)
+        if found != 1:
+            raise PlantError(f"EnergyPlus: {BUILDING}.idf has {found} places like '{pattern}', expected one")
+    # Reports are not read, and take longer to write than the building to simulate.
+    return re.sub(r"(?ms)^\s*Output:(?:Table|Meter|Variable|SQLite)[^;]*;[^\n]*$", "", text)
+
+
+def _read(value: Mapping[str, float]) -> Reading:
+    total = sum(FLOOR_AREA_M2.values())
+    T = sum(area * value[f"T/{zone}"] for zone, area in FLOOR_AREA_M2.items()) / total
+    heat = sum(value[f"heating/{zone}"] - value[f"cooling/{zone}"] for zone in FLOOR_AREA_M2)
+    return weather_reading(value, T, heat)
+
+
+class _Recorder:
+    """`Driver` that follows the set-points of a job."""
+
+    def __init__(self, job: OfficeJob) -> None:
+        self._job = job
+        self.before: Reading | None = None
+        self.readings: list[Reading] = []
+
+    @property
+    def done(self) -> bool:
+        return len(self.readings) == self._job.setpoint_C.size
+
+    def begin(self, warming_up: bool) -> dict[str, float]:
+        step = 0 if warming_up or self.done else len(self.readings)
+        return {"HTGSETP_SCH": float(self._job.setpoint_C[step]), "CLGSETP_SCH": _COOLING_C}
+
+    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
+        if warming_up:
+            self.before = read()
+        elif not self.done:
+            self.readings.append(read())
+            return False
+        return self.done
+
+
+def simulate_office(job: OfficeJob) -> History:
+    """Run one job in this process; u is the heat over `RANGE_W`.
+
+    Raises:
+        PlantError: the engine refused the model or stopped early, or the heat left the range of u.
+    """
+    days = -(-job.setpoint_C.size // round(DAY_S / STEP_S))
+    recorder = _Recorder(job)
+    wiring = Wiring(_SENSORS | WEATHER_SENSORS, _ACTUATORS, _read, suffix="idf")
+    run_engine(office_model(job.first_day, days), weather_file(WEATHER), recorder, wiring)
+    if not recorder.done or recorder.before is None:
+        raise PlantError(f"EnergyPlus recorded {len(recorder.readings)} of {job.setpoint_C.size} steps and then ended")
+    readings = [recorder.before, *recorder.readings]
+    heat = np.array([r.heat_W for r in recorder.readings])
+    u = (heat - RANGE_W[0]) / (RANGE_W[1] - RANGE_W[0])
+    if u.min() < 0.0 or u.max() > 1.0:
+        raise PlantError(f"{BUILDING}: heat from {heat.min():.0f} to {heat.max():.0f} W, expected {RANGE_W}")
+    return History(
+        time_s=np.asarray(job.first_day * DAY_S + STEP_S * np.arange(len(readings), dtype=np.float64)),
+        T_zone_C=np.array([r.T_zone_C for r in readings]),
+        T_out_C=np.array([r.T_out_C for r in readings]),
+        solar_W_m2=np.array([r.solar_W_m2 for r in readings]),
+        u=u,
+        power_W=np.full(u.size, np.nan),
+        heat_W=heat,
+    )

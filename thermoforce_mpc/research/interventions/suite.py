@@ -1,0 +1,124 @@
+"""Fit every method on the probe days of each climate and score it on the test pairs, once."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.research.interventions.dataset import ClimateData, Dataset, Window
+from thermoforce_mpc.research.interventions.methods.base import Predictor, Training
+from thermoforce_mpc.research.interventions.methods.registry import METHODS, Forecasters, find_method
+from thermoforce_mpc.research.interventions.methods.remembering import tsfm
+from thermoforce_mpc.research.interventions.protocol import WINDOW_START_H, ClimateName
+from thermoforce_mpc.research.interventions.scores import LEVELS, CellScore, score_cell
+
+
+@dataclass(frozen=True)
+class Fan:
+    """What each method says of one window at each constant level of u: `answers_C` maps it to (5, N), °C."""
+
+    climate: ClimateName
+    window: Window
+    answers_C: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class SuiteResult:
+    """Scores of every method on every cell, and one fan per climate."""
+
+    scores: tuple[CellScore, ...]
+    fans: tuple[Fan, ...]
+
+    def of(self, method: str, climate: str | None = None, days: int | None = None) -> list[CellScore]:
+        """Scores of one method, in the order of the cells."""
+        return [
+            s
+            for s in self.scores
+            if s.method == method and climate in (None, s.climate) and (days is None or s.days == days)
+        ]
+
+
+def run_suite(
+    data: Dataset,
+    days: Sequence[int],
+    *,
+    methods: Sequence[str] = tuple(METHODS),
+    backbone: str = "shipped",
+    seed: int = 1,
+    workers: int = 2,
+    say: Callable[[str], None] = lambda line: None,
+) -> SuiteResult:
+    """Every method on every cell, for each number of probe days.
+
+    Args:
+        data: pairs of all climates.
+        days: K; each must have been simulated.
+        methods: names in `METHODS`.
+        backbone: weights of the forecaster, the same for every method that has one.
+        seed: of the networks.
+        workers: processes, this one where it is 1; results do not depend on it.
+        say: progress.
+
+    Raises:
+        ConfigError: a method is not known.
+        DataError: probe days that were not simulated, or a method could not be identified from them.
+        BackboneError: the forecaster's weights cannot be loaded.
+    """
+    for name in methods:
+        find_method(name)
+    tasks = [(climate, k, name, backbone, seed) for climate in data.climates.values() for k in days for name in methods]
+    scores: list[CellScore] = []
+    fans: dict[ClimateName, dict[str, Array]] = {name: {} for name in data.climates}
+    with ExitStack() as stack:
+        outcomes: Iterator[tuple[list[CellScore], Array]] = map(_evaluate, tasks)
+        if workers > 1:
+            context = multiprocessing.get_context("spawn")
+            pool = stack.enter_context(ProcessPoolExecutor(max_workers=workers, mp_context=context))
+            outcomes = pool.map(_evaluate, tasks)
+        for task, (cells, fan) in zip(tasks, outcomes, strict=True):
+            climate, k, name = task[:3]
+            scores += cells
+            effect = np.mean([cell.effect_rmse_K for cell in cells])  # as in the table
+            say(f"{climate.climate.label}, {k} probe days, {METHODS[name].label}: effect RMSE {effect:.3f} K")
+            if k == days[0]:
+                fans[climate.climate.name][name] = fan
+    return SuiteResult(
+        tuple(scores),
+        tuple(Fan(name, fan_window(data.climates[name]), answers) for name, answers in fans.items()),
+    )
+
+
+def fan_window(data: ClimateData) -> Window:
+    """The window whose fan is drawn: the first afternoon of the test part."""
+    return next(w for w in data.part("test") if w.name == "afternoon")
+
+
+def training_of(data: ClimateData, days: int, seed: int = 1) -> Training:
+    """What a method may learn from; raises `DataError` for probe days that were not simulated."""
+    if days not in data.probes:
+        raise DataError(f"{days} probe days were not simulated; there are {', '.join(map(str, data.probes))}")
+    return Training(data.climate, days, data.probes[days], data.part("validation"), seed)
+
+
+def score_cells(name: str, predictor: Predictor, data: ClimateData, days: int) -> list[CellScore]:
+    """A fitted method on the three test cells of a climate."""
+    cells = [[w for w in data.part("test") if w.name == window] for window in WINDOW_START_H]
+    return [score_cell(name, predictor, windows, days, data.climate.sign) for windows in cells]
+
+
+def _evaluate(task: tuple[ClimateData, int, str, str, int]) -> tuple[list[CellScore], Array]:
+    import torch
+
+    torch.set_num_threads(1)  # sums in one order: the same bits whatever the machine
+    data, days, name, backbone, seed = task
+    predictor = METHODS[name].build(training_of(data, days, seed), Forecasters(tsfm(backbone), backbone))
+    window = fan_window(data)
+    held = np.broadcast_to(LEVELS[:, None], (LEVELS.size, window.factual.n_steps))
+    return score_cells(name, predictor, data, days), predictor.respond(window, held)

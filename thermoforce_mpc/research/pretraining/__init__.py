@@ -1,0 +1,1 @@
+"""How the shipped forecaster is made: series, training, checkpoint."""

@@ -1,0 +1,1 @@
+"""What users write: settings, test cases and scenarios."""

@@ -1,0 +1,116 @@
+"""A scenario: everything that decides what a run computes. One YAML file, every key explained here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, validate
+from thermoforce_mpc.scenario.testcase import Price, StrictModel, TestCase
+
+
+class PlantSpec(StrictModel):
+    """Which plant is controlled."""
+
+    kind: Literal["embedded", "boptest", "fmu"] = Field(
+        "embedded",
+        description="what ships (emulator, or EnergyPlus where the test case says so), a BOPTEST service, or an FMU",
+    )
+    path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)")
+    url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
+    weather: str = Field("synthetic", description="'synthetic', or a .mos / .epw file (kind: embedded)")
+    forecast_uncertainty: Literal["none", "low", "medium", "high"] = Field(
+        "none", description="BOPTEST's forecast uncertainty level for outdoor temperature and solar radiation"
+    )
+    prices_file: str | None = Field(None, description="CSV with your own highly dynamic tariff (kind: embedded)")
+
+    @model_validator(mode="after")
+    def _has_its_file(self) -> PlantSpec:
+        if (self.kind == "fmu") != (self.path is not None):
+            raise ValueError("kind 'fmu' and path go together: give both, or neither (--fmu FILE gives both)")
+        return self
+
+    @model_validator(mode="after")
+    def _knows_its_surroundings(self) -> PlantSpec:
+        """A file that would be ignored is refused: a service or an FMU has its own weather and prices."""
+        if self.kind != "embedded" and (self.weather != "synthetic" or self.prices_file is not None):
+            raise ValueError(
+                f"weather and prices_file are for the emulator alone; kind '{self.kind}' brings its own, leave them out"
+            )
+        return self
+
+
+class ProbingSpec(StrictModel):
+    """Where the operator comes from: a saved model, or days of probing before the warm-up of the scored window."""
+
+    model: str | None = Field(None, description="folder of a saved model; probing is skipped")
+    days: float = Field(3.0, ge=1, le=60, description="days of probing")
+    probing: dict[str, Any] = Field(default_factory=dict, description="how to probe: levels, hold_steps, ...")
+    options: dict[str, Any] = Field(default_factory=dict, description="how to identify: order, actuator, gamma, ...")
+
+
+class ControllerSpec(StrictModel):
+    """Which controller decides. `options` belong to the controller named; `tf-mpc controllers` lists them."""
+
+    name: str = Field("thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of that controller")
+
+
+class Scenario(StrictModel):
+    """What to run. Every field has a default but the test case."""
+
+    testcase: str = Field(description="name in configs/testcases, or a YAML file")
+    plant: PlantSpec = PlantSpec()
+    period: str = Field(
+        "peak_heat_day",
+        description="peak_heat_day, typical_heat_day, or a start day such as 44; left out, it is peak_cool_day "
+        "for a building that is cooled",
+    )
+    days: float = Field(14.0, gt=0, le=365, description="scored days")
+    step_s: float | None = Field(
+        None, ge=300, le=14400, description="control step of all model-based controllers, s; by default their own"
+    )
+    price: Price = Field("constant", description="tariff")
+    controller: ControllerSpec = ControllerSpec()
+    identification: ProbingSpec = ProbingSpec()
+    baselines: tuple[str, ...] = Field(("native", "thermostat"), description="controllers to compare with")
+    seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
+
+    @field_validator("period", mode="before")
+    @classmethod
+    def _day_number_as_text(cls, value: object) -> object:
+        return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def load_testcase(name: str) -> TestCase:
+    """Read a test case by name or YAML path; raises `ConfigError`.
+
+    `energyplus:NAME` is the file `energyplus_NAME.yaml` of those that ship.
+    """
+    path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1))
+    return validate(TestCase, read_yaml(path), str(path))
+
+
+def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
+    """Read a scenario file (or none) and lay `overrides` on top; raises `ConfigError` naming file and key.
+
+    A scenario without a period gets the peak of its building's season.
+    """
+    data = merge(read_yaml(path) if path else {}, overrides)
+    source = str(path) if path else "options"
+    scenario = validate(Scenario, data, source)
+    if "period" not in data and _is_cooled(scenario.testcase):
+        return scenario.model_copy(update={"period": "peak_cool_day"})
+    return scenario
+
+
+def _is_cooled(testcase: str) -> bool:
+    """Whether a test case is cooled; one that cannot be read is reported by whoever goes on to use it."""
+    try:
+        return load_testcase(testcase).mode == "cooling"
+    except ConfigError:
+        return False

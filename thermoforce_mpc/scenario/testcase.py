@@ -1,0 +1,146 @@
+"""Test cases: which point means what, in which unit, and how to act. One YAML file each, in `configs/testcases`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from thermoforce_mpc.data import Array
+
+Price = Literal["constant", "dynamic", "highly_dynamic"]
+PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
+
+
+class StrictModel(BaseModel):
+    """Base of everything users write: unknown keys are refused, values are immutable once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Actuator(StrictModel):
+    """How u in [0, 1] reaches the plant: `<point>_u` runs from `minimum` to `maximum`, `<point>_activate` = 1.
+
+    u is always the effort, heating or cooling. Where less is more, as with the set-point of a cooled room, `rising` is
+    false: then `<point>_u` = maximum − u · (maximum − minimum).
+    """
+
+    point: str = Field(description="overwrite point of the test case, without the `_u` ending")
+    minimum: float = Field(0.0, description="lowest value, in `unit`; the one at u = 0 where `rising`")
+    maximum: float = Field(1.0, description="highest value, in `unit`; the one at u = 1 where `rising`")
+    rising: bool = Field(True, description="whether the value rises with u; false for the set-point of a cooled room")
+    unit: str = Field("1", description="unit of the value at the wire")
+    kind: Literal["level", "setpoint"] = Field("level", description="a machine's level, or the set-point of a loop")
+    held: dict[str, float] = Field(
+        default_factory=dict,
+        description="other overwrite points held at a value (unit of the wire) while u acts; native otherwise",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Actuator:
+        if not self.minimum < self.maximum:
+            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        if self.point in self.held:
+            raise ValueError(f"held: '{self.point}' is the actuator itself")
+        return self
+
+    def value(self, u: float) -> float:
+        """The value at the wire for `u` in [0, 1], in `unit`."""
+        share = u if self.rising else 1.0 - u
+        return self.minimum + share * (self.maximum - self.minimum)
+
+    def inputs(self, u: float | None) -> dict[str, float]:
+        """Inputs at the wire for `u` in [0, 1], or None for native control.
+
+        Everything is said in so many words: a point that is not mentioned keeps the value it had.
+        """
+        if u is None:
+            return {f"{name}_activate": 0.0 for name in (self.point, *self.held)}
+        values = {self.point: self.value(u), **self.held}
+        return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
+
+    def level(self, value: float | Array) -> Array:
+        """The u in [0, 1] that gives `value` (any shape, in `unit`), clipped."""
+        share = (np.asarray(value) - self.minimum) / (self.maximum - self.minimum)
+        return np.clip(share if self.rising else 1.0 - share, 0.0, 1.0)
+
+
+class Measurements(StrictModel):
+    """Points that are measured. Temperatures are in kelvin at the wire, powers in W, irradiance in W/m²."""
+
+    zone_temperature: str
+    outdoor_temperature: str
+    solar: str = Field(description="global horizontal irradiance")
+    electric_power: tuple[str, ...] = Field(
+        min_length=1, description="points whose sum is the power that is paid for at `forecast.price`: electric, or gas"
+    )
+    heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat; empty if not measured")
+    return_water: str | None = Field(
+        None, description="temperature of the water that returns from the emitters, for the power model"
+    )
+
+    @property
+    def flows(self) -> list[str]:
+        """Points that are averaged over a step instead of sampled."""
+        return [*self.electric_power, *self.heat, *([self.return_water] if self.return_water else [])]
+
+
+class ForecastPoints(StrictModel):
+    """Points of the forecast. Temperatures are in kelvin at the wire."""
+
+    outdoor_temperature: str = "TDryBul"
+    solar: str = "HGloHor"
+    occupancy: str = "Occupancy[1]"
+    lower: str = "LowerSetp[1]"
+    upper: str = "UpperSetp[1]"
+    price: dict[Price, str] = {
+        "constant": "PriceElectricPowerConstant",
+        "dynamic": "PriceElectricPowerDynamic",
+        "highly_dynamic": "PriceElectricPowerHighlyDynamic",
+    }
+    emission: str = "EmissionsElectricPower"
+
+
+class EnergyPlusZone(StrictModel):
+    """A zone of the interventional suite as a plant, and the machine that serves it (extra `[energyplus]`)."""
+
+    climate: Literal["heating_chicago", "cooling_phoenix"] = Field(description="building and weather of the suite")
+    supply_C: float = Field(description="temperature at which the machine gives or takes heat indoors, °C")
+    carnot_share: float = Field(gt=0, lt=1, description="its efficiency as a share of Carnot's")
+    least_lift_K: float = Field(15.0, gt=0, description="smallest temperature difference it is reckoned with, K")
+    band_K: float = Field(3.0, gt=0, description="width of the comfort band at daytime, K")
+    native_margin_K: float = Field(
+        0.3, ge=0, description="how far inside the comfort bound the plant's own thermostat has its set-point, K"
+    )
+    periods: dict[str, int] = Field(default_factory=dict, description="named windows: first day of the year, from 0")
+
+
+class Defaults(StrictModel):
+    """What suits this building where a scenario says nothing else."""
+
+    actuation: dict[str, Any] = Field(default_factory=dict, description="options `actuation` of the MPC")
+    probing: dict[str, Any] = Field(default_factory=dict, description="options of the probing")
+    identification: dict[str, Any] = Field(default_factory=dict, description="options of the identification")
+
+
+class TestCase(StrictModel):
+    """One building: names, units, area, actuator and default control step."""
+
+    __test__ = False  # not a pytest class, whatever its name
+
+    name: str
+    description: str
+    floor_area_m2: float = Field(gt=0)
+    currency: str = "EUR"
+    mode: Literal["heating", "cooling"] = Field("heating", description="sign of the actuator's effect on the zone")
+    step_s: float = Field(3600.0, ge=60, le=86400, description="default control step")
+    actuator: Actuator
+    measurements: Measurements
+    forecast: ForecastPoints = ForecastPoints()
+    thermostat_C: float | None = Field(
+        None, description="set-point of the on/off thermostat it is compared with; by default that thermostat's own"
+    )
+    defaults: Defaults = Defaults()
+    energyplus: EnergyPlusZone | None = Field(None, description="the EnergyPlus zone that this test case is")
+    embedded: bool = Field(False, description="whether the embedded emulator is this test case")

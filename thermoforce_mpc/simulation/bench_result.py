@@ -1,0 +1,39 @@
+"""The one JSON shape of every bench: rows of figures, and targets that hold or are printed as not holding."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from thermoforce_mpc.simulation.run_folder import environment
+
+
+@dataclass(frozen=True)
+class Target:
+    """A goal and whether it was met: `value` must be at most (or at least) `goal`. NaN never holds."""
+
+    name: str
+    value: float
+    goal: float
+    sense: Literal["at most", "at least"] = "at most"
+
+    @property
+    def holds(self) -> bool:
+        """Whether the goal is met."""
+        if math.isnan(self.value):
+            return False
+        return self.value <= self.goal if self.sense == "at most" else self.value >= self.goal
+
+
+def bench_result(name: str, rows: Iterable[Mapping[str, Any]], targets: Iterable[Target]) -> dict[str, Any]:
+    """Put a bench's outcome together, with the command and the environment that made it."""
+    return {
+        "bench": name,
+        "command": " ".join(["tf-mpc", *sys.argv[1:]]),
+        "environment": environment(),
+        "rows": [dict(row) for row in rows],
+        "targets": [asdict(target) | {"holds": target.holds} for target in targets],
+    }

@@ -1,0 +1,163 @@
+"""What a comparison leaves for people and programs: table (Markdown, CSV), JSON, plot (SVG, PNG) and an HTML page."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from thermoforce_mpc.simulation.bench_result import bench_result
+from thermoforce_mpc.simulation.comparison.outcome import (
+    KPIS,
+    Row,
+    cost_targets,
+    failures,
+    group_title,
+    grouped,
+    outcome_rows,
+    verdicts,
+)
+from thermoforce_mpc.simulation.comparison.store import write_atomically
+
+HEADINGS = {
+    "cost_tot": "cost, {currency}/m²",
+    "tdis_tot": "discomfort, K·h",
+    "ener_tot": "energy, kWh/m²",
+    "emis_tot": "CO₂, kg/m²",
+    "pele_tot": "peak, kW/m²",
+    "plan_ms": "plan, ms",
+    "fallbacks": "fallbacks",
+}
+_BEST = {"cost_tot": "best_cost", "tdis_tot": "best_discomfort"}
+
+
+def write_outcome(
+    folder: Path,
+    records: Sequence[Mapping[str, Any]],
+    *,
+    name: str,
+    title: str,
+    currency: str,
+    swept: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """Write `table.md`, `table.csv`, `results.json`, `pareto.svg`, `pareto.png` and `comparison.html` into `folder`.
+
+    Args:
+        folder: of the comparison.
+        records: outcomes of its cells.
+        name: 'compare' or 'sweep', for the JSON.
+        title: heading of the page and the table.
+        currency: of the test case.
+        swept: label by variant of the points that belong on one line.
+
+    Returns:
+        The content of `results.json`, in the shape of every bench.
+    """
+    from thermoforce_mpc.simulation.comparison.plots import pareto_figure, save_png
+    from thermoforce_mpc.simulation.report.html import page_environment
+    from thermoforce_mpc.simulation.report.plots import svg_text
+
+    rows = outcome_rows(records)
+    result = bench_result(name, rows, cost_targets(rows))
+    write_atomically(folder / "results.json", result)
+    (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
+    says = verdicts(rows)
+    (folder / "table.md").write_text(markdown(rows, title, currency, says), encoding="utf-8")
+    figure = pareto_figure(rows, currency, swept)
+    svg = svg_text(figure)
+    (folder / "pareto.svg").write_text(svg, encoding="utf-8")
+    save_png(figure, str(folder / "pareto.png"))
+    plants = sorted({f"{r['plant']['kind']}: {r['plant']['weather']}" for r in records if "plant" in r})
+    page = (
+        page_environment()
+        .get_template("comparison.html.j2")
+        .render(
+            title=title,
+            emulated=any(plant.startswith("embedded") for plant in plants),
+            plants=plants,
+            headings=headings(currency),
+            groups=[(group_title(group), _shown(members)) for group, members in grouped(rows).items()],
+            verdicts=says,
+            failed=failures(rows),
+            plot=Markup(svg),
+            variants=_variants(records),
+            command=result["command"],
+        )
+    )
+    (folder / "comparison.html").write_text(page, encoding="utf-8")
+    return result
+
+
+def headings(currency: str) -> list[str]:
+    """Column headings of the figures."""
+    return [text.format(currency=currency) for text in HEADINGS.values()]
+
+
+def shown_figures(row: Row) -> list[str]:
+    """The figures of a row as text, the best cost and discomfort of its group marked by an asterisk."""
+    texts = []
+    for key in HEADINGS:
+        value = row[key]
+        if value is None:
+            texts.append("–")
+            continue
+        digits = {"cost_tot": ".4f", "tdis_tot": ".2f", "plan_ms": ".1f", "fallbacks": "d"}.get(key, ".4g")
+        texts.append(f"{value:{digits}}" + ("*" if row.get(_BEST.get(key, ""), False) else ""))
+    return texts
+
+
+def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]) -> str:
+    """The tables as Markdown, followed by what they say."""
+    lines = [f"# {title}", ""]
+    for group, members in grouped(rows).items():
+        lines += [f"## {group_title(group)}", ""]
+        lines.append("| controller | " + " | ".join(headings(currency)) + " |")
+        lines.append("|---" + "|---:" * len(HEADINGS) + "|")
+        for row in members:
+            front = " (front)" if row["pareto"] else ""
+            lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row)) + " |")
+        lines.append("")
+    lines += ["`*` best of its table; (front): no other is both as cheap and as comfortable.", ""]
+    lines += [f"- {text}" for text in says]
+    lines += [
+        f"- failed: {row['controller']}, {row['window']}, {row['price']}: {row['reason']}" for row in failures(rows)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    columns = [
+        "window", "price", "uncertainty", "controller", "status", *KPIS, "best_cost", "best_discomfort", "pareto",
+        "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
+    ]  # fmt: skip
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _shown(members: Sequence[Row]) -> list[dict[str, Any]]:
+    return [{"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row)} for row in members]
+
+
+def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What each variant is, once: controller, its options and its identification where they differ from defaults."""
+    seen: dict[str, dict[str, Any]] = {}
+    for record in records:
+        scenario = record["scenario"]
+        seen.setdefault(
+            record["variant"],
+            {
+                "name": record["variant"],
+                "controller": record["controller"],
+                "options": scenario["controller"]["options"],
+                "step_s": scenario["step_s"],
+                "identification": scenario["identification"] if record["needs_model"] else None,
+            },
+        )
+    return list(seen.values())

@@ -1,0 +1,148 @@
+"""What came of a comparison: flat rows, who is best, who is beaten by nobody, and where a baseline wins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from thermoforce_mpc.data import PlanStatus
+from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.store import DONE
+
+COST, DISCOMFORT = "cost_tot", "tdis_tot"
+KPIS = (COST, DISCOMFORT, "ener_tot", "emis_tot", "pele_tot")
+# Two results nearer than this, relative for the cost and in K·h for the discomfort, are equal.
+_COST_TIE, _DISCOMFORT_TIE_KH = 1e-4, 0.005
+_AS_PLANNED = {PlanStatus.SOLVED.value, PlanStatus.RULE.value}
+
+Row = dict[str, Any]
+
+
+def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
+    """One flat row per cell, in the order given; units as in the KPIs of BOPTEST, times in s and ms.
+
+    `best_cost`, `best_discomfort` and `pareto` (no other cell is as cheap and as comfortable and better in one) are
+    said within each window, tariff and forecast error. Failed cells have None for every figure and a `reason`.
+    """
+    rows = [_row(record) for record in records]
+    for group in grouped(rows).values():
+        done = [row for row in group if row["status"] == DONE]
+        for row in done:
+            row["best_cost"] = row[COST] <= min(other[COST] for other in done) * (1 + _COST_TIE)
+            row["best_discomfort"] = row[DISCOMFORT] <= min(other[DISCOMFORT] for other in done) + _DISCOMFORT_TIE_KH
+            row["pareto"] = not any(dominates(other, row) for other in done)
+    return rows
+
+
+def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
+    """Rows by window, tariff and forecast error, in their order."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["window"], row["price"], row["uncertainty"]), []).append(row)
+    return groups
+
+
+def group_title(group: tuple[str, str, str]) -> str:
+    """How a reader knows a group."""
+    window, price, uncertainty = group
+    day = f"day {window}" if window[:1].isdigit() else window
+    return f"{day}, {price} tariff" + ("" if uncertainty == "none" else f", {uncertainty} forecast error")
+
+
+def dominates(one: Row, other: Row) -> bool:
+    """Whether `one` is no worse than `other` in cost and in discomfort, and better in one of them."""
+    cheaper = one[COST] < other[COST] * (1 - _COST_TIE)
+    calmer = one[DISCOMFORT] < other[DISCOMFORT] - _DISCOMFORT_TIE_KH
+    dearer = one[COST] > other[COST] * (1 + _COST_TIE)
+    harsher = one[DISCOMFORT] > other[DISCOMFORT] + _DISCOMFORT_TIE_KH
+    return (cheaper or calmer) and not dearer and not harsher
+
+
+def verdicts(rows: Iterable[Row]) -> list[str]:
+    """Sentences, one or more per group: who is best, and every model-based controller that a baseline beats.
+
+    A baseline is a controller without a model. It wins where it dominates; where it is only cheaper or only more
+    comfortable, that is said too.
+    """
+    lines: list[str] = []
+    for group, members in grouped(rows).items():
+        title = group_title(group)
+        done = [row for row in members if row["status"] == DONE]
+        if not done:
+            lines.append(f"{title}: no result")
+            continue
+        cheapest = [row for row in done if row["best_cost"]]
+        calmest = [row for row in done if row["best_discomfort"]]
+        lines.append(
+            f"{title}: cheapest {_names(cheapest)} ({cheapest[0][COST]:.4f}), least discomfort {_names(calmest)} "
+            f"({calmest[0][DISCOMFORT]:.2f} K·h)"
+        )
+        baselines = [row for row in done if not row["needs_model"]]
+        for row in done:
+            if row["needs_model"]:
+                lines += [f"{title}: {text}" for text in _losses(row, baselines)]
+    return lines
+
+
+def cost_targets(rows: Iterable[Row]) -> list[Target]:
+    """For each model-based cell: its cost over the thermostat's (else the cheapest baseline's), at most 1."""
+    targets: list[Target] = []
+    for group, members in grouped(rows).items():
+        done = [row for row in members if row["status"] == DONE]
+        baselines = {row["controller"]: row for row in done if not row["needs_model"]}
+        if not baselines:
+            continue
+        name = "thermostat" if "thermostat" in baselines else min(baselines, key=lambda key: baselines[key][COST])
+        for row in done:
+            if row["needs_model"]:
+                what = f"{group_title(group)}: cost of {row['controller']} over {name}"
+                targets.append(Target(what, row[COST] / baselines[name][COST], 1.0))
+    return targets
+
+
+def failures(rows: Iterable[Row]) -> list[Row]:
+    """The rows without result."""
+    return [row for row in rows if row["status"] != DONE]
+
+
+def _names(rows: Sequence[Row]) -> str:
+    return ", ".join(str(row["controller"]) for row in rows)
+
+
+def _losses(row: Row, baselines: Sequence[Row]) -> list[str]:
+    texts = []
+    for baseline in baselines:
+        pair = (
+            f"({baseline[COST]:.4f} / {baseline[DISCOMFORT]:.2f} K·h against {row[COST]:.4f} / "
+            f"{row[DISCOMFORT]:.2f} K·h)"
+        )
+        if dominates(baseline, row):
+            texts.append(f"baseline {baseline['controller']} beats {row['controller']} {pair}")
+        elif baseline[COST] < row[COST] * (1 - _COST_TIE):
+            texts.append(f"baseline {baseline['controller']} is cheaper than {row['controller']} {pair}")
+        elif baseline[DISCOMFORT] < row[DISCOMFORT] - _DISCOMFORT_TIE_KH:
+            texts.append(f"baseline {baseline['controller']} is more comfortable than {row['controller']} {pair}")
+    return texts
+
+
+def _row(record: Mapping[str, Any]) -> Row:
+    done = record["status"] == DONE
+    kpis = record["kpis"] if done else {}
+    seconds = record["seconds"] if done else {}
+    return {
+        "window": record["window"],
+        "price": record["price"],
+        "uncertainty": record["uncertainty"],
+        "controller": record["variant"],
+        "needs_model": record["needs_model"],
+        "status": record["status"],
+        **{name: kpis.get(name) for name in KPIS},
+        "best_cost": False,
+        "best_discomfort": False,
+        "pareto": False,
+        "fallbacks": sum(n for rung, n in record["ladder"].items() if rung not in _AS_PLANNED) if done else None,
+        "plan_ms": 1e3 * seconds["plan_median"] if done else None,
+        "controller_s": seconds.get("controller"),
+        "plant_s": seconds.get("plant"),
+        "reason": record["reason"],
+    }

@@ -1,0 +1,190 @@
+"""Runs the cells of a comparison in parallel processes, each cell in one of its own.
+
+A process that dies (memory, a crash inside a solver) takes one cell with it, not the pool; every process computes on
+one thread, so that parallel cells do not fight for the cores and give the same numbers as alone.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, Protocol
+
+from thermoforce_mpc.simulation.comparison import worker
+from thermoforce_mpc.simulation.comparison.cells import Cell
+from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+_LEAVE_S = 5.0
+
+
+class Watcher(Protocol):
+    """Is told how a comparison goes."""
+
+    def begun(self, title: str, days: float) -> None:
+        """A process has begun; it will simulate `days`."""
+        ...
+
+    def day(self, title: str, day: float) -> None:
+        """A process has come to `day`."""
+        ...
+
+    def ended(self, title: str, record: Mapping[str, Any] | None, reason: str, seconds: float) -> None:
+        """A process has ended: with the record of a cell, or (an identification) None; `reason` where it failed."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One process: the closed loop of `cell`, or (`learns`) the identification it needs."""
+
+    cell: Cell
+    learns: bool = False
+
+    @property
+    def title(self) -> str:
+        if self.learns:
+            scenario = self.cell.scenario
+            return (
+                f"identifying · {self.cell.window} ({scenario.controller.name}, {scenario.identification.days:g} days)"
+            )
+        return self.cell.title
+
+
+@dataclass
+class _Running:
+    task: _Task
+    process: SpawnProcess
+    channel: Connection
+    began: float = field(default_factory=time.monotonic)
+    answer: tuple[str, str] | None = None
+
+
+def run_cells(cells: Sequence[Cell], store: Store, jobs: int, watcher: Watcher) -> dict[str, dict[str, Any]]:
+    """Run `cells`, at most `jobs` at a time; identifications come first, each once.
+
+    Returns:
+        The record of each cell by key: its result, or why it has none.
+
+    Raises:
+        KeyboardInterrupt: processes are ended; what had been finished is in the store.
+    """
+    ready: deque[_Task] = deque()
+    waiting: dict[str, list[_Task]] = {}
+    for cell in {cell.key: cell for cell in cells}.values():
+        learning_key, task = cell.learning_key, _Task(cell)
+        if learning_key is None or store.model_path(learning_key).exists():
+            ready.append(task)
+            continue
+        if learning_key not in waiting:
+            waiting[learning_key] = []
+            ready.appendleft(_Task(cell, learns=True))
+        waiting[learning_key].append(task)
+    records: dict[str, dict[str, Any]] = {}
+
+    def fail(cell: Cell, reason: str) -> dict[str, Any]:
+        record = worker.failure(cell, reason)
+        store.write(cell, record)
+        return record
+
+    def finish(task: _Task, reason: str, seconds: float) -> None:
+        cell = task.cell
+        if task.learns:
+            watcher.ended(task.title, None, reason, seconds)
+            for then in waiting.pop(str(cell.learning_key)):
+                if reason:
+                    records[then.cell.key] = fail(then.cell, f"its model could not be identified: {reason}")
+                    watcher.ended(then.title, records[then.cell.key], reason, 0.0)
+                else:
+                    ready.append(then)
+            return
+        found = None if reason else store.finished(cell)
+        if found is None:
+            reason = reason or f"the process ended well but left no result in {store.cell_path(cell)}"
+        records[cell.key] = found or fail(cell, reason)
+        watcher.ended(task.title, records[cell.key], reason, seconds)
+
+    running: list[_Running] = []
+    try:
+        with _one_thread_each():
+            while ready or running:
+                while ready and len(running) < jobs:
+                    task = ready.popleft()
+                    running.append(_start(task, store))
+                    watcher.begun(task.title, 0.0 if task.learns else task.cell.scenario.days)
+                wait([r.process.sentinel for r in running] + [r.channel for r in running if not r.channel.closed], 1.0)
+                for r in list(running):
+                    alive = r.process.is_alive()
+                    _listen(r, watcher)
+                    if not alive:
+                        running.remove(r)
+                        finish(r.task, _outcome(r), time.monotonic() - r.began)
+    finally:
+        _end(running)
+    return records
+
+
+def _start(task: _Task, store: Store) -> _Running:
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    target = worker.learn if task.learns else worker.run
+    process = context.Process(target=target, args=(task.cell, store.folder, there), daemon=True)
+    process.start()
+    there.close()
+    return _Running(task, process, here)
+
+
+def _listen(running: _Running, watcher: Watcher) -> None:
+    """Take in all that a process has said."""
+    while not running.channel.closed and running.channel.poll():
+        try:
+            kind, value = running.channel.recv()
+        except EOFError:
+            running.channel.close()
+            return
+        if kind == "day":
+            watcher.day(running.task.title, float(value))
+        else:
+            running.answer = (kind, str(value))
+
+
+def _outcome(running: _Running) -> str:
+    """Empty where the process reached its end, else why not."""
+    if running.answer is None:
+        code = running.process.exitcode
+        return f"its process died ({f'signal {-code}' if code and code < 0 else f'exit code {code}'})"
+    kind, reason = running.answer
+    return "" if kind == DONE else reason or FAILED
+
+
+def _end(running: Sequence[_Running]) -> None:
+    """End processes that still run: politely, then not."""
+    for r in running:
+        r.process.terminate()
+    for r in running:
+        r.process.join(_LEAVE_S)
+        if r.process.is_alive():
+            r.process.kill()
+            r.process.join()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started inside compute on one thread: libraries read these variables when they are loaded."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

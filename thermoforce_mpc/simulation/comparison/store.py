@@ -1,0 +1,85 @@
+"""The folder of a comparison: one JSON file per finished cell and one saved model per identification.
+
+Files appear whole or not at all, so a comparison can be stopped at any time and taken up again.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import re
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
+from thermoforce_mpc.simulation.run_folder import write_json
+
+DONE, FAILED = "done", "failed"
+
+
+class Store:
+    """Finished cells and models of one comparison."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the folder; raises `ConfigError` where that cannot be."""
+        self.folder = folder
+        try:
+            for sub in ("cells", "models"):
+                (folder / sub).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {folder}: cannot be made ({error.strerror or error})") from error
+
+    def cell_path(self, cell: Cell) -> Path:
+        """Where a cell's result belongs."""
+        stem = "-".join(re.sub(r"[^A-Za-z0-9_.=]+", "_", word) for word in (cell.variant, cell.window, cell.price))
+        return self.folder / "cells" / f"{stem[:100]}-{cell.key}.json"
+
+    def model_path(self, learning_key: str) -> Path:
+        """Where the model of an identification belongs."""
+        return self.folder / "models" / learning_key
+
+    def finished(self, cell: Cell) -> dict[str, Any] | None:
+        """What an earlier call left of this cell, or None where it failed, was never made or cannot be read."""
+        # Names of variants are for readers: the same run under another name is the same run.
+        for path in sorted((self.folder / "cells").glob(f"*-{cell.key}.json")):
+            try:
+                record = json.loads(path.read_text(encoding="utf-8"))
+            except (OSError, ValueError):
+                continue
+            expected = {"format": FORMAT, "key": cell.key, "status": DONE}
+            if isinstance(record, dict) and {name: record.get(name) for name in expected} == expected:
+                return record | {"variant": cell.variant}
+        return None
+
+    def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
+        """Keep a cell's outcome, whole or not at all."""
+        write_atomically(self.cell_path(cell), record)
+
+
+def write_atomically(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON aside and move it in place."""
+    handle, aside = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
+    os.close(handle)
+    try:
+        write_json(Path(aside), content)
+        os.chmod(aside, 0o644)
+        os.replace(aside, path)
+    except BaseException:
+        Path(aside).unlink(missing_ok=True)
+        raise
+
+
+@functools.cache
+def source_fingerprint() -> str:
+    """Hash of the source files that made a result: within one version, a working tree changes."""
+    package = Path(__file__).resolve().parents[2]
+    total = hashlib.sha256()
+    for root in (package, package.parent / "controllers"):
+        for path in sorted(root.rglob("*.py")):
+            total.update(str(path.relative_to(package.parent)).encode() + path.read_bytes())
+    return total.hexdigest()[:16]

@@ -1,0 +1,178 @@
+"""What is compared: controllers with options, each under a name. Read from names on the command line or a YAML file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel, Field, field_validator
+
+from controllers.registry import controller_config, find_entry
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, suggestion, validate
+from thermoforce_mpc.scenario.testcase import PRICES, Price, StrictModel, TestCase
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
+
+
+class Variant(StrictModel):
+    """One contestant: a controller with options, and how it learns."""
+
+    controller: str = Field(description="name in the registry, see `tf-mpc controllers`")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of that controller")
+    step_s: float | None = Field(None, ge=300, le=14400, description="control step, s; by default its own")
+    identification: dict[str, Any] = Field(
+        default_factory=dict, description="laid over the scenario's `identification`: model, days, probing, options"
+    )
+
+
+class ComparisonFile(StrictModel):
+    """A YAML file of variants; `windows`, `prices` and `scenario` are defaults that the command's options replace."""
+
+    variants: dict[str, Variant] = Field(min_length=1, description="contestants by name")
+    windows: tuple[str, ...] = Field((), description="peak_heat_day, typical_heat_day, or start days such as 44")
+    prices: tuple[Price, ...] = Field((), description="tariffs")
+    scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
+
+    @field_validator("windows", mode="before")
+    @classmethod
+    def _day_numbers_as_text(cls, value: object) -> object:
+        if not isinstance(value, list | tuple):
+            return value
+        return [str(item) if isinstance(item, int | float) and not isinstance(item, bool) else item for item in value]
+
+    @field_validator("variants")
+    @classmethod
+    def _plain_names(cls, value: dict[str, Variant]) -> dict[str, Variant]:
+        for name in value:
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"'{name}': names of variants are letters, digits, spaces and _ . , = + % -")
+        return value
+
+
+def load_comparison(name: str) -> ComparisonFile:
+    """Read a comparison file: the name of a shipped one or a path; raises `ConfigError`."""
+    path = find_config("comparisons", name)
+    return validate(ComparisonFile, read_yaml(path), str(path))
+
+
+def variants_by_name(controllers: Sequence[str], file: ComparisonFile | None) -> dict[str, Variant]:
+    """The variants of a file, then the controllers named, each with the registry's defaults.
+
+    Raises:
+        ConfigError: an unknown controller, nothing to compare, or a name given twice.
+    """
+    variants = dict(file.variants) if file else {}
+    for name in controllers:
+        find_entry(name)
+        if name in variants:
+            raise ConfigError(f"'{name}' is given twice: once as a controller, once as a variant of that name")
+        variants[name] = Variant(controller=name)
+    if not variants:
+        raise ConfigError("nothing to compare: give --controllers A,B or --variants FILE")
+    return variants
+
+
+def swept_variants(controller: str, key: str, values: Sequence[float], testcase: TestCase) -> dict[str, Variant]:
+    """One variant of `controller` for each value of the numeric option `key` (dotted, or its last word if unique).
+
+    Raises:
+        ConfigError: no such option, an ambiguous or non-numeric one, a value not allowed, or a value given twice.
+    """
+    if not values:
+        raise ConfigError("--values: give at least one number")
+    key = numeric_option(controller, key)
+    variants: dict[str, Variant] = {}
+    for value in values:
+        if not math.isfinite(value):
+            raise ConfigError(f"--values: {value} is not a finite number")
+        options = _nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
+        controller_config(controller, options, testcase)
+        name = f"{controller} {key.rpartition('.')[2]}={value:g}"
+        if name in variants:
+            raise ConfigError(f"--values: {value:g} is given twice")
+        variants[name] = Variant(controller=controller, options=options)
+    return variants
+
+
+def numeric_option(controller: str, key: str) -> str:
+    """The dotted name of a numeric option of `controller` that `key` means; raises `ConfigError` naming all."""
+    known = _numeric_leaves(find_entry(controller).config())
+    if key in known:
+        return key
+    meant = [name for name in known if name.endswith(f".{key}")]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        raise ConfigError(f"--over {key}: more than one option is called that; say which: {', '.join(meant)}")
+    raise ConfigError(
+        f"--over {key}: controller '{controller}' has no such numeric option{suggestion(key, known)}; "
+        f"known: {', '.join(known) or 'none'}"
+    )
+
+
+def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, uncertainty: str) -> Scenario:
+    """The scenario that one cell of the comparison runs: `base` with this contestant, window, tariff and forecasts.
+
+    Raises:
+        ConfigError: the variant's `identification` has wrong keys.
+    """
+    data = base.model_dump()
+    over: dict[str, Any] = {
+        "period": window,
+        "price": price,
+        "plant": {"forecast_uncertainty": uncertainty},
+        "identification": variant.identification,
+    }
+    if variant.step_s is not None:
+        over["step_s"] = variant.step_s
+    data = merge(data, over)
+    data["controller"] = {"name": variant.controller, "options": variant.options}
+    data["baselines"] = ()
+    return validate(Scenario, data, f"variant of '{variant.controller}'")
+
+
+def price_names(text: str) -> tuple[str, ...]:
+    """Tariffs from a comma list; raises `ConfigError` for one that is not known."""
+    names = comma_list(text, "--prices")
+    for name in names:
+        if name not in PRICES:
+            raise ConfigError(
+                f"--prices: unknown tariff '{name}'{suggestion(name, PRICES)}; known: {', '.join(PRICES)}"
+            )
+    return names
+
+
+def comma_list(text: str, option: str) -> tuple[str, ...]:
+    """Words of a comma list; raises `ConfigError` where it is empty or has a word twice."""
+    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    if not words:
+        raise ConfigError(f"{option}: expected names separated by commas")
+    if len(set(words)) < len(words):
+        raise ConfigError(f"{option}: '{next(w for w in words if words.count(w) > 1)}' is given twice")
+    return words
+
+
+def _nested(key: str, value: float) -> dict[str, Any]:
+    nested: Any = value
+    for part in reversed(key.split(".")):
+        nested = {part: nested}
+    out: dict[str, Any] = nested
+    return out
+
+
+def _numeric_leaves(model: type[BaseModel], prefix: str = "") -> list[str]:
+    """Dotted names of all fields of `model` that hold a number, nested models included."""
+    found: list[str] = []
+    for name, field in model.model_fields.items():
+        options: Mapping[Any, None] = dict.fromkeys((field.annotation, *getattr(field.annotation, "__args__", ())))
+        for annotation in options:
+            if annotation in (float, int):
+                found.append(prefix + name)
+                break
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                found += _numeric_leaves(annotation, f"{prefix}{name}.")
+    return found

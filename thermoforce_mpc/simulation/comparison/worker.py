@@ -1,0 +1,140 @@
+"""What one process of a comparison does: identify a model, or run one closed loop and keep its result."""
+
+from __future__ import annotations
+
+import signal
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from controllers.registry import build_controller, find_entry
+from thermoforce_mpc import __version__
+from thermoforce_mpc.data import DAY_S, PlantInfo
+from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.model.model_file import save_model
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
+from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
+from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store, source_fingerprint
+from thermoforce_mpc.simulation.composition import build_plant, controller_options, model_for, scored_period
+
+# What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
+Message = tuple[str, float | str]
+
+
+def learn(cell: Cell, folder: Path, channel: Connection) -> None:
+    """Process: probe and identify for `cell`, save the model in the comparison's folder."""
+    _answer(channel, lambda: _learn(cell, Store(folder)))
+
+
+def run(cell: Cell, folder: Path, channel: Connection) -> None:
+    """Process: run the closed loop of `cell`, keep its result (or the reason why there is none)."""
+    _answer(channel, lambda: _run(cell, Store(folder), channel))
+
+
+def failure(cell: Cell, reason: str) -> dict[str, Any]:
+    """The record of a cell without result."""
+    return _head(cell) | {"status": FAILED, "reason": reason}
+
+
+def _answer(channel: Connection, work: Callable[[], None]) -> None:
+    """Do `work` and tell the parent how it ended. Only the parent decides what an interrupt means."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    message: Message = (DONE, "")
+    try:
+        work()
+    except ThermoForceError as error:
+        message = (FAILED, str(error))
+    except Exception as error:  # the other cells go on, and this one's record says what happened
+        message = (FAILED, f"{type(error).__name__}: {error}")
+    with suppress(OSError):  # the parent is gone: nobody to tell
+        channel.send(message)
+        channel.close()
+
+
+def _learn(cell: Cell, store: Store) -> None:
+    assert cell.learning_key is not None
+    scenario = cell.scenario
+    testcase = load_testcase(scenario.testcase)
+    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        model = model_for(scenario, testcase, plant, scored_period(plant, scenario.period, scenario.days))
+    path = store.model_path(cell.learning_key)
+    save_model(path, model, overwrite=path.exists())
+
+
+def _run(cell: Cell, store: Store, channel: Connection) -> None:
+    scenario = cell.scenario
+    name = scenario.controller.name
+    testcase = load_testcase(scenario.testcase)
+    if cell.learning_key is not None:
+        learned = scenario.identification.model_copy(update={"model": str(store.model_path(cell.learning_key))})
+        scenario = scenario.model_copy(update={"identification": learned})
+    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        period = scored_period(plant, scenario.period, scenario.days)
+        model = model_for(scenario, testcase, plant, period) if find_entry(name).needs_model else None
+        controller = build_controller(name, controller_options(scenario, name), testcase, model)
+        told = time.monotonic()
+
+        def on_step(record: StepRecord) -> None:
+            nonlocal told
+            if time.monotonic() - told > 0.5:
+                told = time.monotonic()
+                with suppress(OSError):
+                    channel.send(("day", (record.time_s - period.start_s) / DAY_S))
+
+        result = run_closed_loop(plant, controller, period, scenario.price, on_step)
+        store.write(cell, _record(cell, result, plant.info))
+
+
+def _head(cell: Cell) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "key": cell.key,
+        "version": __version__,
+        "source": source_fingerprint(),
+        "variant": cell.variant,
+        "controller": cell.scenario.controller.name,
+        "needs_model": find_entry(cell.scenario.controller.name).needs_model,
+        "window": cell.window,
+        "price": cell.price,
+        "uncertainty": cell.uncertainty,
+        "model": cell.learning_key or cell.scenario.identification.model,
+        "scenario": cell.scenario.model_dump(mode="json"),
+    }
+
+
+def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
+    kpis = {name: value for name, value in result.kpis.items() if name != "time_rat"}
+    return _head(cell) | {
+        "status": DONE,
+        "reason": "",
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
+        "plant": asdict(plant),
+        "kpis": kpis,
+        "ladder": result.ladder(),
+        "seconds": _seconds(result.steps, result.seconds),
+    }
+
+
+def _seconds(steps: Sequence[StepRecord], total: float) -> dict[str, float]:
+    """Where the time went: totals over the run, medians per step, the planner's own parts among them."""
+    plans = [step.plan_seconds for step in steps]
+    parts = {name for step in steps for name in step.plan.seconds}
+    medians = {
+        f"{name}_median": statistics.median(step.plan.seconds.get(name, 0.0) for step in steps)
+        for name in sorted(parts)
+    }
+    return {
+        "total": total,
+        "controller": sum(plans),
+        "plant": sum(step.plant_seconds for step in steps),
+        "plan_median": statistics.median(plans),
+        "plan_longest": max(plans),
+        **medians,
+    }

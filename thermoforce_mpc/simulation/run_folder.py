@@ -1,0 +1,179 @@
+"""What a run leaves behind: one folder, never overwritten, complete enough to explain and repeat every number in it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+from thermoforce_mpc import __version__
+from thermoforce_mpc.data import DAY_S, PlantInfo
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+
+_PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
+
+
+def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) -> Path:
+    """Make the folder of a run: `out` itself, or the next free `runs/<stem>-NNN`.
+
+    Raises:
+        ConfigError: `out` exists and is not an empty folder, or cannot be made.
+    """
+    try:
+        if out is not None:
+            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+                raise ConfigError(f"--out {out}: exists already; a run never overwrites, choose another folder")
+            out.mkdir(parents=True, exist_ok=True)
+            return out
+        root.mkdir(parents=True, exist_ok=True)
+        for number in range(1, 100_000):
+            folder = root / f"{stem}-{number:03d}"
+            try:
+                folder.mkdir()  # atomic: two runs at once get two folders
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        raise ConfigError(f"cannot make the run folder {out or root}: {error.strerror or error}") from error
+    raise ConfigError(f"{root}: no free run folder name left for {stem}")
+
+
+def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
+    """One row per applied block: what was in force, what was applied and what came of it (units in the names)."""
+    return pd.DataFrame([asdict(sample) for step in steps for sample in step.samples])
+
+
+def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
+    """One row per plan: status, solver's word, timings, first predicted step and the sentence that explains it."""
+    rows = []
+    for step in steps:
+        plan = step.plan
+        rows.append(
+            {
+                "index": step.index,
+                "time_s": step.time_s,
+                "T_zone_C": step.T_zone_C,
+                "status": plan.status.value,
+                "solver_status": plan.solver_status,
+                "iterations": plan.iterations,
+                "u_planned": plan.u[0] if plan.u.size else None,
+                "T_free_now_C": plan.T_free_now_C if plan.u.size else None,
+                "T_free_next_C": plan.T_free_C[0] if plan.u.size else None,
+                "T_free_low_next_C": plan.T_free_low_C[0] if plan.u.size else None,
+                "T_free_high_next_C": plan.T_free_high_C[0] if plan.u.size else None,
+                "T_forced_next_K": plan.T_forced_K[0] if plan.u.size else None,
+                "slack_sum_K": float(plan.slack_K.sum()) if plan.u.size else None,
+                "plan_seconds": step.plan_seconds,
+                **{f"{name}_seconds": value for name, value in plan.seconds.items()},
+                "boundary_seconds": step.forecast_seconds,
+                "plant_seconds": step.plant_seconds,
+                "refused": step.refused,
+                "why": plan.why,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def environment() -> dict[str, str]:
+    """Versions of everything that can change a number."""
+    found = {"thermoforce-mpc": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def write_results(
+    folder: Path,
+    *,
+    scenario: Scenario,
+    plant: PlantInfo,
+    result: RunResult,
+    baselines: Mapping[str, RunResult],
+    identification: Mapping[str, Any],
+    command: Sequence[str],
+    forecaster: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Write resolved configuration, trajectories, step log, KPIs and, last, the manifest with hashes of the others.
+
+    Returns:
+        The content of `kpis.json`.
+    """
+    resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
+    (folder / "scenario.yaml").write_text(resolved, encoding="utf-8")
+    trajectory_frame(result.steps).to_csv(folder / "trajectory.csv", index=False)
+    steps_frame(result.steps).to_csv(folder / "steps.csv", index=False)
+    for name, baseline in baselines.items():
+        trajectory_frame(baseline.steps).to_csv(folder / f"trajectory_{name}.csv", index=False)
+    kpis = {
+        "testcase": plant.testcase,
+        "plant": f"{plant.kind}: {plant.description}",
+        "weather": plant.weather,
+        "period": scenario.period,
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
+        "price": scenario.price,
+        "controller": result.controller,
+        "kpis": result.kpis,
+        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+    }
+    write_json(folder / "kpis.json", kpis)
+    manifest = {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": list(command),
+        "seed": scenario.seed,
+        "environment": environment(),
+        "plant": asdict(plant),
+        "identification": dict(identification),
+        "forecaster": dict(forecaster),
+        "fallbacks": {"controller": result.ladder(), **{name: b.ladder() for name, b in baselines.items()}},
+        "seconds": {result.controller: result.seconds, **{name: b.seconds for name, b in baselines.items()}},
+        "sha256": {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file()},
+    }
+    write_json(folder / "manifest.json", manifest)
+    return kpis
+
+
+def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
+    """Keep what was recorded of a run that could not finish; a file says that it is incomplete, and why."""
+    for name, steps in records.items():
+        if steps:
+            trajectory_frame(steps).to_csv(folder / f"incomplete_trajectory_{name}.csv", index=False)
+            steps_frame(steps).to_csv(folder / f"incomplete_steps_{name}.csv", index=False)
+    (folder / "INCOMPLETE.txt").write_text(f"This run did not finish: {reason}\n", encoding="utf-8")
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON that is valid everywhere: NaN becomes null."""
+    text = json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if hasattr(value, "item") and not isinstance(value, str):
+        value = value.item()
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return None
+    return value

@@ -1,7 +1,0 @@
-"""Weather of a year: files (.mos, .epw), a synthetic default, the sun's position, and irradiance on tilted planes."""
-
-from thermoforce_mpc.weather.readers import load_weather
-from thermoforce_mpc.weather.synthetic import synthetic_weather
-from thermoforce_mpc.weather.year import Weather
-
-__all__ = ["Weather", "load_weather", "synthetic_weather"]
