@@ -38,7 +38,7 @@ class IpoptSolver:
         n, r, m = shape.n_steps, operator.order, shape.n_moves
         # Without a kink inside the range, power and heat are linear in u and every derivative is constant.
         linear = shape.lowest_level >= shape.u_max
-        heat = operator.actuator.heat
+        heat = operator.heat_input.heat
         linear_dynamics = heat is None or heat.lowest_level >= shape.u_max
         step = step_function(operator)
         v, F, slack, peak = ca.SX.sym("v", m), ca.SX.sym("F", r, n), ca.SX.sym("slack", n), ca.SX.sym("peak")
@@ -88,7 +88,7 @@ class IpoptSolver:
         self._ubg = np.concatenate([np.zeros(n * r), np.full((2 + extra) * n, np.inf)])
         # A kink makes the power concave in u and local optima possible. Its convex envelope on [0, u_max] is the
         # straight line, so the linear problem, which has one optimum, gives a first guess near the best one.
-        on_off = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
+        on_off = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
         straight = replace(shape, lowest_level=shape.u_max)
         self._relaxed = None if linear else IpoptSolver(on_off, straight, config)
         self._guess: Array | None = None

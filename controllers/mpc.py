@@ -10,16 +10,16 @@ import numpy as np
 from controllers.actuation import Actuation
 from controllers.backoff import backoff_K
 from controllers.errors import ControllerConfigError
-from controllers.ladder import Ladder
+from controllers.fallback import FallbackPolicy
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.problem import MPCProblem, Solution, Weights
 from controllers.solvers import build_solver
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, History, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.operator.features import ZONE
-from thermoforce_mpc.model.predictor import Outlook, ThermalModel, WorldModel
+from thermoforce_mpc.model.predictor import PredictionContext, Predictor, ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 # A bound nearer than this shapes the plan, K.
@@ -85,7 +85,7 @@ class ThermoForceMPC:
         self._peak_W = 0.0
         self._first_s: float | None = None
         mode = "heating" if model.operator.sign > 0 else "cooling"
-        self._ladder = Ladder(c.ladder, self.step_s, self._actuation.highest, mode)
+        self._fallback = FallbackPolicy(c.fallback, self.step_s, self._actuation.highest, mode)
 
     @property
     def name(self) -> str:
@@ -103,22 +103,22 @@ class ThermoForceMPC:
         return self._n_steps * self.step_s
 
     def plan(self, observation: Observation) -> Plan:
-        """Decide for the next step. Never raises for a failed forecast or solve: the ladder acts and says why."""
+        """Decide for the next step. A failed forecast or solve does not raise: the fallback policy acts."""
         self._observe_peak(observation)
         try:
             adapted = self._adaptation.update(observation.history)
             if adapted is not self.model:
-                self._use(adapted, self.world.free_response)
-            outlook = self._outlook(observation)
-            problem = self._problem(outlook, observation.history)
+                self._use(adapted, self.predictor.free_response)
+            context = self._context(observation)
+            problem = self._problem(context, observation.history)
         except _SURVIVABLE as error:
             return self._fall_back(observation, f"no prediction ({error})", "not started", {})
         began = time.perf_counter()
         solution = self._solver.solve(problem)
-        seconds = {**outlook.seconds, "solve": time.perf_counter() - began}
+        seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
             return self._fall_back(observation, solution.problem, solution.status, seconds)
-        return self._accept(observation, problem, outlook.free, solution, seconds)
+        return self._accept(observation, problem, context.free, solution, seconds)
 
     @property
     def adaptation(self) -> OnlineAdaptation:
@@ -130,42 +130,42 @@ class ThermoForceMPC:
         self.model = model
         # The plan's model has to match the actuation: in both, the machine switches below its lowest level.
         lowest = self._actuation.lowest_level
-        self._operator = replace(model.operator, actuator=model.operator.actuator.at_lowest_level(lowest))
+        self._operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
-        self.world = WorldModel(model, free_response, estimator=estimator)
+        self.predictor = Predictor(model, free_response, estimator=estimator)
         self._solver = build_solver(self.config, self._operator, self._actuation)
 
-    def _outlook(self, observation: Observation) -> Outlook:
+    def _context(self, observation: Observation) -> PredictionContext:
         """Forecast the free response over the horizon."""
         boundary = observation.boundary
         if boundary.n_steps < self._n_steps:
             raise DataError(f"boundary forecast has {boundary.n_steps} steps, the horizon needs {self._n_steps}")
-        outlook = self.world.outlook(Observation(observation.history, boundary.head(self._n_steps)))
-        T_free = outlook.free.median_C
+        context = self.predictor.context(Observation(observation.history, boundary.head(self._n_steps)))
+        T_free = context.free.median_C
         if T_free.shape != (self._n_steps,) or not np.isfinite(T_free).all():
-            raise DataError(f"free response '{self.world.free_response.name}' is not {self._n_steps} finite values")
-        return outlook
+            raise DataError(f"free response '{self.predictor.free_response.name}' is not {self._n_steps} finite values")
+        return context
 
-    def _problem(self, outlook: Outlook, history: History) -> MPCProblem:
+    def _problem(self, context: PredictionContext, history: Record) -> MPCProblem:
         """Put all numbers of this instance together."""
-        c, boundary, T_free = self.config, outlook.boundary, outlook.free.median_C
+        c, boundary, T_free = self.config, context.boundary, context.free.median_C
         aims = c.objective
         price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
-        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(outlook, history))
+        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(context, history))
         low, high = c.backoff_level, c.backoff_level_other
         if self._operator.sign < 0:
             low, high = high, low
         below, above = (
             np.minimum(
-                backoff_K(outlook.free, self.step_s, level, c.backoff_violation_K, below=is_lower), c.backoff_most_K
+                backoff_K(context.free, self.step_s, level, c.backoff_violation_K, below=is_lower), c.backoff_max_K
             )
             for level, is_lower in ((low, True), (high, False))
         )
         # Margins wider than half the band would turn the bounds around.
         half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
         return MPCProblem(
-            forced_state_K=outlook.forced_K,
-            features=outlook.features,
+            forced_state_K=context.forced_K,
+            features=context.features,
             T_free_C=T_free,
             lower_C=boundary.lower_C[1:] + np.minimum(c.comfort_margin_K + below, half),
             upper_C=boundary.upper_C[1:] - np.minimum(c.comfort_margin_K + above, half),
@@ -176,11 +176,11 @@ class ThermoForceMPC:
             u_max=self._actuation.highest,
             lowest_level=self._actuation.lowest_level,
             weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
-            terminal_price_per_K=self._terminal_price(outlook.features[-1], price[-1] * (fixed_W + per_u_W)[-1]),
+            terminal_price_per_K=self._terminal_price(context.features[-1], price[-1] * (fixed_W + per_u_W)[-1]),
             peak_so_far_W=self._peak_W,
         )
 
-    def _return_water_C(self, outlook: Outlook, history: History) -> Array | float:
+    def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
         """Return water of a running machine over the steps, (N,), °C; NaN where the power does not know it.
 
         The zone is taken to be where comfort ends or the free response carries it: to let the water follow
@@ -188,7 +188,7 @@ class ThermoForceMPC:
         """
         if self._power.water is None:
             return float("nan")
-        boundary, T_free_C = outlook.boundary, outlook.free.median_C
+        boundary, T_free_C = context.boundary, context.free.median_C
         held_C = np.clip(T_free_C, boundary.lower_C[1:], boundary.upper_C[1:])
         return self._power.water.expected_C(history, held_C)
 
@@ -239,13 +239,13 @@ class ThermoForceMPC:
             iterations=solution.iterations,
             seconds=seconds,
         )
-        self._ladder.remember(plan, observation.time_s)
+        self._fallback.remember(plan, observation.time_s)
         return plan
 
     def _fall_back(self, observation: Observation, reason: str, solver_status: str, seconds: dict[str, float]) -> Plan:
-        u = self._ladder.level_to_follow(observation)
+        u = self._fallback.level_to_follow(observation)
         if u is None:
-            plan = self._ladder.rule(observation, reason)
+            plan = self._fallback.rule(observation, reason)
         else:
             blocks = self._actuation.realise(min(max(u, 0.0), self._actuation.highest), self.step_s)
             plan = Plan(blocks, PlanStatus.SHIFTED, f"{reason}; following the previous plan (u = {u:.2f})")

@@ -7,11 +7,11 @@ from typing import Any, Literal
 from pydantic import Field
 
 from controllers.actuation import ActuationConfig
-from controllers.held_levels import HeldLevelsConfig
+from controllers.fallback import FallbackConfig
 from controllers.ipopt import IpoptConfig
-from controllers.ladder import LadderConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
+from controllers.semi_continuous import SemiContinuousConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
@@ -39,7 +39,7 @@ class ObjectiveConfig(StrictModel):
     curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
 
 
-class MovesConfig(StrictModel):
+class MoveBlockingConfig(StrictModel):
     """Move blocking: near moves are free, later ones are held."""
 
     free_h: float = Field(12.0, gt=0, description="every step of the first hours is a move of its own, h")
@@ -73,21 +73,21 @@ class MPCConfig(StrictModel):
         description="expected violation of a bound, K in the mean over the next 6 h, above which the chance levels are "
         "lowered: it rules where forecasts are uncertain; null leaves it to the chance levels",
     )
-    backoff_most_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
-    solver: Literal["auto", "qp", "held_levels", "ipopt", "search"] = Field(
+    backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
+    solver: Literal["auto", "qp", "semi_continuous", "ipopt", "search"] = Field(
         "auto",
-        description="qp: quadratic programme (duty); held_levels: one per first level (modulating); ipopt; search: the "
-        "paper's candidates; auto: the first of qp, held_levels and ipopt that fits the problem",
+        description="qp: quadratic programme (duty); semi_continuous: one per first level (modulating); ipopt; search: "
+        "the paper's candidates; auto: the first of qp, semi_continuous and ipopt that fits the problem",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
-    moves: MovesConfig = MovesConfig()
+    move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     adaptation: AdaptationConfig = AdaptationConfig()
     actuation: ActuationConfig = ActuationConfig()
-    ladder: LadderConfig = LadderConfig()
+    fallback: FallbackConfig = FallbackConfig()
     qp: QPConfig = QPConfig()
-    held_levels: HeldLevelsConfig = HeldLevelsConfig()
+    semi_continuous: SemiContinuousConfig = SemiContinuousConfig()
     ipopt: IpoptConfig = IpoptConfig()
     search: SearchConfig = SearchConfig()
 

@@ -1,4 +1,4 @@
-"""The convex case of the MPC problem as a sparse quadratic programme: the fast path.
+"""The convex case of the MPC problem as a sparse quadratic qp_data: the fast path.
 
 A duty plan is proportional to u and the modulation m(x) does not see the decisions, so with free-state features the
 problem is a quadratic programme with constant structure. The r modes are eliminated beforehand: what matters for
@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 
 from controllers.errors import ControllerConfigError
 from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
-from controllers.qp_backends import Answer, Clarabel, Piqp, Programme, QPBackend, QPConfig
+from controllers.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import driven_rollout
@@ -96,7 +96,7 @@ class QPSolver:
         self._x_high[:m] = shape.u_max
         self._counts = np.bincount(shape.move_of_step, minlength=m).astype(np.float64)
         self._quadratic = sparse.csc_matrix(sparse.diags(np.ones(self._n_variables)))
-        self._solve_with: dict[QPBackend, Callable[[Programme], Answer]] = {
+        self._solve_with: dict[QPBackend, Callable[[QPData], SolverResult]] = {
             "piqp": Piqp(config),
             "clarabel": Clarabel(config),
         }
@@ -106,30 +106,30 @@ class QPSolver:
         if not problem.finite():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         drive = self.operator.drive(np.full(self.shape.n_steps, problem.u_max), problem.features) / problem.u_max
-        programme = self._programme(problem, drive)
+        qp_data = self._qp_data(problem, drive)
         failures: list[str] = []
         solution = Solution(False, np.empty(0), "not started", 0, "no solver")
         for backend in self.config.backends:
-            solution = self._attempt(backend, programme, problem, drive)
+            solution = self._attempt(backend, qp_data, problem, drive)
             if solution.ok:
                 return solution
             failures.append(f"{backend}: {solution.problem}")
         return Solution(False, np.empty(0), solution.status, solution.iterations, "; ".join(failures))
 
-    def _attempt(self, backend: QPBackend, programme: Programme, problem: MPCProblem, drive: Array) -> Solution:
-        answer = self._solve_with[backend](programme)
+    def _attempt(self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Array) -> Solution:
+        answer = self._solve_with[backend](qp_data)
         status = f"{backend}:{answer.status}"
         if not answer.solved:
             return Solution(False, np.empty(0), status, answer.iterations, f"ended with {answer.status}")
         u = answer.x[: self.shape.n_moves][self.shape.move_of_step]
-        claimed = programme.objective(answer.x)
+        claimed = qp_data.objective(answer.x)
 
         def modes_of(u: Array) -> Array:
             return driven_rollout(self.operator, problem.forced_state_K, drive * u)
 
         return checked_solution(problem, modes_of, u, claimed, status, answer.iterations)
 
-    def _programme(self, p: MPCProblem, drive: Array) -> Programme:
+    def _qp_data(self, p: MPCProblem, drive: Array) -> QPData:
         """The numbers of one instance; `drive` (N,) is m(x)·v of each step at u = 1."""
         n, m, operator = self.shape.n_steps, self.shape.n_moves, self.operator
         moves = slice(0, m)
@@ -158,7 +158,7 @@ class QPSolver:
         unit = float(np.abs(linear).max()) or 1.0
         self._quadratic.data[:] = curvature / unit
         constant = -float(left @ (operator.poles**n * p.forced_state_K))  # no move can change it
-        return Programme(
+        return QPData(
             self._quadratic, linear / unit, A, b, self._bounds.filled(entries), row_low, row_high,
             self._x_low, self._x_high, unit, constant,
         )  # fmt: skip

@@ -16,7 +16,7 @@ QPBackend = Literal["piqp", "clarabel"]
 
 
 class QPConfig(StrictModel):
-    """Options of the quadratic programme."""
+    """Options of the quadratic qp_data."""
 
     backends: tuple[QPBackend, ...] = Field(
         ("piqp", "clarabel"), min_length=1, description="solvers in the order in which they are tried"
@@ -26,8 +26,8 @@ class QPConfig(StrictModel):
 
 
 @dataclass(frozen=True)
-class Programme:
-    """One quadratic programme: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high; Q is diagonal.
+class QPData:
+    """One quadratic qp_data: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high; Q is diagonal.
 
     The objective is counted in `unit`, and `constant` has been left out of it.
     """
@@ -50,7 +50,7 @@ class Programme:
 
 
 @dataclass(frozen=True)
-class Answer:
+class SolverResult:
     """What a solver said."""
 
     solved: bool
@@ -66,7 +66,7 @@ class Piqp:
         self._config = config
         self._solver: Any = None
 
-    def __call__(self, q: Programme) -> Answer:
+    def __call__(self, q: QPData) -> SolverResult:
         """Solve one programme; all of one solver have the same structure and the same bounds of x."""
         import piqp
 
@@ -93,7 +93,7 @@ class Piqp:
         solved = status == piqp.PIQP_SOLVED
         if not solved:
             self._solver = None  # start afresh: nothing of a failed solve is carried on
-        return Answer(solved, np.array(result.x, dtype=np.float64), str(status.name), int(result.info.iter))
+        return SolverResult(solved, np.array(result.x, dtype=np.float64), str(status.name), int(result.info.iter))
 
 
 class Clarabel:
@@ -102,8 +102,8 @@ class Clarabel:
     def __init__(self, config: QPConfig) -> None:
         self._config = config
 
-    def __call__(self, q: Programme) -> Answer:
-        """Solve one programme."""
+    def __call__(self, q: QPData) -> SolverResult:
+        """Solve one qp_data."""
         import clarabel
 
         eye = sparse.identity(q.linear.size, format="csc")
@@ -118,4 +118,4 @@ class Clarabel:
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._config.tolerance
         found = clarabel.DefaultSolver(q.quadratic, q.linear, A, b, cones, settings).solve()
         status = str(found.status)
-        return Answer(status == "Solved", np.array(found.x, dtype=np.float64), status, int(found.iterations))
+        return SolverResult(status == "Solved", np.array(found.x, dtype=np.float64), status, int(found.iterations))

@@ -14,7 +14,7 @@ from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.settings import merge, suggestion, validate
 from thermoforce_mpc.scenario.testcase import StrictModel, TestCase
 
-if TYPE_CHECKING:  # CasADi and the world model are loaded only when a controller needs them
+if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
     from thermoforce_mpc.model.predictor import ThermalModel
 
 
@@ -47,7 +47,7 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
     return Entry(summary, True, _mpc_config, _build_mpc, defaults)
 
 
-# The paper plans a day ahead on the median of one look of the forecaster, right to the comfort bound.
+# The paper plans a day ahead on the median of one resolution of the forecaster, right to the comfort bound.
 _AS_PRINTED: dict[str, Any] = {
     "horizon_h": 24.0,
     "comfort_margin_K": 0.0,
@@ -55,7 +55,7 @@ _AS_PRINTED: dict[str, Any] = {
     "backoff_level_other": 0.5,
     "backoff_violation_K": None,
     "actuation": {"mode": "modulating"},
-    "free_response": {"name": "chronos", "options": {"looks": "one"}},
+    "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
 
 REGISTRY: dict[str, Entry] = {

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import Protocol
 
 from controllers.actuation import Actuation
-from controllers.held_levels import HeldLevelSolver
 from controllers.ipopt import IpoptSolver
 from controllers.mpc_config import MPCConfig
 from controllers.problem import MPCProblem, ProblemShape, Solution, blocked_moves
 from controllers.qp import QPSolver
 from controllers.search import CandidateSearch
+from controllers.semi_continuous import SemiContinuousSolver
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
@@ -33,21 +33,21 @@ def build_solver(config: MPCConfig, operator: OperatorParameters, actuation: Act
     if config.solver == "search":
         return CandidateSearch(operator, n_steps, config.search)
     shape = ProblemShape(
-        blocked_moves(n_steps, operator.step_s, config.moves.free_h, config.moves.hold_h),
+        blocked_moves(n_steps, operator.step_s, config.move_blocking.free_h, config.move_blocking.hold_h),
         actuation.highest,
         actuation.lowest_level,
         peak=config.objective.peak_price_per_kW > 0,
     )
     chosen = config.solver
     if chosen == "auto":
-        switching = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
+        switching = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
         convex_but_for_levels = replace(shape, lowest_level=shape.u_max).linear_in_u(switching)
         if shape.linear_in_u(operator):
             chosen = "qp"
         else:
-            chosen = "held_levels" if convex_but_for_levels and n_steps > 1 else "ipopt"
+            chosen = "semi_continuous" if convex_but_for_levels and n_steps > 1 else "ipopt"
     if chosen == "qp":
         return QPSolver(operator, shape, config.qp)
-    if chosen == "held_levels":
-        return HeldLevelSolver(operator, shape, config.held_levels, config.qp)
+    if chosen == "semi_continuous":
+        return SemiContinuousSolver(operator, shape, config.semi_continuous, config.qp)
     return IpoptSolver(operator, shape, config.ipopt)

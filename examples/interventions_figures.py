@@ -1,4 +1,4 @@
-"""Draw what the world model believes: free and forced parts of a day, and the same day under five levels of action.
+"""Draw what the predictor believes: free and forced parts of a day, and the same day under five levels of action.
 
     python interventions_figures.py                    on the embedded plant
     python interventions_figures.py FOLDER             on a recorded run: the first excite_*.csv.gz of FOLDER
@@ -21,7 +21,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.model.predictor import ThermalModel, WorldModel
+from thermoforce_mpc.model.predictor import Predictor, ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.simulation.composition import identify_on
@@ -60,11 +60,11 @@ def on_a_record(folder: Path) -> Situation:
     if not found:
         raise SystemExit(f"{folder}: no excite_*.csv.gz there")
     record = read_run(found[0])
-    run = record.coarser(round(HOUR_S / record.step_s))
+    run = record.resample(round(HOUR_S / record.step_s))
     model = identify([cut(record, 0.0, 3.0)], floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S, source=found[0].name)
     now = 10 * 24
-    ahead = run.part(now, now + 24)
-    observation = Observation(run.part(0, now), ahead.weather())
+    ahead = run.slice(now, now + 24)
+    observation = Observation(run.slice(0, now), ahead.weather())
     return Situation(model, observation, ahead.u, ahead.T_zone_C[1:], found[0].name)
 
 
@@ -76,11 +76,11 @@ def main() -> None:
     situation = on_a_record(options.folder) if options.folder else on_the_emulator()
     history, boundary = situation.observation.history, situation.observation.boundary
     forecaster = build_free_response("chronos")
-    world = WorldModel(situation.model, forecaster)
-    outlook = world.outlook(situation.observation)
+    predictor = Predictor(situation.model, forecaster)
+    context = predictor.context(situation.observation)
     raw_C = forecaster.forecast(history.T_zone_C, history, boundary).median_C
-    predicted = outlook.predict(situation.u)
-    fan = outlook.counterfactuals(LEVELS)
+    predicted = context.predict(situation.u)
+    fan = context.counterfactuals(LEVELS)
 
     past_h = (history.time_s - history.time_s[-1])[-SHOWN_H - 1 :] / HOUR_S
     ahead_h = np.arange(1, boundary.n_steps + 1)
@@ -89,7 +89,7 @@ def main() -> None:
     figure = Figure(figsize=(9, 6), layout="constrained")
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     top.plot(past_h, history.T_zone_C[-SHOWN_H - 1 :], color=TRUTH, label="measured")
-    top.plot(past_h, world.free_history(history)[-SHOWN_H - 1 :], color=FREE, label="free: measured minus forced")
+    top.plot(past_h, predictor.free_history(history)[-SHOWN_H - 1 :], color=FREE, label="free: measured minus forced")
     top.plot(ahead_h, situation.truth_C, color=TRUTH)
     top.plot(ahead_h, predicted.free_C, color=FREE, linestyle=":", label="free, forecast")
     top.plot(ahead_h, predicted.total_C, color=FORCED, label="free + forced, forecast")

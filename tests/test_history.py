@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import ACTING, SAMPLED, History
+from thermoforce_mpc.data import ACTING, SAMPLED, Record
 
 
-def history(n: int) -> History:
+def history(n: int) -> Record:
     at, over = np.arange(n + 1.0), np.arange(float(n))
-    return History(900.0 * at, 20 + at, at, 10 * at, over / n, 100 * over, 1000 * over, 30 + over)
+    return Record(900.0 * at, 20 + at, at, 10 * at, over / n, 100 * over, 1000 * over, 30 + over)
 
 
 def test_a_part_has_the_samples_at_both_its_ends():
-    part = history(10).part(3, 6)
+    part = history(10).slice(3, 6)
     np.testing.assert_array_equal(part.time_s, 900.0 * np.arange(3, 7))
     np.testing.assert_array_equal(part.power_W, [300, 400, 500])
     np.testing.assert_array_equal(part.T_return_C, [33, 34, 35])
-    tail = history(10).tail(2)
+    tail = history(10).last(2)
     for name in (*SAMPLED, *ACTING):
-        np.testing.assert_array_equal(getattr(tail, name), getattr(history(10).part(8, 10), name))
+        np.testing.assert_array_equal(getattr(tail, name), getattr(history(10).slice(8, 10), name))
 
 
 def test_its_weather_is_a_forecast_of_which_nothing_else_is_known():
-    ahead = history(10).part(3, 6).weather()
+    ahead = history(10).slice(3, 6).weather()
     assert (ahead.n_steps, ahead.step_s) == (3, 900.0)
     np.testing.assert_array_equal(ahead.T_out_C, [3, 4, 5, 6])
     np.testing.assert_array_equal(ahead.solar_W_m2, [30, 40, 50, 60])
@@ -33,7 +33,7 @@ def test_its_weather_is_a_forecast_of_which_nothing_else_is_known():
 
 
 def test_coarser_steps_sample_at_their_ends_average_between_and_cut_the_rest():
-    coarse = history(10).coarser(4)
+    coarse = history(10).resample(4)
     assert coarse.step_s == 3600.0
     np.testing.assert_array_equal(coarse.T_zone_C, [20, 24, 28])
     np.testing.assert_array_equal(coarse.power_W, [150, 550])

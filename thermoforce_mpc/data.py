@@ -1,4 +1,4 @@
-"""The data that travels between plant, forecaster, world model and controller.
+"""The data that travels between plant, forecaster, predictor and controller.
 
 Time is in seconds since 1 January 00:00 (BOPTEST's clock). `N` steps have `N + 1` boundaries: what is *sampled*
 (temperatures, weather, comfort bounds) has `N + 1` values, what *acts over a step* (u, power, heat) has `N`.
@@ -22,7 +22,7 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
-# What a `History` holds: values at the boundaries, and means over the steps between them.
+# What a `Record` holds: values at the boundaries, and means over the steps between them.
 SAMPLED = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
 ACTING = ("u", "power_W", "heat_W", "T_return_C")
 
@@ -83,7 +83,7 @@ class Boundary:
 
 
 @dataclass(frozen=True)
-class History:
+class Record:
     """What was measured over `n` past steps of equal length, the last boundary being *now*.
 
     Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent),
@@ -122,21 +122,21 @@ class History:
         """Length of a step, s (NaN when only the present instant is known)."""
         return float(self.time_s[1] - self.time_s[0]) if self.n_steps else float("nan")
 
-    def tail(self, n_steps: int) -> History:
+    def last(self, n_steps: int) -> Record:
         """The last `n_steps` steps (all of it when shorter)."""
-        return self.part(self.n_steps - min(n_steps, self.n_steps), self.n_steps)
+        return self.slice(self.n_steps - min(n_steps, self.n_steps), self.n_steps)
 
-    def part(self, start: int, stop: int) -> History:
+    def slice(self, start: int, stop: int) -> Record:
         """Steps `start` … `stop` − 1, with the samples at both their ends."""
-        return History(
+        return Record(
             **{name: getattr(self, name)[start : stop + 1] for name in SAMPLED},
             **{name: getattr(self, name)[start:stop] for name in ACTING},
         )
 
-    def coarser(self, every: int) -> History:
+    def resample(self, every: int) -> Record:
         """Steps of `every` steps each, from the first on: samples at their ends, means over them; a rest is cut."""
         n = self.n_steps // every
-        return History(
+        return Record(
             **{name: getattr(self, name)[: n * every + 1 : every] for name in SAMPLED},
             **{name: getattr(self, name)[: n * every].reshape(n, every).mean(axis=1) for name in ACTING},
         )
@@ -147,14 +147,14 @@ class History:
         return Boundary(self.time_s, self.T_out_C, self.solar_W_m2, unknown, unknown, unknown, unknown, unknown)
 
     @classmethod
-    def beginning(cls, measurement: Measurement) -> History:
+    def beginning(cls, measurement: Measurement) -> Record:
         """The history of one instant, before anything has acted."""
         none = np.empty(0)
         return cls(**{name: np.array([getattr(measurement, name)]) for name in SAMPLED}, **dict.fromkeys(ACTING, none))
 
-    def extended(self, measurement: Measurement) -> History:
+    def extended(self, measurement: Measurement) -> Record:
         """This history with one more step, the one that `measurement` closes."""
-        return History(
+        return Record(
             **{name: np.append(getattr(self, name), getattr(measurement, name)) for name in (*SAMPLED, *ACTING)}
         )
 
@@ -192,7 +192,7 @@ class Measurement:
 class Observation:
     """All a controller gets to see: the past, the forecast of the boundary conditions, and nothing else."""
 
-    history: History
+    history: Record
     boundary: Boundary
 
     @property
@@ -239,8 +239,8 @@ class PlanStatus(StrEnum):
     """Where an action came from."""
 
     SOLVED = "solved"  # an optimisation whose status and solution were checked
-    SHIFTED = "shifted"  # first rung of the ladder: the previous plan, one step on
-    THERMOSTAT = "thermostat"  # second rung: on/off rule
+    SHIFTED = "shifted"  # first fallback level: the previous plan, one step on
+    THERMOSTAT = "thermostat"  # second level: on/off rule
     RULE = "rule"  # the controller is a rule; nothing was solved
 
 

@@ -8,12 +8,12 @@ from thermoforce_mpc.data import (
     Array,
     Boundary,
     FreeForecast,
-    History,
     Measurement,
     Observation,
     Period,
     Plan,
     PlantInfo,
+    Record,
 )
 
 
@@ -42,7 +42,7 @@ class Plant(Protocol):
         """Boundary conditions from now to `horizon_s` ahead, every `interval_s`."""
         ...
 
-    def past(self, step_s: float) -> History:
+    def past(self, step_s: float) -> Record:
         """What is known since the start of the warm-up, at `step_s`; one instant where the plant keeps no record."""
         ...
 
@@ -64,7 +64,7 @@ class FreeResponse(Protocol):
         """Name in the registry."""
         ...
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """Forecast the control-free temperature over the steps of `boundary`.
 
         `free_C` (n + 1,) is the control-free history T − F at the boundaries of `history` (NaN gaps
@@ -94,5 +94,5 @@ class Controller(Protocol):
         ...
 
     def plan(self, observation: Observation) -> Plan:
-        """Decide. Never raises for a failed solve: the plan's status says which rung of the ladder acted, and why."""
+        """Decide. Never raises for a failed solve: the plan's status says which fallback level acted, and why."""
         ...

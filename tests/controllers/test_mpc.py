@@ -36,7 +36,7 @@ def test_in_closed_loop_it_is_comfortable_and_cheaper_than_the_thermostat():
     theirs = run_closed_loop(house, Thermostat(), house.period("x"))
     assert ours.kpis["tdis_tot"] < 0.3
     assert ours.kpis["cost_tot"] < 0.98 * theirs.kpis["cost_tot"]
-    assert ours.ladder() == {"solved": 48, "shifted": 0, "thermostat": 0, "rule": 0, "refused": 0}
+    assert ours.fallback_levels() == {"solved": 48, "shifted": 0, "thermostat": 0, "rule": 0, "refused": 0}
 
 
 def test_predictions_of_an_exact_model_come_true():
@@ -171,7 +171,7 @@ def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its
     config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3, backoff_violation_K=None)
     mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
     seen = observation()
-    problem = mpc._problem(mpc._outlook(seen), seen.history)
+    problem = mpc._problem(mpc._context(seen), seen.history)
     np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside[0], atol=1e-9)
     np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside[1], atol=1e-9)
 
@@ -184,9 +184,9 @@ def test_planned_power_follows_the_return_water_expected_over_the_zone():
     history = replace(seen.history, T_return_C=seen.history.T_zone_C[:-1] + 5.0)
     plain = controller().plan(seen)
     mpc = ThermoForceMPC(powered, MPCConfig(horizon_h=24.0), free_response=OutdoorResponse())
-    outlook = mpc._outlook(seen)
-    problem = mpc._problem(outlook, history)
-    zone = np.clip(outlook.free.median_C, seen.boundary.lower_C[1:], seen.boundary.upper_C[1:])
+    context = mpc._context(seen)
+    problem = mpc._problem(context, history)
+    zone = np.clip(context.free.median_C, seen.boundary.lower_C[1:], seen.boundary.upper_C[1:])
     above = 5.0 if (history.u > 0.02).any() else 9.0
     expected = model.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))
     np.testing.assert_allclose(problem.power_per_u_W, expected)

@@ -30,7 +30,7 @@ def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
         mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
         period = replace(house.period("x"), scored_s=8 * 86400.0)
         result = run_closed_loop(house, mpc, period)
-        assert result.ladder()["solved"] == len(result.steps)
+        assert result.fallback_levels()["solved"] == len(result.steps)
         actual = np.array([step.T_zone_C for step in result.steps[1:]])
         predicted = np.array([step.plan.T_zone_C[0] for step in result.steps[:-1]])
         errors = (actual - predicted)[-72:]

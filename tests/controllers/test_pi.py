@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from simple_house import SimpleHouse
 
 from controllers.pi import PIConfig, PIController
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History, Observation, Period, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
@@ -16,7 +16,7 @@ def observation(T: float, time_s: float, lower_C: float | list[float] = 21.0) ->
     n = 2 if isinstance(lower_C, float) else len(lower_C)
     line, times = np.ones(n), time_s + 900.0 * np.arange(n)
     lower = lower_C * line if isinstance(lower_C, float) else np.array(lower_C)
-    history = History([time_s], [T], [0.0], [0.0], [], [], [])
+    history = Record([time_s], [T], [0.0], [0.0], [], [], [])
     return Observation(history, Boundary(times, 0 * line, 0 * line, line, lower, 24 * line, line, line))
 
 

@@ -1,4 +1,4 @@
-"""The quadratic programme: the same optimum as Ipopt, a second solver behind the first, and no trust in a status."""
+"""The quadratic qp_data: the same optimum as Ipopt, a second solver behind the first, and no trust in a status."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
 from controllers.qp import QPSolver, transfer_function
-from controllers.qp_backends import Answer, QPConfig
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap, OnLoad
+from controllers.qp_backends import QPConfig, SolverResult
+from thermoforce_mpc.model.operator.heat_input import HeatInput, OnLoad
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.operator.rollout import driven_rollout
 
@@ -91,7 +91,7 @@ def test_what_is_left_at_the_end_is_worth_something():
 
 
 def broken_solver(x, *, solved: bool = True):
-    return lambda programme: Answer(solved, x(programme), "claims", 1)
+    return lambda qp_data: SolverResult(solved, x(qp_data), "claims", 1)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +137,13 @@ def test_a_problem_that_is_not_convex_is_refused_with_advice():
         QPSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), QPConfig())
     heat = OnLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match="not convex"):
-        QPSolver(replace(operator, actuator=ActuatorMap(heat=heat)), ProblemShape(every_step(N)), QPConfig())
+        QPSolver(replace(operator, heat_input=HeatInput(heat=heat)), ProblemShape(every_step(N)), QPConfig())
 
 
 def test_a_heat_map_of_an_on_off_machine_is_convex_and_scales_what_the_heat_adds():
     rng = np.random.default_rng(12)
     heat = OnLoad((1000.0, 20.0, 9000.0, 200.0), (-10.0, 20.0), lowest_level=1.0)
-    operator = replace(random_operator(rng, 2), actuator=ActuatorMap(heat=heat))
+    operator = replace(random_operator(rng, 2), heat_input=HeatInput(heat=heat))
     problem = random_problem(rng, 2, curvature=1e-6)
     ours = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(problem)
     reference = IpoptSolver(operator, SHAPES["every step"], IpoptConfig(tolerance=1e-10)).solve(problem)

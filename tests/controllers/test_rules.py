@@ -6,11 +6,11 @@ from simple_house import SimpleHouse
 
 from controllers.native import NativeController
 from controllers.thermostat import Setback, Thermostat, ThermostatConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Record
 
 
 def observation(T: float, time_s: float = 0.0) -> Observation:
-    history = History([time_s], [T], [0.0], [0.0], [], [], [])
+    history = Record([time_s], [T], [0.0], [0.0], [], [], [])
     line = np.ones(2)
     return Observation(
         history, Boundary(time_s + np.array([0, 900.0]), 0 * line, 0 * line, line, 21 * line, 24 * line, line, line)

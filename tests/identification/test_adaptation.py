@@ -43,14 +43,14 @@ def _degrading(measured: bool, to: float = 0.8, days: float = 24.0, u=None):
 
 def _effect(operator) -> float:
     """What six hours of full actuation have done after a day, K."""
-    v = operator.actuator(np.ones(6), np.zeros(6))
+    v = operator.heat_input(np.ones(6), np.zeros(6))
     return float(np.convolve(operator.impulse(24), v)[23])
 
 
 def test_a_machine_that_weakens_by_a_fifth_is_noticed(model, measured):
     run = _degrading(measured)
     adaptation = OnlineAdaptation(model, ON)
-    before = adaptation.update(run.tail(run.n_steps))  # all of it at once
+    before = adaptation.update(run.last(run.n_steps))  # all of it at once
     fixed, adapted = _effect(model.operator), _effect(before.operator)
     assert adapted / fixed == pytest.approx(0.8, abs=0.06)
     third = [s for s in adaptation.steps if s.time_s <= run.time_s[run.n_steps // 3]]
@@ -70,7 +70,7 @@ def test_step_by_step_is_the_same_as_at_once(model, measured):
     whole, piecewise = OnlineAdaptation(model, ON), OnlineAdaptation(model, ON)
     whole.update(run)
     for n in range(1, run.n_steps + 1):
-        part = run.part(0, n)
+        part = run.slice(0, n)
         piecewise.update(part)
     assert [s.time_s for s in piecewise.steps] == [s.time_s for s in whole.steps]
     for a, b in zip(piecewise.steps, whole.steps, strict=True):

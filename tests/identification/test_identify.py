@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from houses import House, effect_rmse, random_levels, record
 
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.order import Fitted, choose_order
@@ -100,18 +100,18 @@ def test_the_wrong_sign_is_noticed():
 
 def test_u_itself_drives_where_heat_is_not_measured():
     model = identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR)
-    assert model.operator.actuator.kind == "identity"
+    assert model.operator.heat_input.kind == "identity"
     assert any("heat was measured in 0 %" in note for note in model.card.notes)
     with pytest.raises(DataError, match="heat was asked for"):
-        identify([record(HOUSE, 3.0, heat_measured=False)], config=IdentificationConfig(actuator="heat"))
+        identify([record(HOUSE, 3.0, heat_measured=False)], config=IdentificationConfig(heat_input="heat"))
 
 
 def test_the_network_learns_what_the_linear_gain_cannot():
-    """Without a heat map the gain depends on T_out; m(x) must find that, held out days must gain from it."""
+    """Without a heat capacity the gain depends on T_out; m(x) must find that, held out days must gain from it."""
     house = replace(HOUSE, slope_per_K=0.06, machine_W=(0.0, 10000.0))
     pairs = [make_pair(house, seed) for seed in range(8)]
     results = {
-        kind: identify(pairs=pairs, config=IdentificationConfig(order=3, modulation=kind, actuator="identity"))
+        kind: identify(pairs=pairs, config=IdentificationConfig(order=3, modulation=kind, heat_input="identity"))
         for kind in ("linear", "neural")
     }
     assert results["neural"].card.scores["modulation_kept"] == 1.0
@@ -121,9 +121,9 @@ def test_the_network_learns_what_the_linear_gain_cannot():
 
 
 def test_order_one_on_u_is_the_papers_operator():
-    model = identify([record(HOUSE, 3.0)], config=IdentificationConfig(order=1, actuator="identity", epochs=20))
+    model = identify([record(HOUSE, 3.0)], config=IdentificationConfig(order=1, heat_input="identity", epochs=20))
     assert model.operator.n_trained == 195
-    assert model.operator.actuator.kind == "identity"
+    assert model.operator.heat_input.kind == "identity"
     assert model.operator.gamma == 0.75
 
 
@@ -158,7 +158,7 @@ def test_runs_and_pairs_go_together():
     assert rmse < 0.05 * effect
 
 
-def _changed(**arrays) -> History:
+def _changed(**arrays) -> Record:
     history = record(HOUSE, 2.0)
     return replace(history, **{k: v(np.array(getattr(history, k))) for k, v in arrays.items()})
 
@@ -236,7 +236,7 @@ def test_features_of_the_total_temperature_are_certified_or_refused():
     pairs = [make_pair(house, seed) for seed in range(4)]
 
     def found(**options):
-        config = IdentificationConfig(order=1, actuator="identity", features="total", epochs=60, **options)
+        config = IdentificationConfig(order=1, heat_input="identity", features="total", epochs=60, **options)
         return identify(pairs=pairs, config=config)
 
     model = found(gamma=0.3)
@@ -283,31 +283,31 @@ def test_a_heat_map_by_data_sheet_replaces_measured_heat():
     options = {"order": 3, "modulation": "linear"}
     with_sheet, without = (
         identify([blind], config=validate(IdentificationConfig, options | given, "options"), floor_area_m2=190.0)
-        for given in ({"heat_map": sheet}, {})
+        for given in ({"heat_capacity": sheet}, {})
     )
-    assert with_sheet.operator.actuator.heat.coefficients == sheet["coefficients"]
-    assert without.operator.actuator.kind == "identity"
+    assert with_sheet.operator.heat_input.heat.coefficients == sheet["coefficients"]
+    assert without.operator.heat_input.kind == "identity"
     assert effect_rmse(with_sheet, house)[0] < 0.5 * effect_rmse(without, house)[0]
 
 
 def test_impossible_data_sheets_are_refused():
     falling = {"coefficients": [0, 0, 5000, 600], "T_out_range_C": [-20, 15]}
     with pytest.raises(ConfigError, match="not increasing in u at T_out = -20"):
-        validate(IdentificationConfig, {"heat_map": falling}, "options")
+        validate(IdentificationConfig, {"heat_capacity": falling}, "options")
     rising = {"coefficients": [0, 0, 5000, 0], "T_out_range_C": [-20, 15]}
-    with pytest.raises(ConfigError, match="actuator is identity"):
-        validate(IdentificationConfig, {"heat_map": rising, "actuator": "identity"}, "options")
+    with pytest.raises(ConfigError, match="heat_input is identity"):
+        validate(IdentificationConfig, {"heat_capacity": rising, "heat_input": "identity"}, "options")
 
 
 def test_one_odd_afternoon_does_not_choose_the_order():
     """What is off for some hours is one observation, however many rows it has."""
     rng = np.random.default_rng(0)
-    pieces = np.repeat(np.arange(6), 12)
+    blocks = np.repeat(np.arange(6), 12)
     usual = 0.08 * rng.normal(size=72)
-    odd = np.where(pieces == 2, 0.3, usual)
+    odd = np.where(blocks == 2, 0.3, usual)
 
     def fitted(judged):
-        return Fitted(None, None, judged, pieces, 0.1)
+        return Fitted(None, None, judged, blocks, 0.1)
 
     assert choose_order({1: fitted(usual), 3: fitted(odd)}) == 3
     assert choose_order({1: fitted(usual), 3: fitted(3.0 * usual)}) == 1

@@ -7,7 +7,7 @@ import pytest
 from simple_house import SimpleHouse
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S, History
+from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.design import Designer
@@ -23,7 +23,7 @@ def plant():
     return EmbeddedPlant(synthetic_weather())
 
 
-def _probed(plant, design: str, day: int, seed: int = 1, days: float = 1.0) -> History:
+def _probed(plant, design: str, day: int, seed: int = 1, days: float = 1.0) -> Record:
     config = ProbingConfig(design=design, levels=(0.0, 0.5, 1.0), warmup_days=2.0)
     return probe(plant, day * DAY_S, days, seed=seed, config=config)
 
@@ -60,7 +60,7 @@ def test_more_is_known_of_what_was_excited():
     time_s, flat = np.arange(n + 1) * 900.0, np.zeros(n + 1)
 
     def worth(u) -> float:
-        return designer.information(History(time_s, flat, flat, flat, u, u, u))
+        return designer.information(Record(time_s, flat, flat, flat, u, u, u))
 
     switched = np.repeat(rng.choice([0.0, 1.0], 12), 8)
     assert worth(np.zeros(n)) == pytest.approx(0.0, abs=1e-9)

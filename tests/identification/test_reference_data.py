@@ -43,7 +43,7 @@ def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
 
 @pytest.mark.parametrize(("month", "day"), [("jan", 11), ("apr", 3), ("apr", 10)])
 def test_the_days_that_tell_least_of_the_machine_are_enough(shared, pairs, month, day):
-    """Cold ones with a narrow range outdoors, mild ones that never saw full: what is missing is the heat map."""
+    """Cold ones with a narrow range outdoors, mild ones that never saw full: what is missing is the heat capacity."""
     run = read_run(shared / "boptest_hp" / f"excite_{month}.csv.gz")
     config = IdentificationConfig(modulation="linear")
     scores = score_pairs(identify([cut(run, day, 1)], config=config, floor_area_m2=AREA_M2).operator, pairs)

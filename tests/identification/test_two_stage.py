@@ -9,7 +9,7 @@ import pytest
 from houses import random_levels, weather
 from pydantic import ValidationError
 
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify
@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.two_stage import fit_two_stage
 A, C, D, E, G = 0.96, 0.03, 4e-4, 0.25, 0.5
 
 
-def arx_run(u=None, *, days=4.0, seed=0, noise_K=0.0, sign=1, thermostat=False) -> History:
+def arx_run(u=None, *, days=4.0, seed=0, noise_K=0.0, sign=1, thermostat=False) -> Record:
     time_s, T_out, solar = weather(days, 3600.0, seed)
     n = time_s.size - 1
     rng = np.random.default_rng(seed)
@@ -30,7 +30,7 @@ def arx_run(u=None, *, days=4.0, seed=0, noise_K=0.0, sign=1, thermostat=False) 
             u[t] = float(T[-1] < 19.5)
         w, s = 0.5 * (T_out[t] + T_out[t + 1]), 0.5 * (solar[t] + solar[t + 1])
         T.append(A * T[-1] + sign * G * u[t] + C * w + D * s + E + noise_K * rng.normal())
-    return History(time_s, np.array(T), T_out, solar, u, np.full(n, np.nan), np.full(n, np.nan))
+    return Record(time_s, np.array(T), T_out, solar, u, np.full(n, np.nan), np.full(n, np.nan))
 
 
 def test_exact_on_its_own_equation():

@@ -10,17 +10,17 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, FreeForecast, History
+from thermoforce_mpc.data import HOUR_S, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
-from thermoforce_mpc.model.predictor import WorldModel, forced_history
+from thermoforce_mpc.model.predictor import Predictor, forced_history
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
-def some_history(n: int = 60, seed: int = 0) -> History:
+def some_history(n: int = 60, seed: int = 0) -> Record:
     rng = np.random.default_rng(seed)
-    return History(
+    return Record(
         time_s=HOUR_S * np.arange(n + 1),
         T_zone_C=20.0 + np.cumsum(rng.normal(0, 0.1, n + 1)),
         T_out_C=rng.normal(5, 3, n + 1),
@@ -40,10 +40,10 @@ def test_step_by_step_is_the_rollout_of_the_whole_history():
     operator, history = simple_model().operator, some_history()
     estimator = ForcedStateEstimator(operator)
     for n in (0, 1, 2, 3, 30, 31, 60):
-        followed = estimator.update(history.part(0, n))
+        followed = estimator.update(history.slice(0, n))
     # The first day sets the steady start, so the start is known from the first whole rollout on.
     again = ForcedStateEstimator(operator)
-    again.update(history.part(0, 30))
+    again.update(history.slice(0, 30))
     np.testing.assert_allclose(again.update(history), forced_history(operator, history), atol=1e-12)
     assert followed.shape == (61, operator.order)
 
@@ -60,7 +60,7 @@ def test_another_run_starts_anew():
 def test_a_gap_in_a_new_step_is_refused_with_its_place():
     history = some_history(10)
     estimator = ForcedStateEstimator(simple_model().operator)
-    estimator.update(history.part(0, 9))
+    estimator.update(history.slice(0, 9))
     broken = replace(history, T_out_C=np.append(history.T_out_C[:-1], np.nan))
     with pytest.raises(DataError, match="T_out_C is not finite at step 10 of 10"):
         estimator.update(broken)
@@ -72,7 +72,7 @@ def surprised(config: EstimatorConfig, spread_K: float) -> float:
     history = replace(history, u=np.append(history.u[:-1], 1.0))
     plain = forced_history(simple_model().operator, history)[-1].sum()
     estimator = ForcedStateEstimator(simple_model().operator, config=config)
-    estimator.update(history.part(0, 29))
+    estimator.update(history.slice(0, 29))
     free_C = history.T_zone_C[-1] - 0.5 - plain
     estimator.expect(float(history.time_s[-1]), expectation(free_C, spread_K))
     return float(estimator.update(history)[-1].sum() - plain)
@@ -88,9 +88,9 @@ def test_a_surprise_is_divided_by_who_was_surer():
 def test_free_and_forced_always_add_up_to_what_was_measured():
     model, history = simple_model(), some_history()
     estimator = ForcedStateEstimator(model.operator, config=EstimatorConfig(correct=True))
-    world = WorldModel(model, OutdoorResponse(), estimator=estimator)
-    free = world.free_history(history)
-    np.testing.assert_allclose(free + world.forced_history(history).sum(axis=1), history.T_zone_C, atol=1e-12)
+    predictor = Predictor(model, OutdoorResponse(), estimator=estimator)
+    free = predictor.free_history(history)
+    np.testing.assert_allclose(free + predictor.forced_history(history).sum(axis=1), history.T_zone_C, atol=1e-12)
 
 
 class BiasedHouse(SimpleHouse):

@@ -35,7 +35,7 @@ def model() -> ThermalModel:
     )
     heat = HEAT_MAP.heat
     assert heat is not None
-    return ThermalModel(random_operator(1, 3, actuator=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card)
+    return ThermalModel(random_operator(1, 3, heat_input=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card)
 
 
 def test_a_model_comes_back_bit_for_bit(tmp_path, model):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from operators import HEAT_MAP, random_operator
 
-from thermoforce_mpc.data import Boundary, FreeForecast, History, Observation
+from thermoforce_mpc.data import Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
-from thermoforce_mpc.model.predictor import ThermalModel, WorldModel, forced_history
+from thermoforce_mpc.model.predictor import Predictor, ThermalModel, forced_history
 
 STEP = 3600.0
 
@@ -27,10 +27,10 @@ class HoldLast:
         return FreeForecast(levels=np.array([0.5]), quantiles_C=np.full((1, boundary.n_steps), last))
 
 
-def make_history(n: int = 48, seed: int = 0, T_zone=None) -> History:
+def make_history(n: int = 48, seed: int = 0, T_zone=None) -> Record:
     rng = np.random.default_rng(seed)
     hours = np.arange(n + 1)
-    return History(
+    return Record(
         time_s=hours * STEP,
         T_zone_C=rng.normal(21, 0.5, n + 1) if T_zone is None else T_zone,
         T_out_C=5 + 3 * np.cos(2 * np.pi * (hours - 15) / 24),
@@ -41,7 +41,7 @@ def make_history(n: int = 48, seed: int = 0, T_zone=None) -> History:
     )
 
 
-def make_boundary(history: History, n: int = 24) -> Boundary:
+def make_boundary(history: Record, n: int = 24) -> Boundary:
     hours = history.time_s[-1] / STEP + np.arange(n + 1)
     return Boundary(
         time_s=hours * STEP,
@@ -56,15 +56,15 @@ def make_boundary(history: History, n: int = 24) -> Boundary:
 
 
 @pytest.fixture
-def world() -> WorldModel:
-    return WorldModel(ThermalModel(random_operator(3, 3, actuator=HEAT_MAP)), HoldLast())
+def predictor() -> Predictor:
+    return Predictor(ThermalModel(random_operator(3, 3, heat_input=HEAT_MAP)), HoldLast())
 
 
-def test_free_plus_forced_is_what_was_measured(world):
+def test_free_plus_forced_is_what_was_measured(predictor):
     history = make_history()
-    total = world.free_history(history) + world.forced_history(history).sum(axis=1)
+    total = predictor.free_history(history) + predictor.forced_history(history).sum(axis=1)
     np.testing.assert_allclose(total, history.T_zone_C, atol=1e-12)
-    np.testing.assert_array_equal(world.forced_state(history), world.forced_history(history)[-1])
+    np.testing.assert_array_equal(predictor.forced_state(history), predictor.forced_history(history)[-1])
 
 
 def test_zero_start_is_the_papers_and_steady_start_holds():
@@ -86,69 +86,69 @@ def test_exact_recovery_of_a_free_response_under_control():
         free[t + 1] = 0.9 * free[t] + 0.1 * base.T_out_C[t] + 1.2
         forced[t + 1] = 0.9 * forced[t] + 0.2 * base.u[t]
     history = replace(base, T_zone_C=free + forced)
-    world = WorldModel(ThermalModel(operator), HoldLast(), initial_force="zero")
-    np.testing.assert_allclose(world.free_history(history), free, atol=1e-12)
+    predictor = Predictor(ThermalModel(operator), HoldLast(), initial_force="zero")
+    np.testing.assert_allclose(predictor.free_history(history), free, atol=1e-12)
 
 
-def test_predict_effect_and_counterfactuals_agree(world):
+def test_predict_effect_and_counterfactuals_agree(predictor):
     history = make_history()
-    outlook = world.outlook(Observation(history, make_boundary(history)))
+    context = predictor.context(Observation(history, make_boundary(history)))
     rng = np.random.default_rng(1)
     u, alt = rng.uniform(0, 1, 24), rng.uniform(0, 1, 24)
     np.testing.assert_allclose(
-        outlook.effect(alt, u), outlook.predict(alt).total_C - outlook.predict(u).total_C, atol=1e-12
+        context.effect(alt, u), context.predict(alt).total_C - context.predict(u).total_C, atol=1e-12
     )
     levels = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-    fan = outlook.counterfactuals(levels)
+    fan = context.counterfactuals(levels)
     assert fan.forced_K.shape == (5, 24)
     assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
-    np.testing.assert_allclose(fan.total_C[1], outlook.predict(np.full(24, 0.25)).total_C, atol=1e-12)
-    np.testing.assert_allclose(outlook.predict(u).total_C, outlook.free.median_C + outlook.predict(u).forced_K)
+    np.testing.assert_allclose(fan.total_C[1], context.predict(np.full(24, 0.25)).total_C, atol=1e-12)
+    np.testing.assert_allclose(context.predict(u).total_C, context.free.median_C + context.predict(u).forced_K)
 
 
-def test_plan_continues_the_history(world):
+def test_plan_continues_the_history(predictor):
     """Splitting time into past and future must not change the forced response."""
     history = make_history(72)
-    operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, actuator=HEAT_MAP)
-    world = WorldModel(ThermalModel(operator), HoldLast())
-    past = history.part(0, 48)
-    outlook = world.outlook(Observation(past, make_boundary(past)))
+    operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, heat_input=HEAT_MAP)
+    predictor = Predictor(ThermalModel(operator), HoldLast())
+    past = history.slice(0, 48)
+    context = predictor.context(Observation(past, make_boundary(past)))
     whole = forced_history(operator, history).sum(axis=1)[49:]
-    np.testing.assert_allclose(outlook.predict(history.u[48:]).forced_K, whole, atol=1e-9)
+    np.testing.assert_allclose(context.predict(history.u[48:]).forced_K, whole, atol=1e-9)
 
 
-def test_silent_sensor_leaves_a_hole_and_nothing_else(world):
+def test_silent_sensor_leaves_a_hole_and_nothing_else(predictor):
     history = make_history()
     T = np.array(history.T_zone_C)
     T[10:14] = np.nan
-    free = world.free_history(replace(history, T_zone_C=T))
+    free = predictor.free_history(replace(history, T_zone_C=T))
     assert np.isnan(free[10:14]).all()
     assert np.isfinite(np.delete(free, range(10, 14))).all()
     silent = Observation(replace(history, T_zone_C=np.full(49, np.nan)), make_boundary(history))
     with pytest.raises(DataError, match="never measured"):
-        world.outlook(silent)
+        predictor.context(silent)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "word"), [("u", np.nan, "u is not finite at step 5"), ("u", 1.5, "u is 1.5")]
 )
-def test_broken_histories_are_refused_with_the_place(world, name, value, word):
+def test_broken_histories_are_refused_with_the_place(predictor, name, value, word):
     history = make_history()
     u = np.array(history.u)
     u[5] = value
     with pytest.raises(DataError, match=word):
-        world.forced_state(replace(history, **{name: u}))
+        predictor.forced_state(replace(history, **{name: u}))
 
 
-def test_impossible_actions_are_refused(world):
+def test_impossible_actions_are_refused(predictor):
     history = make_history()
-    outlook = world.outlook(Observation(history, make_boundary(history)))
+    context = predictor.context(Observation(history, make_boundary(history)))
     with pytest.raises(DataError, match="expected"):
-        outlook.predict(np.zeros(23))
+        context.predict(np.zeros(23))
     with pytest.raises(DataError, match=r"inside \[0, 1\]"):
-        outlook.predict(np.full(24, np.nan))
+        context.predict(np.full(24, np.nan))
     with pytest.raises(DataError, match="initial_force"):
-        WorldModel(world.model, HoldLast(), initial_force="warm")  # type: ignore[arg-type]
+        Predictor(predictor.model, HoldLast(), initial_force="warm")  # type: ignore[arg-type]
 
 
 RC = RcParameters(
@@ -210,9 +210,9 @@ def test_a_level_that_averaging_rounded_beyond_one_is_one():
     still = np.zeros(steps + 1)
     operator = linear_operator(np.array([0.9]), np.array([0.5]), step_s=3600.0)
 
-    def history(level: float) -> History:
+    def history(level: float) -> Record:
         u = np.full(steps, level)
-        return History(time_s, 21.0 + still, still, still, u, u, np.full(steps, np.nan))
+        return Record(time_s, 21.0 + still, still, still, u, u, np.full(steps, np.nan))
 
     exact, rounded = (forced_history(operator, history(level)) for level in (1.0, np.nextafter(1.0, 2.0)))
     np.testing.assert_array_equal(exact, rounded)
@@ -222,7 +222,7 @@ def test_a_level_that_averaging_rounded_beyond_one_is_one():
 
 def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
     for sign in (1, -1):
-        operator = random_operator(3, 1, actuator=HEAT_MAP, sign=sign)
+        operator = random_operator(3, 1, heat_input=HEAT_MAP, sign=sign)
         base = make_history()
         heat = sign * HEAT_MAP.reference_W * HEAT_MAP(base.u, base.T_out_C[:-1])
         by_map = forced_history(operator, base)
@@ -232,28 +232,28 @@ def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
 
 
 def test_total_features_see_the_measured_temperature_in_the_past():
-    operator = replace(random_operator(3, 2, scale=0.2, actuator=HEAT_MAP), feature_temperature="total")
+    operator = replace(random_operator(3, 2, scale=0.2, heat_input=HEAT_MAP), feature_temperature="total")
     history = make_history()
     forced = forced_history(operator, history, initial_force="zero")
     for t in range(history.n_steps):
         x = np.array([history.T_zone_C[t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
         drive = operator.modulation(x) * HEAT_MAP(history.u[t], history.T_out_C[t])
         np.testing.assert_allclose(forced[t + 1], operator.poles * forced[t] + operator.gains * drive, atol=1e-12)
-    outlook = WorldModel(ThermalModel(operator), HoldLast()).outlook(Observation(history, make_boundary(history)))
-    fan = outlook.counterfactuals(np.array([0.0, 0.5, 1.0]))
-    one = forced_rollout(operator, outlook.forced_K, np.full(24, 0.5), outlook.features).sum(-1)
+    context = Predictor(ThermalModel(operator), HoldLast()).context(Observation(history, make_boundary(history)))
+    fan = context.counterfactuals(np.array([0.0, 0.5, 1.0]))
+    one = forced_rollout(operator, context.forced_K, np.full(24, 0.5), context.features).sum(-1)
     np.testing.assert_allclose(fan.forced_K[1], one, atol=1e-12)
 
 
-def test_any_arrangement_of_candidates_at_once(world):
+def test_any_arrangement_of_candidates_at_once(predictor):
     history = make_history()
-    outlook = world.outlook(Observation(history, make_boundary(history)))
+    context = predictor.context(Observation(history, make_boundary(history)))
     u = np.random.default_rng(5).uniform(0, 1, (3, 4, 24))
-    together = outlook.predict(u)
+    together = context.predict(u)
     assert together.total_C.shape == (3, 4, 24)
-    effects = outlook.effect(u, u[0, 0])
+    effects = context.effect(u, u[0, 0])
     for i in range(3):
         for j in range(4):
-            alone = outlook.predict(u[i, j]).forced_K
+            alone = context.predict(u[i, j]).forced_K
             np.testing.assert_allclose(together.forced_K[i, j], alone, atol=1e-12)
             np.testing.assert_allclose(effects[i, j], alone - together.forced_K[0, 0], atol=1e-12)

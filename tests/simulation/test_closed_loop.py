@@ -29,7 +29,7 @@ def test_an_unfit_level_never_reaches_the_plant(u):
     house = SimpleHouse()
     result = run_closed_loop(house, Fixed(Block(0.5, 1800.0), Block(u, 1800.0)), house.period("x"))
     assert {level for level, _ in house.applied} == {None}
-    assert result.ladder()["refused"] == len(result.steps) == 48
+    assert result.fallback_levels()["refused"] == len(result.steps) == 48
     assert "native control instead" in result.steps[0].refused
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import Boundary, History
+from thermoforce_mpc.data import Boundary, Record
 
 LEVELS = np.arange(1, 10) / 10.0
 
@@ -20,7 +20,7 @@ def weather_at(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 5 - 4 * np.cos(angle - 0.7), np.maximum(-np.cos(angle), 0) * 300
 
 
-def history_of(free: np.ndarray, step_s: float = 3600.0, **replaced: np.ndarray) -> History:
+def history_of(free: np.ndarray, step_s: float = 3600.0, **replaced: np.ndarray) -> Record:
     """A history for the control-free series `free`, with plain weather unless replaced."""
     n = free.size - 1
     time_s = np.arange(n + 1) * step_s
@@ -32,7 +32,7 @@ def history_of(free: np.ndarray, step_s: float = 3600.0, **replaced: np.ndarray)
         "power_W": np.zeros(n),
         "heat_W": np.full(n, np.nan),
     }
-    return History(time_s=time_s, T_zone_C=free, **(values | replaced))
+    return Record(time_s=time_s, T_zone_C=free, **(values | replaced))
 
 
 def boundary_of(start: int, n: int, step_s: float = 3600.0, **replaced: np.ndarray) -> Boundary:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def record(
     u: np.ndarray | None = None,
     noise_K: float = 0.0,
     heat_measured: bool = True,
-) -> History:
+) -> Record:
     """What a sensor in this house would have recorded, starting in the steady state of a mean action."""
     time_s, T_out, solar = weather(days, step_s, seed)
     n = time_s.size - 1
@@ -99,7 +99,7 @@ def record(
     before = 9.0 * house.sign * np.exp(-(time_s - time_s[0]) / HOUR_S / house.tau_h[-1])
     noise = noise_K * np.random.default_rng(seed + 2).normal(size=n + 1)
     power = (u > 0) * 1600.0 + u * 2000.0
-    return History(
+    return Record(
         time_s=time_s,
         T_zone_C=6.0 + free + forced + before + noise,
         T_out_C=T_out,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 
 
-def machine_history(u: Array, T_out_C: Array, *, power_W: Array | None = None, heat_W: Array | None = None) -> History:
+def machine_history(u: Array, T_out_C: Array, *, power_W: Array | None = None, heat_W: Array | None = None) -> Record:
     """Quarter-hour steps of these levels, outdoor temperatures and loads, (n,) each; a load not given is NaN."""
     n = len(u)
     silent = np.full(n, np.nan)
-    return History(
+    return Record(
         time_s=np.arange(n + 1) * 900.0,
         T_zone_C=np.full(n + 1, 21.0),
         T_out_C=np.append(T_out_C, T_out_C[-1]),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.model.operator import HIDDEN, IDENTITY, ActuatorMap, OnLoad, OperatorParameters
+from thermoforce_mpc.model.operator import HIDDEN, IDENTITY, HeatInput, OnLoad, OperatorParameters
 from thermoforce_mpc.model.operator.parameters import initial_weight
 
-HEAT_MAP = ActuatorMap(heat=OnLoad((1600.0, 20.0, 8500.0, 300.0), (-4.0, 15.0), lowest_level=0.2), reference_C=0.0)
+HEAT_MAP = HeatInput(heat=OnLoad((1600.0, 20.0, 8500.0, 300.0), (-4.0, 15.0), lowest_level=0.2), reference_C=0.0)
 
 
 def random_operator(
@@ -17,7 +17,7 @@ def random_operator(
     scale: float = 1.0,
     sign: int = 1,
     gamma: float = 0.75,
-    actuator: ActuatorMap = IDENTITY,
+    heat_input: HeatInput = IDENTITY,
     step_s: float = 3600.0,
 ) -> OperatorParameters:
     """An operator with normal weights of size `scale`."""
@@ -42,7 +42,7 @@ def random_operator(
         sign=sign,
         step_s=step_s,
         pole_bounds=bounds,
-        actuator=actuator,
+        heat_input=heat_input,
     )
 
 

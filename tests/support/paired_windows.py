@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from thermoforce_mpc.data import DAY_S, History
+from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Probe, Window
 from thermoforce_mpc.research.interventions.protocol import CLIMATES, SHIFTS_K, WINDOW_START_H
@@ -27,7 +27,7 @@ def run(first_day, u):
     free = 15.0 + 2.0 * np.sin(2 * np.pi * (hour - 9.0) / 24.0)
     T = free + np.concatenate([[0.0], forced(u)])
     solar = np.maximum(300.0 * np.sin(2 * np.pi * (hour - 6.0) / 24.0), 0.0)
-    return History(time_s, T, free - 12.0, solar, u, np.full(n, np.nan), np.full(n, np.nan))
+    return Record(time_s, T, free - 12.0, solar, u, np.full(n, np.nan), np.full(n, np.nan))
 
 
 def window(day, name, shift_K, part="test", seed=0):
@@ -44,9 +44,9 @@ def window(day, name, shift_K, part="test", seed=0):
         part,
         day,
         shift_K,
-        a.part(0, start),
-        a.part(start, start + N),
-        b.part(start, start + N),
+        a.slice(0, start),
+        a.slice(start, start + N),
+        b.slice(start, start + N),
     )
 
 
@@ -64,5 +64,5 @@ def data(test_days=2, validation_days=2):
     probed[960:] = np.clip(u[960:] + np.repeat(rng.choice([-0.3, 0.0, 0.3], 36), 8), 0.0, 1.0)
     plain, moved = run(15, u), run(15, probed)
     end = u.size
-    probe = Probe(plain.part(0, 960), Pair(moved.part(960, end), plain.part(960, end)))
+    probe = Probe(plain.slice(0, 960), Pair(moved.slice(960, end), plain.slice(960, end)))
     return ClimateData(CLIMATES["heating_chicago"], tuple(windows), {3: probe})

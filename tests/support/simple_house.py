@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import OnLoad
@@ -79,12 +79,12 @@ class SimpleHouse:
         same = np.ones_like(time_s)
         return Boundary(time_s, outdoor_C(time_s), 0 * same, 5 * same, lower, upper, 0.25 * same, 0.167 * same)
 
-    def past(self, step_s: float) -> History:
+    def past(self, step_s: float) -> Record:
         """Warm-up record at one hour; other steps know the present only."""
         m = [self._first, *(row for _, row in self._rows)]
         if step_s != HOUR_S:
             m = m[-1:]
-        return History(
+        return Record(
             **{k: [getattr(x, k) for x in m] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
             **{k: [getattr(x, k) for x in m[1:]] for k in ("u", "power_W", "heat_W")},
         )
@@ -101,7 +101,7 @@ class OutdoorResponse:
 
     name = "exact"
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         T, out = float(free_C[-1]), []
         for T_out in boundary.T_out_C[:-1]:
             T = POLE * T + (1 - POLE) * T_out

@@ -11,7 +11,7 @@ import click
 from thermoforce_mpc.cli.display import RunDisplay
 from thermoforce_mpc.cli.inspect import show_model
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.scenario.settings import merge
@@ -53,7 +53,7 @@ def command(**options: Any) -> None:
     testcase = validate_scenario(scenario)
     probing, config = identification_settings(scenario, testcase)
     display = RunDisplay()
-    records: list[History] = []
+    records: list[Record] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")

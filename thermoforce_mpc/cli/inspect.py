@@ -22,7 +22,7 @@ _MEANING = {
     "held_out_order_1": "held-out error with one mode, in standard deviations of the assumed disturbances",
     "held_out_order_2": "the same with two modes",
     "held_out_order_3": "the same with three modes",
-    "misfit": "what stays unexplained, as a share of the assumed disturbances",
+    "residual_scale": "what stays unexplained, as a share of the assumed disturbances",
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",
     "neural_improvement_in_standard_errors": "what the network saves, in standard errors",
@@ -81,11 +81,11 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         if 0 <= k < len(proof.effect_low_K):
             effects.add_row(f"{hours:g}", f"{proof.effect_low_K[k]:.4f}", f"{proof.effect_high_K[k]:.4f}")
     say(effects)
-    if operator.actuator.heat is not None:
-        c0, c1, c2, c3 = operator.actuator.heat.coefficients
+    if operator.heat_input.heat is not None:
+        c0, c1, c2, c3 = operator.heat_input.heat.coefficients
         say(
             f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full action above means "
-            f"{operator.actuator.reference_W:.0f} W, as at {operator.actuator.reference_C:g} °C outdoors"
+            f"{operator.heat_input.reference_W:.0f} W, as at {operator.heat_input.reference_C:g} °C outdoors"
         )
     if thermal.power:
         c0, c1, c2, c3 = thermal.power.coefficients

@@ -21,10 +21,10 @@ from pydantic import Field, model_validator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import residuals
-from thermoforce_mpc.identification.regression_data import run_episode
+from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -119,7 +119,7 @@ class OnlineAdaptation:
         """What every block so far did."""
         return tuple(self._steps)
 
-    def update(self, history: History) -> ThermalModel:
+    def update(self, history: Record) -> ThermalModel:
         """Take in what is new and return the model to use from now on.
 
         Args:
@@ -140,7 +140,7 @@ class OnlineAdaptation:
             self._take(history, first, first + n)
             self._done_s = float(history.time_s[first + n])
 
-    def _take(self, history: History, start: int, stop: int) -> None:
+    def _take(self, history: Record, start: int, stop: int) -> None:
         """One block: steps `start` … `stop` − 1."""
         time_s = float(history.time_s[stop])
         if np.isfinite(history.T_zone_C[start : stop + 1]).mean() < _LEAST_MEASURED:
@@ -175,29 +175,29 @@ class OnlineAdaptation:
         return np.asarray(widened * np.outer(scale, scale))
 
     def _regression(
-        self, operator: OperatorParameters, history: History, start: int, stop: int
+        self, operator: OperatorParameters, history: Record, start: int, stop: int
     ) -> tuple[Array, Array, Array]:
         """What the block's own actions do not explain (rows,), its covariance, and d/d(ln gain, ln τ) (rows, 2), K."""
-        block = history.part(start, stop)
-        episode = run_episode(block, operator.actuator, self._assumed)
-        rest = residuals(episode, np.log(operator.time_constants_h))
+        block = history.slice(start, stop)
+        regression = run_regression(block, operator.heat_input, self._assumed)
+        rest = residuals(regression, np.log(operator.time_constants_h))
         forced = forced_history(operator, history)[start:stop]
         T_zone = _held(block.T_zone_C)[:-1]
         features = feature_matrix(
             T_zone - forced.sum(axis=1), block.T_out_C[:-1], block.solar_W_m2[:-1], block.time_s[:-1]
         )
         drive = operator.modulation(operator.seen(features, forced)) * heat_drive(operator, history, start, stop)
-        effect = _response(operator, drive)[episode.rows]
+        effect = _response(operator, drive)[regression.rows]
         slower, faster = (
-            _response(_scaled(operator, 0.0, shift), drive)[episode.rows]
+            _response(_scaled(operator, 0.0, shift), drive)[regression.rows]
             for shift in (_DERIVATIVE_STEP, -_DERIVATIVE_STEP)
         )
         columns = np.stack([effect, (slower - faster) / (2.0 * _DERIVATIVE_STEP)], axis=1)
-        return episode.target - rest.mean - effect, rest.covariance, columns
+        return regression.target - rest.mean - effect, rest.covariance, columns
 
-    def _follow_heat(self, history: History, start: int, stop: int, fading: float) -> None:
+    def _follow_heat(self, history: Record, start: int, stop: int, fading: float) -> None:
         """Compare measured heat with the identified map while the machine was on."""
-        heat = self._identified.operator.actuator.heat
+        heat = self._identified.operator.heat_input.heat
         if heat is None:
             return
         u, Q = history.u[start:stop], history.heat_W[start:stop] * self._identified.operator.sign
@@ -232,13 +232,15 @@ class OnlineAdaptation:
         """Put the adapted model together; False, and nothing changed, where it is not certified."""
         base = self._identified.operator
         operator = _scaled(base, float(self._state[0]), float(self._state[1]))
-        if base.actuator.heat is not None:
+        if base.heat_input.heat is not None:
             # Heat that counts as v = 1 shrinks with the machine, and the gain per v with it.
             factor = float(np.exp(self._log_heat))
-            load = base.actuator.heat
+            load = base.heat_input.heat
             c0, c1, c2, c3 = (factor * c for c in load.coefficients)
             weaker = replace(load, coefficients=(c0, c1, c2, c3))
-            operator = replace(operator, actuator=replace(base.actuator, heat=weaker), gains=operator.gains * factor)
+            operator = replace(
+                operator, heat_input=replace(base.heat_input, heat=weaker), gains=operator.gains * factor
+            )
         if not certificate(operator).certified:
             return False
         self._model = replace(self._identified, operator=operator)

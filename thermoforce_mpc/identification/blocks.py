@@ -1,7 +1,7 @@
 """Held-out rows as observations: one cloud or one meal misleads all rows of some hours alike.
 
-So what counts as one observation is a piece of some hours, and as pieces are off by very different amounts, two models
-are compared by the logarithm of what each leaves unexplained in a piece (a paired t-test of these logarithms).
+So what counts as one observation is a block of some hours, and as blocks are off by very different amounts, two models
+are compared by the logarithm of what each leaves unexplained in a block (a paired t-test of these logarithms).
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ from scipy.stats import t as student_t
 
 from thermoforce_mpc.data import HOUR_S, Array
 
-# Length of a piece, h, and how many there have to be.
+# Length of a block, h, and how many there have to be.
 _PIECE_H = 4.0
 _LEAST_PIECES = 4
 # Squared residual that counts as none.
 _NOTHING = 1e-9
-# Pieces of different episodes must not share a number.
-_PER_EPISODE = 10**6
+# Pieces of different regressions must not share a number.
+_PER_REGRESSION = 10**6
 
 
-def piece_numbers(episode: int, rows: NDArray[np.intp], step_s: float) -> NDArray[np.intp]:
-    """The piece that each of `rows` (n,) of the episode with this number belongs to, shape (n,)."""
-    return np.asarray(episode * _PER_EPISODE + (rows * step_s / HOUR_S // _PIECE_H), dtype=np.intp)
+def block_numbers(regression: int, rows: NDArray[np.intp], step_s: float) -> NDArray[np.intp]:
+    """The block that each of `rows` (n,) of the regression with this number belongs to, shape (n,)."""
+    return np.asarray(regression * _PER_REGRESSION + (rows * step_s / HOUR_S // _PIECE_H), dtype=np.intp)
 
 
-def standard_errors_saved(residuals: Array, other: Array, pieces: NDArray[np.intp]) -> tuple[float, int]:
-    """How clearly `other` leaves less than `residuals`, all (n,): the t statistic and the number of pieces.
+def standard_errors_saved(residuals: Array, other: Array, blocks: NDArray[np.intp]) -> tuple[float, int]:
+    """How clearly `other` leaves less than `residuals`, all (n,): the t statistic and the number of blocks.
 
-    NaN where there are too few pieces to tell.
+    NaN where there are too few blocks to tell.
     """
-    names, piece = np.unique(pieces, return_inverse=True)
+    names, block = np.unique(blocks, return_inverse=True)
     if names.size < _LEAST_PIECES:
         return float("nan"), int(names.size)
-    saved = np.log(np.bincount(piece, residuals**2) + _NOTHING) - np.log(np.bincount(piece, other**2) + _NOTHING)
+    saved = np.log(np.bincount(block, residuals**2) + _NOTHING) - np.log(np.bincount(block, other**2) + _NOTHING)
     spread = float(np.std(saved, ddof=1))
     mean = float(np.mean(saved))
     if spread == 0.0:
@@ -43,5 +43,5 @@ def standard_errors_saved(residuals: Array, other: Array, pieces: NDArray[np.int
 
 
 def is_significant(statistic: float, count: int, probability: float) -> bool:
-    """Whether the t statistic of `count` pieces exceeds what chance gives with this probability."""
+    """Whether the t statistic of `count` blocks exceeds what chance gives with this probability."""
     return count >= _LEAST_PIECES and statistic > float(student_t.ppf(probability, count - 1))

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, History
+from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.identification.regression_data import Episode
+from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.power import PowerModel, fit_power
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 # Share of the steps in which heat or power must have been measured to be used.
 _MEASURED = 0.5
@@ -28,30 +28,30 @@ LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
 
 @dataclass(frozen=True)
 class Case:
-    """One run or pair with its histories, in the order of the episode's drives."""
+    """One run or pair with its histories, in the order of the regression's drives."""
 
-    episode: Episode
-    histories: tuple[History, ...]
+    regression: RegressionData
+    histories: tuple[Record, ...]
     start_s: float
 
 
-def actuator_map(
-    histories: Sequence[History], config: IdentificationConfig, sign: int
-) -> tuple[ActuatorMap, list[str]]:
+def identified_heat_input(
+    histories: Sequence[Record], config: IdentificationConfig, sign: int
+) -> tuple[HeatInput, list[str]]:
     """The map in front of the modes: heat where it was measured and wanted, else u itself."""
-    if config.actuator == "identity":
-        return IDENTITY, ["actuator map: identity, as configured"]
-    if config.heat_map is not None:
-        return ActuatorMap(heat=config.heat_map.load()), ["actuator map: heat, as given"]
+    if config.heat_input == "identity":
+        return IDENTITY, ["heat input: identity, as configured"]
+    if config.heat_capacity is not None:
+        return HeatInput(heat=config.heat_capacity.load()), ["heat input: heat, as given"]
     heat = np.concatenate([h.heat_W for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:
-        if config.actuator == "heat":
+        if config.heat_input == "heat":
             raise DataError(
-                f"actuator: heat was asked for, but heat was measured in only {100 * measured:.0f} % of the steps; "
-                "name the heat points in the test case, or use actuator: identity"
+                f"heat_input: heat was asked for, but heat was measured in only {100 * measured:.0f} % of the steps; "
+                "name the heat points in the test case, or use heat_input: identity"
             )
-        return IDENTITY, [f"actuator map: identity, heat was measured in {100 * measured:.0f} % of the steps"]
+        return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
     fit = fit_heat(
         np.concatenate([h.u for h in histories]),
         np.concatenate([h.T_out_C[:-1] for h in histories]),
@@ -61,11 +61,11 @@ def actuator_map(
         lowest_level=config.lowest_level,
     )
     rmse_W, r2 = fit.quality.rmse_W, fit.quality.r2
-    note = f"actuator map: heat of a machine of kind '{fit.kind}', RMSE {rmse_W:.0f} W while on, R² {r2:.4f}"
-    return ActuatorMap(heat=fit.load), [note, *_unseen(histories, fit)]
+    note = f"heat input: heat of a machine of kind '{fit.kind}', RMSE {rmse_W:.0f} W while on, R² {r2:.4f}"
+    return HeatInput(heat=fit.load), [note, *_unseen(histories, fit)]
 
 
-def _unseen(histories: Sequence[History], fit: HeatFit) -> list[str]:
+def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:
     """What a user should know where full actuation was hardly seen."""
     highest = max(float(np.max(h.u)) for h in histories)
     if highest >= _NEARLY_FULL:
@@ -76,7 +76,7 @@ def _unseen(histories: Sequence[History], fit: HeatFit) -> list[str]:
     ]
 
 
-def power_model(histories: Sequence[History], config: IdentificationConfig) -> PowerModel | None:
+def power_model(histories: Sequence[Record], config: IdentificationConfig) -> PowerModel | None:
     """Electric power of (u, T_out, return water), where it was measured in half of the steps."""
     if np.isfinite(np.concatenate([h.power_W for h in histories])).mean() < _MEASURED:
         return None
@@ -85,7 +85,7 @@ def power_model(histories: Sequence[History], config: IdentificationConfig) -> P
 
 def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]:
     """Last part of every run; all pairs of some start times (pairs of one start share their weather)."""
-    starts = sorted({c.start_s for c in cases if c.episode.is_pair})
+    starts = sorted({c.start_s for c in cases if c.regression.is_pair})
     held: set[float] = set()
     if len(starts) > 1:
         rng = np.random.default_rng(config.seed)
@@ -93,14 +93,14 @@ def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]
         held = {starts[i] for i in rng.permutation(len(starts))[:count]}
     splits = []
     for case in cases:
-        if not case.episode.is_pair or len(starts) == 1:
-            splits.append(split_run(case.episode, config.validation_share, config.horizon_h))
+        if not case.regression.is_pair or len(starts) == 1:
+            splits.append(split_run(case.regression, config.validation_share, config.horizon_h))
         else:
-            splits.append(hold_out_pair(case.episode) if case.start_s in held else whole(case.episode))
+            splits.append(hold_out_pair(case.regression) if case.start_s in held else whole(case.regression))
     return splits
 
 
-def normalisation(histories: Sequence[History]) -> tuple[Array, Array]:
+def normalisation(histories: Sequence[Record]) -> tuple[Array, Array]:
     """Mean and scale of the features over all steps with a measured temperature; the free one is set by `_features`."""
     stacked = np.concatenate(
         [
@@ -113,7 +113,7 @@ def normalisation(histories: Sequence[History]) -> tuple[Array, Array]:
     return stacked.mean(axis=0), np.maximum(stacked.std(axis=0), LEAST_SCALE)
 
 
-def ranges(histories: Sequence[History]) -> dict[str, tuple[float, float]]:
+def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
     """Smallest and largest value of each signal, and the days seen."""
     out = {}
     for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
@@ -123,7 +123,7 @@ def ranges(histories: Sequence[History]) -> dict[str, tuple[float, float]]:
     return out
 
 
-def named(names: Sequence[str], runs: Sequence[History], pairs: Sequence[Pair]) -> list[tuple[str, History]]:
+def named(names: Sequence[str], runs: Sequence[Record], pairs: Sequence[Pair]) -> list[tuple[str, Record]]:
     """Every record with the name it has on the model card."""
     out = list(zip(names, runs, strict=True))
     for i, pair in enumerate(pairs):

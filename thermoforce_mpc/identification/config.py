@@ -16,15 +16,15 @@ DEFAULT_TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 6
 hour), room against structure (two to six hours), structure against outdoors (one to four days)."""
 
 
-class HeatMapConfig(StrictModel):
-    """Delivered heat by data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `operator.actuator.OnLoad`."""
+class HeatCapacityConfig(StrictModel):
+    """Delivered heat by data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `operator.heat_input.OnLoad`."""
 
     coefficients: tuple[float, float, float, float] = Field(description="c0 W, c1 W/K, c2 W, c3 W/K, all as heat > 0")
     T_out_range_C: tuple[float, float] = Field(description="outdoor temperatures it holds for, °C")
     lowest_level: float = Field(1.0, gt=0, le=1, description="level below which the machine switches")
 
     @model_validator(mode="after")
-    def _rises_with_u(self) -> HeatMapConfig:
+    def _rises_with_u(self) -> HeatCapacityConfig:
         try:
             self.load()
         except DataError as error:
@@ -44,12 +44,15 @@ class IdentificationConfig(StrictModel):
         description="joint fit of free and forced part, or the paper's two stages (order 1; pairs train it further)",
     )
     order: Literal["auto", 1, 2, 3] = Field("auto", description="modes of the operator; auto: chosen on held-out data")
-    actuator: Literal["auto", "identity", "heat"] = Field(
-        "auto", description="what drives the modes: u itself, or the heat map of (u, T_out); auto: heat if measured"
+    heat_input: Literal["auto", "identity", "heat"] = Field(
+        "auto",
+        description="what drives the modes: u itself, or the heat capacity of (u, T_out); auto: heat if measured",
     )
-    heat_map: HeatMapConfig | None = Field(None, description="heat map by data sheet instead of an identified one")
+    heat_capacity: HeatCapacityConfig | None = Field(
+        None, description="heat capacity by data sheet instead of an identified one"
+    )
     machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
-        "auto", description="prior of the heat map: what gives the heat; auto: by mode and by what the data say"
+        "auto", description="prior of the heat capacity: what gives the heat; auto: by mode and by what the data say"
     )
     lowest_level: float | None = Field(
         None, gt=0, le=1, description="level below which the probed machine was switched; by default found in the data"
@@ -65,7 +68,7 @@ class IdentificationConfig(StrictModel):
     epochs: int = Field(350, ge=1, le=5000, description="epochs of training, at most")
     learning_rate: float = Field(0.01, gt=0, description="learning rate of Adam")
     modulation_sd: float | None = Field(
-        None, gt=0, description="prior: how far m(x) leaves 1; by default 0.15, and 0.05 behind a heat map"
+        None, gt=0, description="prior: how far m(x) leaves 1; by default 0.15, and 0.05 behind a heat capacity"
     )
     validation_share: float = Field(0.25, gt=0, lt=0.9, description="share of days or pairs held out for choices")
     horizon_h: float = Field(24.0, gt=0, description="longest rollout that is scored on the held-out data, h")
@@ -105,8 +108,8 @@ class IdentificationConfig(StrictModel):
     def _consistent(self) -> IdentificationConfig:
         if len(self.disturbance_sd_K) != len(self.disturbance_hours):
             raise ValueError("disturbance_sd_K and disturbance_hours must have the same number of values")
-        if self.heat_map is not None and self.actuator == "identity":
-            raise ValueError("heat_map is given, but actuator is identity: drop one of them")
+        if self.heat_capacity is not None and self.heat_input == "identity":
+            raise ValueError("heat_capacity is given, but heat_input is identity: drop one of them")
         if self.method == "two_stage" and self.order not in ("auto", 1):
             raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
         if self.start_slope_K_per_h is not None and self.start_slope_K_per_h[1] <= 0:

@@ -22,7 +22,7 @@ from thermoforce_mpc.identification.modes import ModePriors, poles
 from thermoforce_mpc.identification.regression_data import (
     FREE_PRIOR,
     REFERENCE_C,
-    Episode,
+    RegressionData,
     forced_columns,
     free_columns,
     free_prior,
@@ -47,7 +47,7 @@ class JointFit:
 
     `log_tau` (r,) of ln(τ/h); `gains` (r,) are [slope K/h, G_2 … G_r K] (positive); `covariance` (2r, 2r) the joint
     posterior covariance of both, time constants first; `free_log_tau` (q,) and `free_gains` (q, 8) the steady free
-    gains per unit of `INPUTS`; `misfit` the RMS of the whitened residual (1: disturbances as large as assumed);
+    gains per unit of `INPUTS`; `residual_scale` the RMS of the whitened residual (1: disturbances as large as assumed);
     `objective` the negative log posterior at its maximum, up to a constant.
     """
 
@@ -56,7 +56,7 @@ class JointFit:
     covariance: Array
     free_log_tau: Array
     free_gains: Array
-    misfit: float
+    residual_scale: float
     objective: float
 
     def free_model(self, step_s: float, config: IdentificationConfig) -> RcParameters:
@@ -66,7 +66,7 @@ class JointFit:
         share = np.zeros(a.size)
         for sd, hours in zip(config.disturbance_sd_K, config.disturbance_hours, strict=True):
             nearest = int(np.argmin(np.abs(self.free_log_tau[:-1] - np.log(hours))))
-            share[nearest] = np.hypot(share[nearest], sd * max(self.misfit, 0.3))
+            share[nearest] = np.hypot(share[nearest], sd * max(self.residual_scale, 0.3))
         return RcParameters(
             poles=a,
             weights=self.free_gains * (1.0 - a)[:, None],
@@ -83,19 +83,21 @@ class _Solution:
     whitened_rms: float
 
 
-def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: IdentificationConfig, sign: int) -> JointFit:
-    """Fit time constants, gains and free part to all episodes at once."""
-    log_tau = _search(episodes, priors, sign, priors.log_tau)
-    solution = _solve(episodes, log_tau, priors, sign)
+def fit_joint(
+    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> JointFit:
+    """Fit time constants, gains and free part to all regressions at once."""
+    log_tau = _search(regressions, priors, sign, priors.log_tau)
+    solution = _solve(regressions, log_tau, priors, sign)
     # Disturbances nobody foresaw may be as large as assumed; where they are far smaller, the data say more than that.
     scale = min(1.0, config.disturbance_margin * solution.whitened_rms)
-    used = episodes
-    if scale < 1.0 and any(not e.is_pair for e in episodes):
-        used = scaled(episodes, scale)
+    used = regressions
+    if scale < 1.0 and any(not e.is_pair for e in regressions):
+        used = scaled(regressions, scale)
         log_tau = _search(used, priors, sign, log_tau)
         solution = _solve(used, log_tau, priors, sign)
-    misfit = _misfit(episodes, log_tau, solution.values, priors, sign)
-    found = min(1.0, likely_scale(misfit) / scale)
+    residual_scale = _residual_scale(regressions, log_tau, solution.values, priors, sign)
+    found = min(1.0, likely_scale(residual_scale) / scale)
     r = priors.order
     free_log_tau = free_time_constants(log_tau)
     return JointFit(
@@ -103,13 +105,15 @@ def fit_joint(episodes: Sequence[Episode], priors: ModePriors, config: Identific
         gains=solution.values[:r],
         covariance=_joint_covariance(used, log_tau, solution.values, priors, sign, found),
         free_log_tau=free_log_tau,
-        free_gains=_free_gains(solution.values[r:], free_log_tau.size, with_free=any(not b.is_pair for b in episodes)),
-        misfit=misfit,
+        free_gains=_free_gains(
+            solution.values[r:], free_log_tau.size, with_free=any(not b.is_pair for b in regressions)
+        ),
+        residual_scale=residual_scale,
         objective=solution.objective,
     )
 
 
-def _search(episodes: Sequence[Episode], priors: ModePriors, sign: int, start: Array) -> Array:
+def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, start: Array) -> Array:
     """Time constants ln(τ/h) (r,) of the highest posterior, searched from `start` (r,)."""
     log_bounds = np.log(priors.bounds_h())
 
@@ -117,7 +121,7 @@ def _search(episodes: Sequence[Episode], priors: ModePriors, sign: int, start: A
         outside = np.maximum(log_bounds[:, 0] - log_tau, 0.0) + np.maximum(log_tau - log_bounds[:, 1], 0.0)
         if outside.any():
             return _OUTSIDE * (1.0 + float(outside.sum()))
-        return _solve(episodes, log_tau, priors, sign).objective
+        return _solve(regressions, log_tau, priors, sign).objective
 
     simplex = np.vstack([start, start + np.eye(priors.order) * priors.log_tau_sd])
     found = minimize(
@@ -134,14 +138,16 @@ def _search(episodes: Sequence[Episode], priors: ModePriors, sign: int, start: A
     return np.asarray(found.x)
 
 
-def _misfit(episodes: Sequence[Episode], log_tau: Array, values: Array, priors: ModePriors, sign: int) -> float:
+def _residual_scale(
+    regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int
+) -> float:
     """RMS of the whitened residual under disturbances as large as assumed."""
-    design, target, _, rows = _system(episodes, log_tau, priors, sign)
+    design, target, _, rows = _system(regressions, log_tau, priors, sign)
     return float(np.sqrt(np.mean((design @ values - target)[:rows] ** 2)))
 
 
 def _system(
-    episodes: Sequence[Episode], log_tau: Array, priors: ModePriors, sign: int
+    regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int
 ) -> tuple[Array, Array, Array, int]:
     """Whitened regression for given time constants: design, target, lower bounds, and how many rows are data.
 
@@ -149,7 +155,7 @@ def _system(
     """
     r = log_tau.size
     free_log_tau = free_time_constants(log_tau)
-    runs = [i for i, episode in enumerate(episodes) if not episode.is_pair]
+    runs = [i for i, regression in enumerate(regressions) if not regression.is_pair]
     n_starts = free_log_tau.size + 1
     mean, sd = priors.gains_at(log_tau)
     low = np.zeros(r)
@@ -160,24 +166,24 @@ def _system(
         sd = np.concatenate([sd, free_sd, starts])
         low = np.concatenate([low, free_low, np.full(starts.size, -np.inf)])
     designs, targets = [], []
-    for i, episode in enumerate(episodes):
-        columns = np.zeros((episode.rows.size, mean.size))
-        columns[:, :r] = forced_columns(episode, log_tau, sign)
-        if not episode.is_pair:
-            shared, start = free_columns(episode, log_tau, free_log_tau)
+    for i, regression in enumerate(regressions):
+        columns = np.zeros((regression.rows.size, mean.size))
+        columns[:, :r] = forced_columns(regression, log_tau, sign)
+        if not regression.is_pair:
+            shared, start = free_columns(regression, log_tau, free_log_tau)
             columns[:, r : r + shared.shape[1]] = shared
             first = r + shared.shape[1] + runs.index(i) * n_starts
             columns[:, first : first + n_starts] = start
-        designs.append(whitened(episode, columns))
-        targets.append(whitened(episode, episode.target))
+        designs.append(whitened(regression, columns))
+        targets.append(whitened(regression, regression.target))
     design = np.concatenate([*designs, np.diag(1.0 / sd)])
     target = np.concatenate([*targets, mean / sd])
     return design, target, low, sum(t.size for t in targets)
 
 
-def _solve(episodes: Sequence[Episode], log_tau: Array, priors: ModePriors, sign: int) -> _Solution:
+def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int) -> _Solution:
     """Bounded Gaussian regression for given time constants."""
-    design, target, low, rows = _system(episodes, log_tau, priors, sign)
+    design, target, low, rows = _system(regressions, log_tau, priors, sign)
     values = lsq_linear(design, target, bounds=(low, np.inf)).x
     residual = design @ values - target
     away = (log_tau - priors.log_tau) / priors.log_tau_sd
@@ -202,7 +208,7 @@ def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
 
 
 def _joint_covariance(
-    episodes: Sequence[Episode], log_tau: Array, values: Array, priors: ModePriors, sign: int, found: float
+    regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int, found: float
 ) -> Array:
     """Covariance of the errors of [ln τ, gains], shape (2r, 2r), with all that is estimated besides integrated out.
 
@@ -215,16 +221,16 @@ def _joint_covariance(
     r = log_tau.size
 
     def residual(at: Array) -> Array:
-        design, target, _, _ = _system(episodes, at, priors, sign)
+        design, target, _, _ = _system(regressions, at, priors, sign)
         return np.asarray(design @ values - target)
 
     shifts = _DERIVATIVE_STEP * np.eye(r)
     slopes = np.stack([residual(log_tau + d) - residual(log_tau - d) for d in shifts], axis=1) / (
         2.0 * _DERIVATIVE_STEP
     )
-    design, _, _, rows = _system(episodes, log_tau, priors, sign)
+    design, _, _, rows = _system(regressions, log_tau, priors, sign)
     jacobian = np.concatenate([slopes, design], axis=1)
-    errors = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else found) for e in episodes])
+    errors = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else found) for e in regressions])
     prior = jacobian[rows:].T @ jacobian[rows:]
     prior[:r, :r] += np.eye(r) / priors.log_tau_sd**2
     data = jacobian[:rows]

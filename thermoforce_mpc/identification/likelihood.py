@@ -1,4 +1,4 @@
-"""How well a forced response explains an episode, with its free part and disturbances integrated out.
+"""How well a forced response explains an regression, with its free part and disturbances integrated out.
 
 Given the time constants, what is not forced is Gaussian: prior of the free gains and starting state, plus
 disturbances. So the residual r = target − F has a known mean and covariance C. The whitened residual L⁻¹(r − mean) is
@@ -17,7 +17,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.regression_data import (
-    Episode,
+    RegressionData,
     free_columns,
     free_prior,
     free_time_constants,
@@ -27,7 +27,7 @@ from thermoforce_mpc.identification.regression_data import (
 
 @dataclass(frozen=True)
 class Residuals:
-    """Linear maps on the residual target − F of one episode.
+    """Linear maps on the residual target − F of one regression.
 
     `mean` (rows,) K is what the free part contributes before any data; `covariance` (rows, rows) K².
     """
@@ -55,20 +55,20 @@ class Residuals:
         return np.concatenate([-weights, np.eye(ahead.size)], axis=1)
 
 
-def whitened(episode: Episode, values: Array) -> Array:
-    """`values` (rows, ...) of an episode in standard deviations of its disturbances, what came before taken out."""
-    if episode.is_pair:  # independent rows: no matrix is solved, however many days there are
-        sd = np.diagonal(episode.factor)
+def whitened(regression: RegressionData, values: Array) -> Array:
+    """`values` (rows, ...) of an regression in standard deviations of its disturbances, what came before taken out."""
+    if regression.is_pair:  # independent rows: no matrix is solved, however many days there are
+        sd = np.diagonal(regression.factor)
         return np.asarray(values / (sd if values.ndim == 1 else sd[:, None]))
-    return np.asarray(solve_triangular(episode.factor, values, lower=True))
+    return np.asarray(solve_triangular(regression.factor, values, lower=True))
 
 
-def residuals(episode: Episode, log_tau: Array) -> Residuals:
-    """Mean and covariance of what is not forced in `episode`, for these time constants."""
-    if episode.is_pair:
-        return Residuals(np.zeros(episode.rows.size), np.diag(np.diagonal(episode.factor) ** 2))
-    noise = episode.factor @ episode.factor.T
-    shared, start = free_columns(episode, log_tau, free_time_constants(log_tau))
+def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
+    """Mean and covariance of what is not forced in `regression`, for these time constants."""
+    if regression.is_pair:
+        return Residuals(np.zeros(regression.rows.size), np.diag(np.diagonal(regression.factor) ** 2))
+    noise = regression.factor @ regression.factor.T
+    shared, start = free_columns(regression, log_tau, free_time_constants(log_tau))
     mean, sd, _ = free_prior(free_time_constants(log_tau).size)
     columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)
     return Residuals(mean=shared @ mean, covariance=noise + columns @ columns.T)
@@ -76,18 +76,18 @@ def residuals(episode: Episode, log_tau: Array) -> Residuals:
 
 @dataclass(frozen=True)
 class Split:
-    """Rows of one episode to train on and to be judged by, and the rollouts (past rows, rows ahead) that are scored."""
+    """Rows to train on and to be judged by, and the rollouts (past rows, rows ahead) that are scored."""
 
     train: NDArray[np.intp]
     judged: NDArray[np.intp]
     rollouts: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...] = ()
 
 
-def split_run(episode: Episode, share: float, horizon_h: float) -> Split:
+def split_run(regression: RegressionData, share: float, horizon_h: float) -> Split:
     """Train on the first part of a run, judge by the rest; rollouts of up to `horizon_h` start where the last ended."""
-    n = episode.rows.size
+    n = regression.rows.size
     first = max(1, min(n - 1, round(n * (1.0 - share))))
-    hours = episode.rows * episode.step_s / HOUR_S
+    hours = regression.rows * regression.step_s / HOUR_S
     rollouts = []
     start = first
     while start < n:
@@ -98,13 +98,13 @@ def split_run(episode: Episode, share: float, horizon_h: float) -> Split:
     return Split(train=np.arange(first), judged=np.arange(first, n), rollouts=tuple(rollouts))
 
 
-def hold_out_pair(episode: Episode) -> Split:
+def hold_out_pair(regression: RegressionData) -> Split:
     """Judge a whole pair, train on nothing of it."""
-    rows = np.arange(episode.rows.size)
+    rows = np.arange(regression.rows.size)
     return Split(train=rows[:0], judged=rows, rollouts=((rows[:0], rows),))
 
 
-def whole(episode: Episode) -> Split:
+def whole(regression: RegressionData) -> Split:
     """Train on everything."""
-    rows = np.arange(episode.rows.size)
+    rows = np.arange(regression.rows.size)
     return Split(train=rows, judged=rows[:0])

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 # How far the outermost time constants may leave the centre of their prior, as a factor.
@@ -64,12 +64,12 @@ class ModePriors:
 
 
 def mode_priors(
-    order: int, config: IdentificationConfig, actuator: ActuatorMap, floor_area_m2: float | None
+    order: int, config: IdentificationConfig, heat_input: HeatInput, floor_area_m2: float | None
 ) -> ModePriors:
     """Priors from the physics of a building of known floor area and heater, or weak ones where either is unknown."""
     rate, gain = _WEAK_RATE_K_PER_H, _WEAK_GAIN_K
-    if actuator.heat is not None and floor_area_m2 is not None:
-        watts = actuator.reference_W / floor_area_m2
+    if heat_input.heat is not None and floor_area_m2 is not None:
+        watts = heat_input.reference_W / floor_area_m2
         per_hour = watts / config.heat_capacity_Wh_m2K
         above_structure = watts / config.room_coupling_W_m2K
         rate = (per_hour, per_hour * config.heat_capacity_sd)
@@ -125,7 +125,7 @@ def to_operator(
     sign: int,
     gamma: float,
     hidden: int,
-    actuator: ActuatorMap,
+    heat_input: HeatInput,
     feature_mean: Array,
     feature_scale: Array,
 ) -> OperatorParameters:
@@ -141,7 +141,7 @@ def to_operator(
         sign=sign,
         gamma=gamma,
         hidden=hidden,
-        actuator=actuator,
+        heat_input=heat_input,
         feature_mean=feature_mean,
         feature_scale=feature_scale,
     )

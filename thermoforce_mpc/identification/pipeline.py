@@ -1,6 +1,6 @@
-"""From recorded runs to a thermal model: actuator map, order, linear fit, monotone-neural gain, power.
+"""From recorded runs to a thermal model: heat input, order, linear fit, monotone-neural gain, power.
 
-Order: refuse what cannot identify; fit the heat map and the electric power to what was measured; fit every order to the
+Order: refuse what cannot identify; fit heat and electric power to what was measured; fit every order to the
 first part of the data and keep the one whose rollouts are best on the rest; fit it to everything; train the modulation
 the same way. All steps are deterministic for a given seed.
 """
@@ -11,16 +11,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import Case, actuator_map, held_out, named, normalisation, power_model, ranges
+from thermoforce_mpc.identification.cases import (
+    Case,
+    held_out,
+    identified_heat_input,
+    named,
+    normalisation,
+    power_model,
+    ranges,
+)
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.modes import mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import choose_order, explained_share, fit_and_judge
 from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
-from thermoforce_mpc.identification.regression_data import pair_episode, run_episode
+from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -33,7 +41,7 @@ _UNCERTAIN = 0.15
 
 
 def identify(
-    runs: Sequence[History] = (),
+    runs: Sequence[Record] = (),
     pairs: Sequence[Pair] = (),
     *,
     config: IdentificationConfig | None = None,
@@ -70,20 +78,20 @@ def identify(
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
     sign = 1 if mode == "heating" else -1
-    actuator, notes = actuator_map(histories, config, sign)
+    heat_input, notes = identified_heat_input(histories, config, sign)
     if config.method == "two_stage":
-        return two_stage_model(runs, pairs, names, config, actuator, sign, step_s, source, notes)
-    cases = [Case(run_episode(h, actuator, config), (h,), float(h.time_s[0])) for h in runs]
-    cases += [Case(pair_episode(p, actuator), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
+        return two_stage_model(runs, pairs, names, config, heat_input, sign, step_s, source, notes)
+    cases = [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
+    cases += [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     splits = held_out(cases, config)
 
     candidates = {
-        order: fit_and_judge(cases, splits, mode_priors(order, config, actuator, floor_area_m2), config, sign)
+        order: fit_and_judge(cases, splits, mode_priors(order, config, heat_input, floor_area_m2), config, sign)
         for order in config.orders()
     }
     order = choose_order(candidates)
     priors = candidates[order].priors
-    final = fit_joint([c.episode for c in cases], priors, config, sign)
+    final = fit_joint([c.regression for c in cases], priors, config, sign)
     explained = explained_share(cases, final, sign)
     if explained < _LEAST_EXPLAINED:
         raise DataError(
@@ -103,7 +111,7 @@ def identify(
             sign=sign,
             gamma=config.gamma,
             hidden=config.hidden,
-            actuator=actuator,
+            heat_input=heat_input,
             feature_mean=mean,
             feature_scale=scale,
         )
@@ -112,7 +120,7 @@ def identify(
     scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
     scores["explained_by_actuation"] = explained
-    scores["misfit"] = final.misfit
+    scores["residual_scale"] = final.residual_scale
     if config.modulation == "neural":
         operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural

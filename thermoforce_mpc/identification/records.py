@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.predictor import ROUNDING
 
@@ -29,8 +29,8 @@ class Pair:
         DataError: the runs differ in time, weather or starting temperature.
     """
 
-    a: History
-    b: History
+    a: Record
+    b: Record
     label: str = ""
 
     def __post_init__(self) -> None:
@@ -47,7 +47,7 @@ class Pair:
             )
 
 
-def check_run(history: History, name: str) -> None:
+def check_run(history: Record, name: str) -> None:
     """Refuse a run that nothing can be identified from.
 
     Raises:
@@ -92,7 +92,7 @@ def check_pairs(pairs: Sequence[Pair]) -> None:
         )
 
 
-def check_steps(histories: Sequence[History]) -> None:
+def check_steps(histories: Sequence[Record]) -> None:
     """Refuse records of different step lengths.
 
     Raises:
@@ -103,7 +103,7 @@ def check_steps(histories: Sequence[History]) -> None:
         raise DataError(f"the records have steps of {', '.join(f'{s:g}' for s in steps)} s: resample them to one step")
 
 
-def _check_signals(history: History, name: str) -> None:
+def _check_signals(history: Record, name: str) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
     steps = np.diff(history.time_s)
@@ -128,7 +128,7 @@ def _check_signals(history: History, name: str) -> None:
         )
 
 
-def data_hash(history: History) -> str:
+def data_hash(history: Record) -> str:
     """sha256 over the numbers of a run, so that a saved model can say what it was made from."""
     digest = hashlib.sha256()
     for item in fields(history):

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky
 
-from thermoforce_mpc.data import HOUR_S, Array, History
+from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H, IdentificationConfig
 from thermoforce_mpc.identification.disturbance import disturbance_covariance
 from thermoforce_mpc.identification.modes import poles, unit_responses
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Priors of the free part, per slow mode and in steady state: K per K outdoors, K per 100 W/m², K of the daily wave.
 # A house follows the outdoors with a total gain near 1 and winter sun lifts it by a few kelvin.
@@ -46,7 +46,7 @@ _ROOM, _LEAST_DISTURBED = 2.5, 0.1
 
 
 @dataclass(frozen=True)
-class Episode:
+class RegressionData:
     """One run or pair as a regression: what is compared, and the whitening of its disturbances.
 
     `target` (rows,) K; `rows` (rows,) boundaries that are compared; `factor` (rows, rows) lower Cholesky factor of the
@@ -72,29 +72,29 @@ class Episode:
         return self.inputs.size == 0
 
 
-def run_episode(history: History, actuator: ActuatorMap, config: IdentificationConfig) -> Episode:
-    """A run as a regression episode; silent sensor readings are left out."""
+def run_regression(history: Record, heat_input: HeatInput, config: IdentificationConfig) -> RegressionData:
+    """A run as a regression regression; silent sensor readings are left out."""
     n = history.n_steps
     stride = max(1, -(-n // _MAX_ROWS))
     rows = np.arange(0, n + 1, stride)
     rows = rows[np.isfinite(history.T_zone_C[rows])]
-    return Episode(
+    return RegressionData(
         target=history.T_zone_C[rows] - REFERENCE_C,
         rows=rows,
         factor=cholesky(disturbance_covariance(history.time_s[rows], config), lower=True),
         step_s=history.step_s,
-        drives=((1, actuator(history.u, history.T_out_C[:-1])),),
+        drives=((1, heat_input(history.u, history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
     )
 
 
-def pair_episode(pair: Pair, actuator: ActuatorMap) -> Episode:
-    """A pair as a regression episode on the difference a − b."""
+def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
+    """A pair as a regression regression on the difference a − b."""
     difference = pair.a.T_zone_C - pair.b.T_zone_C
     rows = np.flatnonzero(np.isfinite(difference))
     rows = rows[rows > 0]
-    drives = tuple((sign, actuator(history.u, history.T_out_C[:-1])) for sign, history in ((1, pair.a), (-1, pair.b)))
-    return Episode(
+    drives = tuple((sign, heat_input(history.u, history.T_out_C[:-1])) for sign, history in ((1, pair.a), (-1, pair.b)))
+    return RegressionData(
         target=difference[rows],
         rows=rows,
         factor=np.eye(rows.size) * _PAIR_SD_K,
@@ -104,51 +104,51 @@ def pair_episode(pair: Pair, actuator: ActuatorMap) -> Episode:
     )
 
 
-def calibrated(episodes: Sequence[Episode], misfit: float) -> list[Episode]:
+def calibrated(regressions: Sequence[RegressionData], residual_scale: float) -> list[RegressionData]:
     """Runs with disturbances of about the size that was found, rather than as large as a cautious fit assumes.
 
     What a pair leaves unexplained is the model's own error, so pairs stay as they are.
     """
-    return scaled(episodes, likely_scale(misfit))
+    return scaled(regressions, likely_scale(residual_scale))
 
 
-def likely_scale(misfit: float) -> float:
-    """How large disturbances are, as a share of what was assumed, where the fit found `misfit`."""
-    return float(np.clip(_ROOM * misfit, _LEAST_DISTURBED, 1.0))
+def likely_scale(residual_scale: float) -> float:
+    """How large disturbances are, as a share of what was assumed, where the fit found `residual_scale`."""
+    return float(np.clip(_ROOM * residual_scale, _LEAST_DISTURBED, 1.0))
 
 
-def scaled(episodes: Sequence[Episode], scale: float) -> list[Episode]:
+def scaled(regressions: Sequence[RegressionData], scale: float) -> list[RegressionData]:
     """Runs with disturbances `scale` times as large; pairs stay as they are."""
-    return [e if e.is_pair else replace(e, factor=e.factor * scale) for e in episodes]
+    return [e if e.is_pair else replace(e, factor=e.factor * scale) for e in regressions]
 
 
-def forced_columns(episode: Episode, log_tau: Array, sign: int) -> Array:
+def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Array:
     """Response of each compared row to a unit of [slope, G_2 … G_r], shape (rows, r), K."""
-    total = sum(s * unit_responses(log_tau, episode.step_s, drive) for s, drive in episode.drives)
-    return np.asarray(sign * np.asarray(total)[episode.rows])
+    total = sum(s * unit_responses(log_tau, regression.step_s, drive) for s, drive in regression.drives)
+    return np.asarray(sign * np.asarray(total)[regression.rows])
 
 
-def follows_action(episode: Episode, hours: float) -> NDArray[np.bool_]:
+def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:
     """Which compared rows come within `hours` after a step in which something was done (differently), shape (rows,)."""
-    done = np.abs(np.sum([s * drive for s, drive in episode.drives], axis=0)) > 0.0
+    done = np.abs(np.sum([s * drive for s, drive in regression.drives], axis=0)) > 0.0
     before = np.concatenate([[0], np.cumsum(done)])
-    reach = max(1, round(hours * HOUR_S / episode.step_s))
-    return np.asarray(before[episode.rows] > before[np.maximum(episode.rows - reach, 0)])
+    reach = max(1, round(hours * HOUR_S / regression.step_s))
+    return np.asarray(before[regression.rows] > before[np.maximum(regression.rows - reach, 0)])
 
 
-def free_columns(episode: Episode, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
+def free_columns(regression: RegressionData, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
     """Columns of the shared free gains and of the run's own starting state, (rows, q·7 + 1) and (rows, modes)."""
     weather = []
     for name, (unit, *_) in FREE_PRIOR.items():
-        signal = episode.inputs[:, INPUTS.index(name)] * unit
+        signal = regression.inputs[:, INPUTS.index(name)] * unit
         for mode in free_log_tau:
-            weather.append(unit_responses(np.array([mode]), episode.step_s, signal)[:, 0] / np.exp(mode))
-    shared = np.stack([*weather, np.ones(episode.inputs.shape[0] + 1)], axis=1)
-    steps = np.arange(episode.inputs.shape[0] + 1)
+            weather.append(unit_responses(np.array([mode]), regression.step_s, signal)[:, 0] / np.exp(mode))
+    shared = np.stack([*weather, np.ones(regression.inputs.shape[0] + 1)], axis=1)
+    steps = np.arange(regression.inputs.shape[0] + 1)
     fastest = log_tau[:1] if log_tau.size > 1 else np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
     modes = np.concatenate([fastest, free_log_tau])
-    start = poles(modes, episode.step_s)[None, :] ** steps[:, None]
-    return shared[episode.rows], start[episode.rows]
+    start = poles(modes, regression.step_s)[None, :] ** steps[:, None]
+    return shared[regression.rows], start[regression.rows]
 
 
 def free_time_constants(log_tau: Array) -> Array:

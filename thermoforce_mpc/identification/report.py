@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
-from thermoforce_mpc.model.predictor import ThermalModel, WorldModel
+from thermoforce_mpc.model.predictor import Predictor, ThermalModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ class Rollouts:
     rmse_K: float
 
 
-def rollouts(model: ThermalModel, record: History, hours: float = _ROLLOUT_H) -> Rollouts | None:
+def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> Rollouts | None:
     """Predict a record in pieces of `hours`, each from what was known before it, with the weather as it came.
 
     None where the model has no linear free part (it was identified from pairs alone) or the record is too short.
@@ -39,17 +39,17 @@ def rollouts(model: ThermalModel, record: History, hours: float = _ROLLOUT_H) ->
     n = max(1, round(hours * HOUR_S / record.step_s))
     if model.free is None or record.n_steps < 2 * n:
         return None
-    world = WorldModel(model, RcFreeResponse(model.free))
+    predictor = Predictor(model, RcFreeResponse(model.free))
     predicted = np.full(record.n_steps + 1, np.nan)
     for start in range(n, record.n_steps, n):
         stop = min(start + n, record.n_steps)
-        outlook = world.outlook(Observation(record.part(0, start), record.part(start, stop).weather()))
-        predicted[start + 1 : stop + 1] = outlook.predict(record.u[start:stop]).total_C
+        context = predictor.context(Observation(record.slice(0, start), record.slice(start, stop).weather()))
+        predicted[start + 1 : stop + 1] = context.predict(record.u[start:stop]).total_C
     error = predicted - record.T_zone_C
     return Rollouts(predicted, float(np.sqrt(np.nanmean(error**2))))
 
 
-def plot_identification(path: Path, model: ThermalModel, record: History) -> None:
+def plot_identification(path: Path, model: ThermalModel, record: Record) -> None:
     """Write the figure: record and rollouts, actions, and the step response of the linear fit with its 90 % band."""
     from matplotlib.figure import Figure
 
@@ -77,8 +77,8 @@ def _plot_answer(axes: Axes, model: ThermalModel) -> None:
     steps = round(STEP_RESPONSE_H[-1] * HOUR_S / operator.step_s)
     hours = np.arange(steps + 1) * operator.step_s / HOUR_S
     answer = np.concatenate([[0.0], np.cumsum(operator.impulse(steps))])
-    heat = operator.actuator.heat
-    full = "" if heat is None else f" ({operator.actuator.reference_W / 1000:.1f} kW)"
+    heat = operator.heat_input.heat
+    full = "" if heat is None else f" ({operator.heat_input.reference_W / 1000:.1f} kW)"
     axes.set_title(f"What full action adds, held from hour 0{full}", loc="left")
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.plot(hours, answer, color="tab:red", label="expected")

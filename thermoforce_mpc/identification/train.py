@@ -18,27 +18,27 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import Residuals, Split
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import Episode
+from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 # First weights of the hidden layer: features are normalised, so unit slopes spread tanh over its range.
 _HIDDEN_SD = 0.5
-# How far m(x) is expected to leave 1: a heat map has already taken the dependence on T_out.
+# How far m(x) is expected to leave 1: a heat capacity has already taken the dependence on T_out.
 _MODULATION_SD = {"identity": 0.15, "heat": 0.05}
 # The network is kept where it predicts the held-out rows better than m = 1 by this many standard errors and by this
 # factor: with little data it may look better by chance, and what it then learns is the weather's surprises; behind a
-# heat map, which has taken the dependence on T_out, there is next to nothing left for it.
+# heat capacity, which has taken the dependence on T_out, there is next to nothing left for it.
 _SIGNIFICANT, _RELEVANT = 1.0, 0.98
 # L-BFGS: pairs of steps remembered; the gradient's largest element and the change of the loss at which it has arrived.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-8
 
 
 @dataclass(frozen=True)
-class TrainingEpisode:
-    """An episode ready for training: `features` are x_t (n, 4) of each of its runs, in the order of its drives."""
+class TrainingData:
+    """An regression ready for training: `features` are x_t (n, 4) of each of its runs, in the order of its drives."""
 
-    episode: Episode
+    regression: RegressionData
     features: tuple[Array, ...]
     residuals: Residuals
     split: Split
@@ -79,10 +79,10 @@ class TrainingResult:
 
 
 class _Batch:
-    """All runs of all episodes as tensors, padded at the end with nothing happening."""
+    """All runs of all regressions as tensors, padded at the end with nothing happening."""
 
-    def __init__(self, episodes: Sequence[TrainingEpisode]) -> None:
-        runs = [(s, v, x) for e in episodes for (s, v), x in zip(e.episode.drives, e.features, strict=True)]
+    def __init__(self, regressions: Sequence[TrainingData]) -> None:
+        runs = [(s, v, x) for e in regressions for (s, v), x in zip(e.regression.drives, e.features, strict=True)]
         self.n = max(v.size for _, v, _ in runs)
         self.n_fft = 1 << (2 * self.n).bit_length()
         self.heat = torch.zeros(len(runs), self.n, dtype=torch.float64)
@@ -92,11 +92,11 @@ class _Batch:
             self.features[i, : v.size] = torch.tensor(np.array(x))
         self.items = []
         first = 0
-        for e in episodes:
-            last = first + len(e.episode.drives)
-            target = torch.tensor(e.episode.target - e.residuals.mean)
+        for e in regressions:
+            last = first + len(e.regression.drives)
+            target = torch.tensor(e.regression.target - e.residuals.mean)
             whitener = torch.tensor(e.residuals.whitener())
-            rows, train, judged = (torch.tensor(r) for r in (e.episode.rows, e.split.train, e.split.judged))
+            rows, train, judged = (torch.tensor(r) for r in (e.regression.rows, e.split.train, e.split.judged))
             self.items.append((first, last, rows, target, whitener, train, judged))
             first = last
         self.n_train = sum(int(item[5].numel()) for item in self.items)
@@ -128,10 +128,10 @@ def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
 
 
 def train(
-    start: OperatorParameters, episodes: Sequence[TrainingEpisode], priors: ModePriors, config: IdentificationConfig
+    start: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
 ) -> TrainingResult:
     """Train for the configured number of epochs from the linear operator `start`."""
-    modulation_sd = config.modulation_sd or _MODULATION_SD[start.actuator.kind]
+    modulation_sd = config.modulation_sd or _MODULATION_SD[start.heat_input.kind]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         operator = ForcedResponseOperator(start)
@@ -140,7 +140,7 @@ def train(
             operator.hidden.bias.normal_(0.0, _HIDDEN_SD)
             operator.output.weight.zero_()
             operator.output.bias.zero_()
-    batch = _Batch(episodes)
+    batch = _Batch(regressions)
     with torch.no_grad():
         linear = batch.whitened(operator)[1].numpy()
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from thermoforce_mpc.data import HOUR_S, Array, History
+from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 # Steps needed in each stage before four and one numbers mean anything.
@@ -49,7 +49,7 @@ class TwoStageFit:
     rmse_K: float
     step_s: float
     sign: int
-    actuator: ActuatorMap
+    heat_input: HeatInput
 
     def operator(self) -> OperatorParameters:
         """The forced part, order 1 with m = 1."""
@@ -58,7 +58,7 @@ class TwoStageFit:
             np.array([self.g]),
             step_s=self.step_s,
             sign=self.sign,
-            actuator=self.actuator,
+            heat_input=self.heat_input,
         )
 
     def free_model(self) -> RcParameters:
@@ -74,9 +74,9 @@ class TwoStageFit:
 
 
 def fit_two_stage(
-    runs: Sequence[History],
+    runs: Sequence[Record],
     *,
-    actuator: ActuatorMap = IDENTITY,
+    heat_input: HeatInput = IDENTITY,
     sign: int = 1,
     u_off: float = 0.02,
     time_constant_h: tuple[float, float] = (1.0, 240.0),
@@ -114,7 +114,7 @@ def fit_two_stage(
     a_sd = float(np.sqrt(noise * np.linalg.pinv(design.T @ design)[0, 0]))
 
     residual = rise - (-loss * T + c * T_out + d * solar + e)
-    drive = actuator(u, T_out)
+    drive = heat_input(u, T_out)
     power = float(drive[on] @ drive[on])
     gain = float(drive[on] @ residual[on]) / power
     spread = float(np.var(residual[on] - gain * drive[on]))
@@ -132,7 +132,7 @@ def fit_two_stage(
         rmse_K=float(np.sqrt(np.mean((residual - clipped * drive) ** 2))),
         step_s=step_s,
         sign=sign,
-        actuator=actuator,
+        heat_input=heat_input,
     )
 
 
@@ -143,7 +143,7 @@ def first_stage_bounds(step_s: float, time_constant_h: tuple[float, float]) -> t
     return np.array([low_loss, 0.0, 0.0, -constant]), np.array([high_loss, high_loss, np.inf, constant])
 
 
-def _columns(run: History) -> tuple[Array, Array, Array, Array, Array]:
+def _columns(run: Record) -> tuple[Array, Array, Array, Array, Array]:
     """T, its rise, and the mean weather of each step with both ends measured, with u."""
     T = run.T_zone_C
     kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])

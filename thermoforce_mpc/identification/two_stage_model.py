@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, held_out, named, normalisation, power_model, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -14,9 +14,9 @@ from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.records import Pair, data_hash
-from thermoforce_mpc.identification.regression_data import pair_episode
+from thermoforce_mpc.identification.regression_data import pair_regression
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
 
@@ -25,11 +25,11 @@ _TWO_STAGE_SD = 0.3
 
 
 def two_stage_model(
-    runs: Sequence[History],
+    runs: Sequence[Record],
     pairs: Sequence[Pair],
     names: Sequence[str],
     config: IdentificationConfig,
-    actuator: ActuatorMap,
+    heat_input: HeatInput,
     sign: int,
     step_s: float | None,
     source: str,
@@ -38,7 +38,7 @@ def two_stage_model(
     """The paper's estimator as a thermal model: order 1; with pairs, paired training (eq:paired) goes on from there."""
     if not runs:
         raise DataError("method two_stage starts from single runs, of which none were given; pairs alone: method joint")
-    fit = fit_two_stage(runs, actuator=actuator, sign=sign, u_off=config.u_off)
+    fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
     step_s = step_s or fit.step_s
     operator = fit.operator()
     scores: dict[str, float] = {}
@@ -64,7 +64,7 @@ def two_stage_model(
 
 
 def _train_on_pairs(
-    fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[History], config: IdentificationConfig
+    fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[Record], config: IdentificationConfig
 ) -> tuple[OperatorParameters, dict[str, float]]:
     """Pole, gain and modulation from pairs, starting from the two stages and held to them by priors of their size."""
     if fit.g == 0.0:
@@ -80,12 +80,12 @@ def _train_on_pairs(
         covariance=np.diag([fit.a_sd, fit.g_sd]) ** 2,
         free_log_tau=np.empty(0),
         free_gains=np.empty((0, 0)),
-        misfit=1.0,
+        residual_scale=1.0,
         objective=float("nan"),
     )
-    weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.actuator, None)
+    weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.heat_input, None)
     priors = centred_priors(weak, log_tau, slope, _TWO_STAGE_SD)
-    cases = [Case(pair_episode(p, fit.actuator), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
+    cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     mean, scale = normalisation(histories)
 
     def linear(found: JointFit) -> OperatorParameters:
@@ -98,7 +98,7 @@ def _train_on_pairs(
             # Without modulation only pole and gain are trained.
             gamma=config.gamma if config.modulation == "neural" else 0.0,
             hidden=config.hidden,
-            actuator=fit.actuator,
+            heat_input=fit.heat_input,
             feature_mean=mean,
             feature_scale=scale,
         )

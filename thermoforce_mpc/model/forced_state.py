@@ -15,7 +15,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from thermoforce_mpc.data import Array, FreeForecast, History
+from thermoforce_mpc.data import Array, FreeForecast, Record
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import InitialForce, forced_history, heat_drive
@@ -41,7 +41,7 @@ class ForcedStateEstimator:
 
     Args:
         operator: at any step length.
-        initial_force: how F starts, see `WorldModel`.
+        initial_force: how F starts, see `Predictor`.
         config: whether surprises correct F.
     """
 
@@ -58,7 +58,7 @@ class ForcedStateEstimator:
         self._covariance = np.zeros((operator.order, operator.order))
         self._expected: tuple[float, float, float] | None = None
 
-    def update(self, history: History) -> Array:
+    def update(self, history: Record) -> Array:
         """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K.
 
         Raises:
@@ -82,7 +82,7 @@ class ForcedStateEstimator:
         spread = float(free.quantile_C(0.9)[0] - free.quantile_C(0.1)[0])
         self._expected = (time_s, float(free.median_C[0]), max(spread / _SD_PER_80_PERCENT, _LEAST_SD_K))
 
-    def _advanced(self, operator: OperatorParameters, history: History, t: int) -> Array:
+    def _advanced(self, operator: OperatorParameters, history: Record, t: int) -> Array:
         """Forced state after step `t` of `history`, shape (r,)."""
         heat = heat_drive(operator, history, t, t + 1)
         before = self._forced[-1]
@@ -101,7 +101,7 @@ class ForcedStateEstimator:
         self._covariance = np.outer(operator.poles, operator.poles) * self._covariance + np.outer(error, error)
         return self._corrected(forced, history, t + 1)
 
-    def _corrected(self, forced: Array, history: History, boundary: int) -> Array:
+    def _corrected(self, forced: Array, history: Record, boundary: int) -> Array:
         T_zone, expected = float(history.T_zone_C[boundary]), self._expected
         if expected is None or not math.isfinite(T_zone) or abs(expected[0] - history.time_s[boundary]) > 1.0:
             return forced

@@ -30,7 +30,7 @@ from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.machine.return_water import ReturnWater
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap, OnLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput, OnLoad
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
 
@@ -162,7 +162,7 @@ def _document(model: ThermalModel, arrays_sha256: str) -> dict[str, Any]:
             "sign": op.sign,
             "step_s": op.step_s,
             "feature_temperature": op.feature_temperature,
-            "actuator": dataclasses.asdict(op.actuator),
+            "heat_input": dataclasses.asdict(op.heat_input),
             "time_constants_h": op.time_constants_h,
             "steady_gains_K": op.steady_gains_K,
         },
@@ -204,7 +204,7 @@ def _water(data: Mapping[str, Any] | None) -> ReturnWater | None:
 
 def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> ThermalModel:
     op, free, power, card = (document[key] for key in ("operator", "free", "power", "card"))
-    heat = op["actuator"]["heat"]
+    heat = op["heat_input"]["heat"]
     return ThermalModel(
         operator=OperatorParameters(
             **{name: tensors[f"operator.{name}"] for name in _OPERATOR_ARRAYS},
@@ -214,8 +214,8 @@ def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> Thermal
             step_s=float(op["step_s"]),
             # Models from before there was a choice saw the free temperature.
             feature_temperature=op.get("feature_temperature", "free"),
-            actuator=ActuatorMap(
-                heat=None if heat is None else _load(heat), reference_C=float(op["actuator"]["reference_C"])
+            heat_input=HeatInput(
+                heat=None if heat is None else _load(heat), reference_C=float(op["heat_input"]["reference_C"])
             ),
         ),
         free=None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.signal import lfilter
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, History, Observation
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -75,7 +75,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class PredictionContext:
     """The world as seen from one instant: what will happen without us, and what each action would add.
 
     Attributes:
@@ -124,7 +124,7 @@ class Outlook:
         return self.predict(np.broadcast_to(levels[:, None], (levels.size, self.n_steps)))
 
 
-class WorldModel:
+class Predictor:
     """A thermal model together with a frozen forecaster: splits history into free and forced, and composes the future.
 
     Args:
@@ -164,21 +164,21 @@ class WorldModel:
         """The operator at a step of `step_s` seconds."""
         return self._model.operator.resampled(step_s)
 
-    def forced_history(self, history: History) -> Array:
+    def forced_history(self, history: Record) -> Array:
         """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K."""
         if self._estimator is not None:
             return self._estimator.update(history)
         return forced_history(self._model.operator, history, initial_force=self._initial_force)
 
-    def forced_state(self, history: History) -> Array:
+    def forced_state(self, history: Record) -> Array:
         """Forced state of each mode now, shape (r,), K."""
         return np.asarray(self.forced_history(history)[-1])
 
-    def free_history(self, history: History) -> Array:
+    def free_history(self, history: Record) -> Array:
         """Control-free temperature T − F at each boundary of `history`, shape (n + 1,), °C; NaN where T is."""
         return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=1))
 
-    def outlook(self, observation: Observation) -> Outlook:
+    def context(self, observation: Observation) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
 
         Raises:
@@ -198,7 +198,7 @@ class WorldModel:
             self._estimator.expect(float(boundary.time_s[1]), free)
         starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
-        return Outlook(
+        return PredictionContext(
             operator=self.operator_at(boundary.step_s),
             forced_K=forced[-1],
             free=free,
@@ -208,7 +208,7 @@ class WorldModel:
         )
 
 
-def forced_history(operator: OperatorParameters, history: History, *, initial_force: InitialForce = "steady") -> Array:
+def forced_history(operator: OperatorParameters, history: Record, *, initial_force: InitialForce = "steady") -> Array:
     """Forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
 
     The free temperature that the modulation sees is T − F as it unfolds; a silent sensor's last value holds. Where the
@@ -238,7 +238,7 @@ def forced_history(operator: OperatorParameters, history: History, *, initial_fo
     return forced
 
 
-def heat_drive(operator: OperatorParameters, history: History, start: int, stop: int) -> Array:
+def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: int) -> Array:
     """v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,): from measured heat where there is any.
 
     Raises:
@@ -247,7 +247,7 @@ def heat_drive(operator: OperatorParameters, history: History, start: int, stop:
     steps = slice(start, stop)
     heat_W, u = history.heat_W[steps], history.u[steps]
     T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
-    measured = np.isfinite(heat_W) & (operator.actuator.heat is not None)
+    measured = np.isfinite(heat_W) & (operator.heat_input.heat is not None)
     u = np.where(measured & ~np.isfinite(u), 0.0, u)  # not needed there
     for name, values in (("u", u), ("T_out_C", T_out), ("solar_W_m2", solar)):
         gaps = np.flatnonzero(~np.isfinite(values))
@@ -260,8 +260,8 @@ def heat_drive(operator: OperatorParameters, history: History, start: int, stop:
     outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
     if outside.size:
         raise DataError(f"history: u is {u[outside[0]]:g} at step {start + outside[0]}, expected values in [0, 1]")
-    heat = operator.actuator(np.clip(u, 0.0, 1.0), T_out[:-1])
-    return np.where(measured, operator.sign * heat_W / operator.actuator.reference_W, heat)
+    heat = operator.heat_input(np.clip(u, 0.0, 1.0), T_out[:-1])
+    return np.where(measured, operator.sign * heat_W / operator.heat_input.reference_W, heat)
 
 
 def _steady_start(operator: OperatorParameters, heat: Array, features: Array) -> Array:
@@ -286,12 +286,12 @@ def _held(values: Array) -> Array:
     return np.asarray(values[index])
 
 
-def power_of(model: ThermalModel, outlook: Outlook, u: Array) -> Array:
-    """Electric power of `u` (..., N) over the steps of `outlook`, W.
+def power_of(model: ThermalModel, context: PredictionContext, u: Array) -> Array:
+    """Electric power of `u` (..., N) over the steps of `context`, W.
 
     Raises:
         DataError: the model was identified without measured power.
     """
     if model.power is None:
         raise DataError("the model has no electric power: it was identified without measured power")
-    return model.power(u, outlook.features[:, OUTDOOR])
+    return model.power(u, context.features[:, OUTDOOR])

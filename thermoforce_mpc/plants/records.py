@@ -28,7 +28,7 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Ar
 
 
 def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: Array) -> dict[str, Array]:
-    """Means between `edges` of all that acts over a step, by the names of a `History`; `u` is given, (n,)."""
+    """Means between `edges` of all that acts over a step, by the names of a `Record`; `u` is given, (n,)."""
     water = [m.return_water] if m.return_water else []
     return {
         "u": u,

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.two_stage import (
     MIN_OFF_STEPS,
@@ -22,16 +22,16 @@ from thermoforce_mpc.identification.two_stage import (
     TwoStageFit,
     first_stage_bounds,
 )
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 # How far outside of the box a candidate may be by rounding, as a share of the bound.
 _ROUNDING = 1e-9
 
 
 def fit_two_stage_many(
-    runs: Sequence[History],
+    runs: Sequence[Record],
     *,
-    actuators: Sequence[ActuatorMap] | None = None,
+    actuators: Sequence[HeatInput] | None = None,
     sign: int = 1,
     u_off: float = 0.02,
     time_constant_h: tuple[float, float] = (1.0, 240.0),
@@ -99,13 +99,13 @@ def fit_two_stage_many(
             rmse_K=float(rmse[i]),
             step_s=step_s,
             sign=sign,
-            actuator=actuators[i],
+            heat_input=actuators[i],
         )
         for i in range(len(runs))
     ]
 
 
-def _stacked(runs: Sequence[History], actuators: Sequence[ActuatorMap]) -> tuple[Array, NDArray[np.bool_]]:
+def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Array, NDArray[np.bool_]]:
     """T, its rise, mean weather, u and drive (6, buildings, steps), zeros where not both ends were measured; where."""
     n = max(run.n_steps for run in runs)
     sampled = np.full((3, len(runs), n + 1), np.nan)
@@ -120,9 +120,9 @@ def _stacked(runs: Sequence[History], actuators: Sequence[ActuatorMap]) -> tuple
     kept = np.isfinite(T[:, :-1]) & np.isfinite(T[:, 1:])
     T_out, solar = 0.5 * (weather[..., :-1] + weather[..., 1:])
     drive = u.copy()
-    for i, actuator in enumerate(actuators):
-        if actuator.heat is not None:
-            drive[i] = actuator(u[i], T_out[i])
+    for i, heat_input in enumerate(actuators):
+        if heat_input.heat is not None:
+            drive[i] = heat_input(u[i], T_out[i])
     return np.where(kept, np.stack([T[:, :-1], np.diff(T), T_out, solar, u, drive]), 0.0), kept
 
 

@@ -64,8 +64,8 @@ class RunResult:
         """All applied blocks in order."""
         return [sample for step in self.steps for sample in step.samples]
 
-    def ladder(self) -> dict[str, int]:
-        """How many plans each rung of the fallback ladder made, and how many were refused before the plant."""
+    def fallback_levels(self) -> dict[str, int]:
+        """How many plans each fallback level made, and how many were refused before the plant."""
         counts = {status.value: 0 for status in PlanStatus}
         for step in self.steps:
             counts[step.plan.status.value] += 1

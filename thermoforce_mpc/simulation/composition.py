@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from controllers.registry import build_controller, controller_config, find_entry
-from thermoforce_mpc.data import DAY_S, History, Period
+from thermoforce_mpc.data import DAY_S, Period, Record
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
@@ -23,7 +23,7 @@ from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.run_folder import create_run_folder, write_partial, write_results
 
-if TYPE_CHECKING:  # the world model is loaded only when a controller needs it
+if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
     from thermoforce_mpc.model.predictor import ThermalModel
@@ -63,7 +63,7 @@ class Display(Protocol):
 
 
 @dataclass(frozen=True)
-class Learned:
+class IdentifiedModel:
     """A model and where it came from, for the manifest."""
 
     model: ThermalModel
@@ -167,7 +167,7 @@ def identify_on(
     probing: ProbingConfig | None = None,
     config: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
-    on_record: Callable[[History], None] | None = None,
+    on_record: Callable[[Record], None] | None = None,
 ) -> ThermalModel:
     """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
 
@@ -257,7 +257,7 @@ def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, period: Peri
     )  # fmt: skip
 
 
-def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period, display: Display) -> Learned:
+def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period, display: Display) -> IdentifiedModel:
     """Load the model of the scenario, or probe and identify one, and say what came of it."""
     spec = scenario.identification
     if spec.model is not None:
@@ -274,7 +274,7 @@ def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period,
         f"steady gain {operator.steady_gains_K.sum():.1f} K"
     )
     card = model.card
-    return Learned(
+    return IdentifiedModel(
         model,
         {
             "model": spec.model,
@@ -355,7 +355,7 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
     everyone = {name: result.kpis, **{other: b.kpis for other, b in baselines.items()}}
     title = f"{info.kind} plant, {info.weather}\n{_window(period)}, {scenario.price} tariff"
     display.kpi_table(everyone, title, testcase.currency)
-    fallbacks = {rung: n for rung, n in result.ladder().items() if n and rung not in ("solved", "rule")}
+    fallbacks = {level: n for level, n in result.fallback_levels().items() if n and level not in ("solved", "rule")}
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     return folder
@@ -397,7 +397,7 @@ def _follow(
 
 def _weight_hash(controller: Controller) -> str | None:
     """Hash of the forecaster's weights, where the controller has a forecaster with weights."""
-    free = getattr(getattr(controller, "world", None), "free_response", None)
+    free = getattr(getattr(controller, "predictor", None), "free_response", None)
     weight_hash = getattr(free, "weight_hash", None)
     return weight_hash() if weight_hash else None
 

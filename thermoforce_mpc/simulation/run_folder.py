@@ -139,7 +139,10 @@ def write_results(
         "plant": asdict(plant),
         "identification": dict(identification),
         "forecaster": dict(forecaster),
-        "fallbacks": {"controller": result.ladder(), **{name: b.ladder() for name, b in baselines.items()}},
+        "fallbacks": {
+            "controller": result.fallback_levels(),
+            **{name: b.fallback_levels() for name, b in baselines.items()},
+        },
         "seconds": {result.controller: result.seconds, **{name: b.seconds for name, b in baselines.items()}},
         "sha256": {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file()},
     }

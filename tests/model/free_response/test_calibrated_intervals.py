@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forecasting import LEVELS, boundary_of, history_of
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -24,7 +24,7 @@ class Level:
     def __init__(self, half_K: float) -> None:
         self.half_K = half_K
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         rows = 20.0 + (LEVELS - 0.5)[:, None] / 0.4 * self.half_K + np.zeros(boundary.n_steps)
         return FreeForecast(LEVELS, rows, "level")
 
@@ -92,7 +92,7 @@ def test_calibration_uses_what_history_says_at_the_time_forecast() -> None:
     free = 20.0 + np.where(k % AHEAD == 0, 1.2, 0.05)  # hours 0 and 12 are far off
 
     class Knowing(Level):
-        def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
             hour = np.round(boundary.time_s[1:] / 3600)
             half = np.where(hour % AHEAD == 0, 1.2, 0.05)
             return FreeForecast(LEVELS, 20.0 + (LEVELS - 0.5)[:, None] / 0.4 * half, "knowing")

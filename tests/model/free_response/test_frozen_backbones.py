@@ -177,17 +177,17 @@ def test_context_steps_limit_what_is_seen(bolt_folder: Path) -> None:
 
 
 def test_one_look_unrolls_and_several_do_not() -> None:
-    """48 h at 15 minutes: one look is fed its own answers, and its band stops opening; the hourly look's does not."""
+    """48 h at 15 minutes: one resolution is fed its own answers, its band stops opening; the hourly one's does not."""
     rng = np.random.default_rng(3)
     steps = np.arange(8 * 96 + 1)
     free = 15.0 + np.sin(2 * np.pi * steps / 96) + np.cumsum(0.05 * rng.standard_normal(steps.size))
     history, boundary = history_of(free, step_s=900.0), boundary_of(steps.size - 1, 192, step_s=900.0)
     several = build_free_response("chronos").forecast(free, history, boundary)
-    one = build_free_response("chronos", looks="one").forecast(free, history, boundary)
+    one = build_free_response("chronos", resolutions="one").forecast(free, history, boundary)
     band = [np.diff(forecast.quantiles_C[[0, -1]], axis=0)[0, 96:].mean() for forecast in (several, one)]
     assert band[0] > 1.2 * band[1]
-    with pytest.raises(ConfigError, match=r"looks is 'on'.*did you mean 'one'"):
-        ChronosFreeResponse(looks="on")
+    with pytest.raises(ConfigError, match=r"resolutions is 'on'.*did you mean 'one'"):
+        ChronosFreeResponse(resolutions="on")
 
 
 def test_all_is_frozen(bolt_folder: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from forecasting import LEVELS, boundary_of, history_of, hours
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, LinearWeather, fit_linear_weather
@@ -28,12 +28,12 @@ class Fixed:
     def __init__(self, offset_K: float, spread_K: float = 0.1) -> None:
         self.offset_K, self.spread_K = offset_K, spread_K
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         last = free_C[np.isfinite(free_C)][-1] + self.offset_K
         rows = last + (LEVELS - 0.5)[:, None] * self.spread_K / 0.4 + np.zeros(boundary.n_steps)
         return FreeForecast(LEVELS, rows, f"fixed {self.offset_K:g}")
 
-    def forecast_many(self, tasks: list[tuple[Array, History, Boundary]]) -> list[FreeForecast]:
+    def forecast_many(self, tasks: list[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
         self.asked = getattr(self, "asked", [])
         self.asked.append(len(tasks))
         return [self.forecast(*task) for task in tasks]
@@ -54,7 +54,7 @@ def room_and_weather(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return room, outdoor, solar
 
 
-def past_and_ahead(outdoor: np.ndarray, solar: np.ndarray, free: np.ndarray) -> tuple[History, Boundary]:
+def past_and_ahead(outdoor: np.ndarray, solar: np.ndarray, free: np.ndarray) -> tuple[Record, Boundary]:
     history = history_of(free[: N + 1], T_out_C=outdoor[: N + 1], solar_W_m2=solar[: N + 1])
     return history, boundary_of(N, AHEAD, T_out_C=outdoor[N:], solar_W_m2=solar[N:])
 
@@ -187,7 +187,7 @@ def test_trials_see_nothing_of_what_they_forecast() -> None:
     seen: list[tuple[int, int, float]] = []
 
     class Watching(Fixed):
-        def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+        def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
             seen.append((free_C.size, history.n_steps, float(boundary.time_s[0] - history.time_s[-1])))
             assert not np.isfinite(boundary.lower_C).any()
             return super().forecast(free_C, history, boundary)
@@ -215,7 +215,7 @@ def test_the_scaled_interval_holds_four_of_five_values() -> None:
     free[::7] = np.nan
     history = history_of(free)
     narrow = Fixed(0.0, spread_K=0.05)
-    scale = interval_scale(run_trials(narrow, free[:2001], history.tail(2000), 12, range(100, 1900, 5)))
+    scale = interval_scale(run_trials(narrow, free[:2001], history.last(2000), 12, range(100, 1900, 5)))
     assert (scale == 4.0).all()  # never more than fourfold
     fitting = Fixed(0.0, spread_K=0.5)
     trials = run_trials(fitting, free, history, 12, range(100, 1900, 5))

@@ -1,4 +1,4 @@
-"""The heat map from little: what machines have in common fills in what was not seen, and yields to what was."""
+"""The heat capacity from little: what machines have in common fills in what was not seen, and yields to what was."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from machine_history import machine_history
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig
-from thermoforce_mpc.identification.cases import actuator_map
+from thermoforce_mpc.identification.cases import identified_heat_input
 from thermoforce_mpc.model.machine.heat_capacity import AIR_CONDITIONER, DIRECT, HEAT_PUMP, OTHER, fit_heat, kinds_for
 from thermoforce_mpc.research.bench.operator_data import cut, read_run
 
@@ -118,11 +118,11 @@ def _run(u):
 
 def test_the_note_says_that_full_was_never_seen_and_the_kind_can_be_given():
     u = _levels(1, (0, 0.2, 0.4, 0.6))
-    _, notes = actuator_map([_run(u)], IdentificationConfig(), 1)
+    _, notes = identified_heat_input([_run(u)], IdentificationConfig(), 1)
     assert any("full heat was never seen" in note and "0.6" in note for note in notes)
     full = _levels(1, (0, 0.2, 0.4, 1.0))
     chosen = IdentificationConfig(machine="direct")
-    _, notes = actuator_map([_run(full)], chosen, 1)
+    _, notes = identified_heat_input([_run(full)], chosen, 1)
     assert len(notes) == 1
     assert "'direct'" in notes[0]
 

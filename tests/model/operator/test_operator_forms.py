@@ -17,7 +17,7 @@ from operators import HEAT_MAP, random_features, random_operator
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator import (
     IDENTITY,
-    ActuatorMap,
+    HeatInput,
     OnLoad,
     OperatorParameters,
     feature_matrix,
@@ -38,17 +38,17 @@ def _loop(params: OperatorParameters, F0, u, features) -> np.ndarray:
         x = (features[t] - params.feature_mean) / params.feature_scale
         mlp = params.output_weight @ np.tanh(params.hidden_weight @ x + params.hidden_bias) + params.output_bias
         m = 1 + params.gamma * np.tanh(mlp)
-        v = float(params.actuator(u[t], features[t, 1]))
+        v = float(params.heat_input(u[t], features[t, 1]))
         F = params.poles * F + params.gains * m * v
         out.append(F)
     return np.array(out)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-@pytest.mark.parametrize("actuator", [IDENTITY, HEAT_MAP], ids=["identity", "heat"])
-def test_rollouts_equal_the_printed_recursion(order, actuator):
+@pytest.mark.parametrize("heat_input", [IDENTITY, HEAT_MAP], ids=["identity", "heat"])
+def test_rollouts_equal_the_printed_recursion(order, heat_input):
     rng = np.random.default_rng(order)
-    params = random_operator(order, order, actuator=actuator)
+    params = random_operator(order, order, heat_input=heat_input)
     F0, u, features = rng.normal(size=order), rng.uniform(0, 1, N), random_features(rng, N)
     expected = _loop(params, F0, u, features)
     module = ForcedResponseOperator(params)
@@ -62,11 +62,11 @@ def test_rollouts_equal_the_printed_recursion(order, actuator):
     seed=st.integers(0, 2**32 - 1),
     order=st.integers(1, 3),
     scale=st.sampled_from([0.1, 1.0, 10.0]),
-    actuator=st.sampled_from([IDENTITY, HEAT_MAP]),
+    heat_input=st.sampled_from([IDENTITY, HEAT_MAP]),
 )
-def test_casadi_equals_torch(seed, order, scale, actuator):
+def test_casadi_equals_torch(seed, order, scale, heat_input):
     rng = np.random.default_rng(seed)
-    params = random_operator(seed, order, scale=scale, actuator=actuator)
+    params = random_operator(seed, order, scale=scale, heat_input=heat_input)
     module = ForcedResponseOperator(params)
     F0, u, features = rng.normal(size=order) * 5, rng.uniform(0, 1, N), random_features(rng, N)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
@@ -81,7 +81,7 @@ def test_casadi_equals_torch(seed, order, scale, actuator):
 
 def test_casadi_derivative_equals_autodiff():
     rng = np.random.default_rng(9)
-    params = random_operator(9, 3, actuator=HEAT_MAP)
+    params = random_operator(9, 3, heat_input=HEAT_MAP)
     F0, u, features = rng.normal(size=3), rng.uniform(0.3, 1, N), random_features(rng, N)
     plan = ca.MX.sym("u", N)
     forced = rollout_function(params, N)(F0, plan, features.T)[1]
@@ -104,11 +104,11 @@ def test_number_of_trained_parameters(order, count):
 
 @pytest.mark.parametrize("order", [1, 3])
 def test_torch_and_back_is_the_same_operator(order):
-    params = random_operator(3, order, sign=-1, actuator=HEAT_MAP)
+    params = random_operator(3, order, sign=-1, heat_input=HEAT_MAP)
     back = ForcedResponseOperator(params).numpy()
     for name in ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "output_bias", "pole_bounds"):
         np.testing.assert_allclose(getattr(back, name), getattr(params, name), rtol=1e-9, err_msg=name)
-    assert (back.sign, back.gamma, back.actuator) == (params.sign, params.gamma, params.actuator)
+    assert (back.sign, back.gamma, back.heat_input) == (params.sign, params.gamma, params.heat_input)
 
 
 @pytest.mark.parametrize("edge", [0.0, 1.0])
@@ -229,7 +229,7 @@ def test_actuator_maps_that_are_not_monotone_are_refused():
 
 
 def test_other_levels_need_to_have_been_seen():
-    unseen = ActuatorMap(OnLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
+    unseen = HeatInput(OnLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
     assert unseen.at_lowest_level(1.0) == unseen
     with pytest.raises(DataError, match="intermediate levels"):
         unseen.at_lowest_level(0.3)

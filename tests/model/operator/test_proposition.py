@@ -22,7 +22,7 @@ operators = st.builds(
     scale=st.sampled_from([1e-3, 1.0, 30.0, 1e6, 1e50]),
     sign=st.sampled_from([1, -1]),
     gamma=st.sampled_from([0.0, 0.3, 0.75, 0.999]),
-    actuator=st.sampled_from([IDENTITY, HEAT_MAP]),
+    heat_input=st.sampled_from([IDENTITY, HEAT_MAP]),
 )
 feature_sizes = st.sampled_from([1.0, 1e3, 1e40])
 
@@ -41,7 +41,7 @@ def _impulse_bounds(params) -> tuple[np.ndarray, np.ndarray]:
     """The proposition's bounds by lag, written out anew from the paper (eq:marginal), largest magnitude second."""
     lags = np.arange(N)
     impulse = params.sign * sum(g * a**lags for a, g in zip(params.poles, params.gains, strict=True))
-    slope_low, slope_high = params.actuator.slope_bounds()
+    slope_low, slope_high = params.heat_input.slope_bounds()
     return impulse * (1 - params.gamma) * slope_low, impulse * (1 + params.gamma) * slope_high
 
 
@@ -54,7 +54,7 @@ def test_effect_keeps_its_sign_and_bounds_by_autodiff(params, seed, size):
     jacobian = _jacobian_by_autodiff(params, F0, u, features)
     low, high = _impulse_bounds(params)
     # A pure delay is a difference of modes: near zero its sign is known to rounding only.
-    rounding = 1e-13 * float(np.abs(params.gains).sum()) * params.actuator.slope_bounds()[1]
+    rounding = 1e-13 * float(np.abs(params.gains).sum()) * params.heat_input.slope_bounds()[1]
     for j in range(N):
         for t in range(N):
             effect = jacobian[j, t] * params.sign
@@ -103,7 +103,7 @@ def test_certificate_contains_every_effect(params, seed):
     features = random_features(np.random.default_rng(seed), 4)
     for x in features:
         effect = marginal_effect(params, x, N)
-        slope_low, slope_high = params.actuator.slope_bounds()
+        slope_low, slope_high = params.heat_input.slope_bounds()
         for slope in (slope_low, slope_high):
             assert np.all(effect * slope >= np.array(proof.effect_low_K) - 1e-12)
             assert np.all(effect * slope <= np.array(proof.effect_high_K) + 1e-12)

@@ -64,14 +64,14 @@ def test_electric_power_is_that_of_the_machine_described():
 def test_the_forecast_is_the_weather_that_comes_and_the_bounds_are_those_of_the_thermostat():
     with plant_of(COOLED) as plant:
         plant.reset(186 * DAY_S, 0.0)
-        outlook = plant.forecast(DAY_S, HOUR_S)
+        context = plant.forecast(DAY_S, HOUR_S)
         plant.advance(None, DAY_S)
         came = plant.past(HOUR_S)
-        assert outlook.T_out_C == pytest.approx(came.T_out_C, abs=0.5)
-        assert np.abs(outlook.solar_W_m2 - came.solar_W_m2).max() < 60.0
-        assert outlook.upper_C[0] == 27.0
-        assert outlook.upper_C[12] == 25.0
-        assert (outlook.lower_C == 22.0).all()
+        assert context.T_out_C == pytest.approx(came.T_out_C, abs=0.5)
+        assert np.abs(context.solar_W_m2 - came.solar_W_m2).max() < 60.0
+        assert context.upper_C[0] == 27.0
+        assert context.upper_C[12] == 25.0
+        assert (context.lower_C == 22.0).all()
         day = came.T_zone_C[8:23]
         assert np.abs(day - 24.7).mean() < 0.4, "the plant's own thermostat keeps inside the bound"
         assert (came.heat_W <= 0.0).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thermoforce_mpc.data import HOUR_S, FreeForecast, History
+from thermoforce_mpc.data import HOUR_S, FreeForecast, Record
 from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.research.bench import free_response, free_response_runs
 from thermoforce_mpc.research.bench.free_response_runs import context_rows, cost_rows, interval_runs, look_rows
@@ -22,7 +22,7 @@ def source(days: int, *, gap: slice | None = None) -> Source:
     if gap is not None:
         free[gap] = np.nan
     nothing = np.zeros(t.size - 1)
-    history = History(t * HOUR_S, free, outdoor, np.zeros(t.size), nothing, nothing, nothing)
+    history = Record(t * HOUR_S, free, outdoor, np.zeros(t.size), nothing, nothing, nothing)
     return Source("made up", "made up", history, free, context_steps=14 * 24, least_context_steps=7 * 24)
 
 
@@ -157,7 +157,7 @@ def test_a_backbone_that_is_not_there_stops_the_bench_at_once():
 
 def test_several_looks_keep_the_second_day_of_15_minute_forecasts_honest():
     one, several = look_rows("shipped", 6)
-    assert one["48 h at 15 min, embedded"] == "one look"
+    assert one["48 h at 15 min, embedded"] == "one resolution"
     assert several["inside 80 %, second day"] > one["inside 80 %, second day"] + 0.05
     assert several["error in K, first day"] < 1.05 * one["error in K, first day"]
     assert several["error in K, second day"] > several["error in K, first day"] > 0

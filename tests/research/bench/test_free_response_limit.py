@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thermoforce_mpc.data import HOUR_S, History
+from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.research.bench import free_response_limit
 from thermoforce_mpc.research.bench.free_response_limit import cross_validated, in_sample, limit_rows, weather_features
 from thermoforce_mpc.research.bench.free_response_sources import Source
@@ -31,7 +31,7 @@ def source(weather_share: float) -> Source:
     for k in range(1, t.size):
         free[k] = free[k - 1] + (drive[k] - free[k - 1]) / 6.0
     nothing = np.zeros(t.size - 1)
-    history = History(t * HOUR_S, free, outdoor, np.zeros(t.size), nothing, nothing, nothing)
+    history = Record(t * HOUR_S, free, outdoor, np.zeros(t.size), nothing, nothing, nothing)
     return Source("made up", "made up", history, free, context_steps=14 * 24, least_context_steps=7 * 24)
 
 

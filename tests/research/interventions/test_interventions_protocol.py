@@ -84,7 +84,7 @@ def test_steps_are_cut_with_the_samples_at_both_their_ends():
     from paired_windows import run
 
     record = run(10, np.linspace(0.0, 1.0, 96))
-    part = record.part(8, 12)
+    part = record.slice(8, 12)
     assert part.n_steps == 4
     assert part.time_s[0] == record.time_s[8]
     assert (part.u == record.u[8:12]).all()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.research.interventions import small_office
 from thermoforce_mpc.plants.energyplus.engine import is_available, reference_building
+from thermoforce_mpc.research.interventions import small_office
 from thermoforce_mpc.research.interventions.pool import simulate_all
 from thermoforce_mpc.research.interventions.small_office import (
     FLOOR_AREA_M2,

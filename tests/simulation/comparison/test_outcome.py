@@ -22,7 +22,7 @@ def record(name: str, cost: float, discomfort: float, *, needs_model: bool, wind
         "status": "done",
         "reason": "",
         "kpis": {"cost_tot": cost, "tdis_tot": discomfort, "ener_tot": 3.0, "emis_tot": 0.5, "pele_tot": 0.02},
-        "ladder": {"solved": 90, "shifted": 2, "thermostat": 1, "rule": 3, "refused": 0},
+        "fallback_levels": {"solved": 90, "shifted": 2, "thermostat": 1, "rule": 3, "refused": 0},
         "seconds": {"plan_median": 0.02, "controller": 2.0, "plant": 0.1},
         "plant": {"kind": "embedded", "weather": "synthetic"},
         "scenario": {"controller": {"options": {}}, "step_s": None, "identification": {}},

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, History
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.modes import ModePriors, mode_priors, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
-from thermoforce_mpc.identification.regression_data import run_episode
+from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 # Step of the derivative with respect to ln τ.
@@ -54,7 +54,7 @@ class Designer:
 
     def choose(
         self,
-        history: History,
+        history: Record,
         ahead: Boundary,
         excitation: Excitation,
         candidates: list[Candidate],
@@ -83,7 +83,7 @@ class Designer:
         ]
         n = past + ahead.n_steps
         nothing = np.zeros(n)
-        planned = History(weather[0], np.zeros(n + 1), weather[1], weather[2], nothing, nothing, nothing)
+        planned = Record(weather[0], np.zeros(n + 1), weather[1], weather[2], nothing, nothing, nothing)
         whitener, rows = self._whitener(planned, step_s)
         holding = float(history.u.mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
         start_K = sign * (centre_C - float(history.T_zone_C[-1]))
@@ -94,19 +94,19 @@ class Designer:
             worth.append(self._criterion(np.concatenate([history.u, levels]), step_s, whitener, rows))
         return candidates[int(np.argmax(worth))], np.array(worth)
 
-    def information(self, history: History) -> float:
+    def information(self, history: Record) -> float:
         """The criterion of a record, nats."""
         whitener, rows = self._whitener(history, history.step_s)
         return self._criterion(history.u, history.step_s, whitener, rows)
 
-    def _whitener(self, history: History, step_s: float) -> tuple[Array, Array]:
+    def _whitener(self, history: Record, step_s: float) -> tuple[Array, Array]:
         """Lower Cholesky factor of C over hourly rows, and those rows; C does not depend on what is done."""
         stride = max(1, round(_ROW_H * HOUR_S / step_s))
         time_s, T_out, solar = (getattr(history, k)[::stride] for k in ("time_s", "T_out_C", "solar_W_m2"))
         nothing = np.zeros(time_s.size - 1)
         # Every temperature is planned to be measured.
-        hourly = History(time_s, np.zeros(time_s.size), T_out, solar, nothing, nothing, nothing)
-        rest = residuals(run_episode(hourly, IDENTITY, self._config), self._priors.log_tau)
+        hourly = Record(time_s, np.zeros(time_s.size), T_out, solar, nothing, nothing, nothing)
+        rest = residuals(run_regression(hourly, IDENTITY, self._config), self._priors.log_tau)
         return cholesky(rest.covariance, lower=True), np.arange(time_s.size) * stride
 
     def _criterion(self, u: Array, step_s: float, whitener: Array, rows: Array) -> float:

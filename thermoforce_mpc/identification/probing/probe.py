@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
@@ -63,7 +63,7 @@ def probe(
     config: ProbingConfig | None = None,
     identification: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
-) -> History:
+) -> Record:
     """Probe `plant` for `days` from `start_s`, after native warm-up; the plant is reset for it.
 
     Args:
@@ -81,7 +81,7 @@ def probe(
     """
     c = config or ProbingConfig()
     measurement = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-    history = History.beginning(measurement)
+    history = Record.beginning(measurement)
     n = round(days * DAY_S / c.step_s)
     sign = 1.0 if mode == "heating" else -1.0
     law = _law(c, c.hold_steps)

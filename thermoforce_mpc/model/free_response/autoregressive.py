@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
@@ -31,7 +31,7 @@ class Autoregressive:
         """Name in the registry."""
         return "arx" if self.weather else "ar"
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`.
 
         Raises:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import checked_free
 from thermoforce_mpc.protocols import FreeResponse
@@ -91,7 +91,7 @@ class CalibratedFreeResponse:
             raise DataError(f"calibrated: free response '{self.inner.name}' has no weights")
         return str(hashed())
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what the method inside raises."""
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
@@ -117,7 +117,7 @@ class CalibratedFreeResponse:
         self._groups = [_Group() for _ in range(len(_LEAD_EDGES_H) + 1)]
         self._latest_s, self._n = -np.inf, n
 
-    def _compare(self, free: Array, history: History, group_of: NDArray[np.intp], step_s: float) -> None:
+    def _compare(self, free: Array, history: Record, group_of: NDArray[np.intp], step_s: float) -> None:
         """Compare what has come since the last call with what had been forecast for it."""
         now = float(history.time_s[-1])
         # One value an hour and lead is enough: those in between say the same.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 
 LEVELS = np.arange(1, 10) / 10.0
 
 
-def checked_free(free_C: Array, history: History) -> Array:
+def checked_free(free_C: Array, history: Record) -> Array:
     """`free_C` as float64; raises `DataError` when it does not fit `history` or has no finite value."""
     free = np.asarray(free_C, dtype=np.float64)
     if free.shape != history.time_s.shape:

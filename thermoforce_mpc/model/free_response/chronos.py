@@ -9,11 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
-from thermoforce_mpc.model.free_response.multi_resolution import FEWEST_VALUES, View, merged, own_view, views_of
+from thermoforce_mpc.model.free_response.multi_resolution import (
+    FEWEST_VALUES,
+    Resolution,
+    merged,
+    own_resolution,
+    resolutions_of,
+)
 from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.scenario.settings import suggestion
 
@@ -25,7 +31,7 @@ __all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
 # With less than a day of measurements a daily course cannot be known: persistence takes over and says so.
 _SHORTEST_HISTORY_S = DAY_S
 _SHORTEST_CONTEXT = 16
-_LOOKS = ("several", "one")
+_RESOLUTIONS = ("several", "one")
 
 
 class ChronosFreeResponse:
@@ -33,25 +39,28 @@ class ChronosFreeResponse:
 
     name = "chronos"
 
-    def __init__(self, backbone: str = SHIPPED, context_steps: int = 512, looks: str = "several") -> None:
+    def __init__(self, backbone: str = SHIPPED, context_steps: int = 512, resolutions: str = "several") -> None:
         """Load the weights.
 
         Args:
             backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
-            context_steps: how many values of the history a look shows the model at most (see `views.py`).
-            looks: 'several' at one series, or 'one' at its own step, unrolled where needed (the paper's way).
+            context_steps: how many values of the history the model sees at most, at each resolution.
+            resolutions: 'several' at one series, or 'one' at its own step, unrolled where needed (the paper's way).
 
         Raises:
-            ConfigError: `context_steps` is less than the 16 a patch has, or `looks` is neither of the two.
+            ConfigError: `context_steps` is less than the 16 a patch has, or `resolutions` is neither of the two.
             BackboneError: see `load_backbone`.
         """
         if context_steps < _SHORTEST_CONTEXT:
             raise ConfigError(
                 f"context_steps is {context_steps}: backbones read patches of {_SHORTEST_CONTEXT}, give at least that"
             )
-        if looks not in _LOOKS:
-            raise ConfigError(f"looks is '{looks}'{suggestion(looks, _LOOKS)}: choose one of {', '.join(_LOOKS)}")
-        self.backbone, self._looks = backbone, looks
+        if resolutions not in _RESOLUTIONS:
+            raise ConfigError(
+                f"resolutions is '{resolutions}'{suggestion(resolutions, _RESOLUTIONS)}: "
+                f"choose one of {', '.join(_RESOLUTIONS)}"
+            )
+        self.backbone, self._resolutions = backbone, resolutions
         self._context_steps = context_steps
         self._model = load_backbone(backbone)
         self._short = Persistence()
@@ -75,7 +84,7 @@ class ChronosFreeResponse:
                 digest.update(tensor.detach().cpu().contiguous().float().numpy().tobytes())
         return digest.hexdigest()
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`. NaN gaps are passed to the model as they are, nothing is filled in.
 
         Raises:
@@ -84,7 +93,7 @@ class ChronosFreeResponse:
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
-    def forecast_many(self, tasks: Sequence[tuple[Array, History, Boundary]]) -> list[FreeForecast]:
+    def forecast_many(self, tasks: Sequence[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
         """Forecasts for several buildings, or from several instants, in one pass through the model.
 
         Each task is what `forecast` takes, and fails or falls back as it would there. Raises what `forecast` raises.
@@ -92,7 +101,7 @@ class ChronosFreeResponse:
         import torch
 
         answers: list[FreeForecast | None] = []
-        views: list[list[View]] = []
+        batch: list[list[Resolution]] = []
         for free_C, history, boundary in tasks:
             free = checked_free(free_C, history)
             if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
@@ -100,15 +109,17 @@ class ChronosFreeResponse:
             why = self._too_little(free, boundary.step_s)
             answers.append(self._persistence(free, history, boundary, why) if why else None)
             if not why:
-                views.append(self._views(free, history, boundary))
-        if views:
+                batch.append(self._resolutions_of(free, history, boundary))
+        if batch:
             with _one_thread(), torch.inference_mode():
-                found = iter(self._model.quantiles_C([view.context for looks in views for view in looks]))
-            of_task = iter(views)
+                found = iter(
+                    self._model.quantiles_C([resolution.context for resolutions in batch for resolution in resolutions])
+                )
+            of_task = iter(batch)
             for index, (_, _, boundary) in enumerate(tasks):
                 if answers[index] is None:
-                    looks = next(of_task)
-                    quantiles = merged(looks, [next(found) for _ in looks])
+                    resolutions = next(of_task)
+                    quantiles = merged(resolutions, [next(found) for _ in resolutions])
                     answers[index] = self._checked(np.sort(quantiles, axis=0), boundary)
         return [answer for answer in answers if answer is not None]
 
@@ -123,20 +134,20 @@ class ChronosFreeResponse:
             return f"only {seen_values} of the last {context.size} values were measured"
         return ""
 
-    def _views(self, free: Array, history: History, boundary: Boundary) -> list[View]:
+    def _resolutions_of(self, free: Array, history: Record, boundary: Boundary) -> list[Resolution]:
         past = np.stack([history.T_out_C, history.solar_W_m2], axis=1)
         ahead = np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:]
         longest = self._context_steps
-        if self._looks == "one":
-            return [own_view(free, past, ahead, longest)]
-        return views_of(free, past, ahead, boundary.step_s, longest)
+        if self._resolutions == "one":
+            return [own_resolution(free, past, ahead, longest)]
+        return resolutions_of(free, past, ahead, boundary.step_s, longest)
 
     def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
             raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
         return FreeForecast(LEVELS, quantiles, self.label)
 
-    def _persistence(self, free: Array, history: History, boundary: Boundary, why: str) -> FreeForecast:
+    def _persistence(self, free: Array, history: Record, boundary: Boundary, why: str) -> FreeForecast:
         short = self._short.forecast(free, history, boundary)
         return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
@@ -25,7 +25,7 @@ class ExponentialSmoothing:
 
     name = "ets"
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; a gap leaves the states as they are forecast.
 
         Raises:

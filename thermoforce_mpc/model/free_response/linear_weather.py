@@ -17,14 +17,14 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
 # From a room's air to a massive structure, h.
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
 SHORTEST_HISTORY_S = DAY_S
-# Weights of the priors in units of one squared kelvin of misfit; the data have hundreds of them.
+# Weights of the priors in units of one squared kelvin of residual_scale; the data have hundreds of them.
 _RIDGE_WEATHER = 0.1
 _RIDGE_WAVE = 1.0
 _RIDGE_START = 0.01
@@ -48,7 +48,7 @@ class LinearFit:
 
 
 def fit_linear_weather(
-    free_C: Array, history: History, boundary: Boundary, disturbance_h: float | None = None
+    free_C: Array, history: Record, boundary: Boundary, disturbance_h: float | None = None
 ) -> LinearFit:
     """Fit to the finite values of `free_C` (n + 1,) and simulate on over the weather of `boundary`.
 
@@ -130,7 +130,7 @@ class LinearWeather:
 
     name = "linear_weather"
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what `fit_linear_weather` raises."""
         free = checked_free(free_C, history)
         fit = fit_linear_weather(free, history, boundary)

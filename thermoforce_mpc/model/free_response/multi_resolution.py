@@ -1,9 +1,10 @@
-"""Several looks of a forecaster at one series: at its own step, once an hour, and at the last week alone.
+"""Several resolutions of a forecaster at one series: at its own step, once an hour, and at the last week alone.
 
 A model that answers 64 steps at once sees 16 hours of a day at 15 minutes, and must be fed its own answers beyond. An
-hourly look at the same history reaches further back and ahead in one pass: beyond 16 h errors become a few percent
+hourly series of the same history reaches further back and ahead in one pass: beyond 16 h errors become a few percent
 smaller, and the interval, far too narrow when unrolled, nearly right (docs/free_responses.md). The mean of several
-looks is better than most of them, as ensembles are. Quantiles are averaged level by level (Lichtendahl et al. 2013).
+resolutions is better than most of them, as ensembles are. Quantiles are averaged level by level (Lichtendahl et al.
+2013).
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.model.free_response.backbones.base import Context
 
-# So many steps ahead a look at the series' own step answers at once; Chronos-Bolt's patch of answers.
+# So many steps ahead a resolution at the series' own step answers at once; Chronos-Bolt's patch of answers.
 _AT_ONCE = 64
 _WEEK_S = 7 * DAY_S
-# The last week is another look only if there is clearly more than a week.
+# The last week is another resolution only if there is clearly more than a week.
 _MORE_THAN_A_WEEK_S = 8 * DAY_S
 # Instance normalisation of fewer values than this says nothing.
 FEWEST_VALUES = 8
 
 
 @dataclass(frozen=True)
-class View:
-    """One look: what the backbone sees, every `stride` steps of the series, and its N of the `n_steps` ahead."""
+class Resolution:
+    """One resolution: what the backbone sees, every `stride` steps of the series, and its N of the `n_steps` ahead."""
 
     context: Context
     stride: int
@@ -34,9 +35,9 @@ class View:
     now_C: float
 
     def at_own_step(self, quantiles_C: Array) -> Array:
-        """Answers (levels, ahead) at the series' own steps, (levels, n_steps), NaN where this look does not reach.
+        """Answers (levels, ahead) at the series' own steps, (levels, n_steps), NaN where it does not reach.
 
-        Between its instants a coarse look goes straight, from the last known value on.
+        Between its instants a coarse resolution goes straight, from the last known value on.
         """
         reached = np.full((quantiles_C.shape[0], self.n_steps), np.nan)
         if self.stride == 1:
@@ -50,13 +51,15 @@ class View:
         return reached
 
 
-def own_view(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> View:
-    """The one look at the series' own step, over all steps ahead; arguments as in `views_of`."""
-    return _view(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=len(ahead_weather))
+def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
+    """The one resolution at the series' own step, over all steps ahead; arguments as in `resolutions_of`."""
+    return _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=len(ahead_weather))
 
 
-def views_of(free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int) -> list[View]:
-    """All looks at a series; the first is at its own step.
+def resolutions_of(
+    free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int
+) -> list[Resolution]:
+    """All resolutions at a series; the first is at its own step.
 
     Args:
         free_C: (k,) °C, the last value being now; NaN where not measured, at least one value known.
@@ -71,34 +74,39 @@ def views_of(free_C: Array, past_weather: Array, ahead_weather: Array, step_s: f
     lengths = [longest] if stride > 1 else []
     if min(free_C.size * step_s, longest * coarse_s) > _MORE_THAN_A_WEEK_S:
         lengths.append(min(longest, round(_WEEK_S / coarse_s) + 1))
-    coarse = [_view(free_C, past_weather, ahead_weather, stride=stride, longest=length, ahead=n) for length in lengths]
-    coarse = [view for view in coarse if np.isfinite(view.context.free_C).sum() >= FEWEST_VALUES]
-    # What lies beyond one answer of the backbone is left to the coarse looks, if there are any.
-    ahead = min(n, _AT_ONCE) if any(view.stride > 1 for view in coarse) else n
-    return [_view(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead), *coarse]
+    coarse = [
+        _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=length, ahead=n)
+        for length in lengths
+    ]
+    coarse = [resolution for resolution in coarse if np.isfinite(resolution.context.free_C).sum() >= FEWEST_VALUES]
+    # What lies beyond one answer of the backbone is left to the coarse resolutions, if there are any.
+    ahead = min(n, _AT_ONCE) if any(resolution.stride > 1 for resolution in coarse) else n
+    return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead), *coarse]
 
 
-def _view(free_C: Array, past_weather: Array, ahead_weather: Array, *, stride: int, longest: int, ahead: int) -> View:
-    """A look at the last `longest` of every `stride`th value up to now, and over the first `ahead` steps ahead."""
+def _at_resolution(
+    free_C: Array, past_weather: Array, ahead_weather: Array, *, stride: int, longest: int, ahead: int
+) -> Resolution:
+    """The last `longest` of every `stride`th value up to now, and the first `ahead` steps ahead."""
     series = free_C[::-1][::stride][::-1][-longest:]
     # Weather of a coarse step is its mean, since sunlight at one instant says little of an hour.
     past = _block_means(past_weather, stride, pad_before=True)[-series.size :]
     coming = _block_means(ahead_weather[:ahead], stride, pad_before=False)
     now_C = float(free_C[np.isfinite(free_C)][-1])
-    return View(Context(series, past, coming), stride, len(ahead_weather), now_C)
+    return Resolution(Context(series, past, coming), stride, len(ahead_weather), now_C)
 
 
-def merged(views: list[View], answers: list[Array]) -> Array:
-    """Mean over the looks that reach each lead time, (levels, N), °C; NaN only where a look gave it."""
-    stack = np.array([view.at_own_step(answer) for view, answer in zip(views, answers, strict=True)])
-    reaches = np.array([_reach(view) for view in views])
+def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
+    """Mean over the resolutions that reach each lead time, (levels, N), °C; NaN only where a resolution gave it."""
+    stack = np.array([resolution.at_own_step(answer) for resolution, answer in zip(resolutions, answers, strict=True)])
+    reaches = np.array([_reach(resolution) for resolution in resolutions])
     counted = np.arange(stack.shape[2]) < reaches[:, None]
     total = np.where(counted[:, None, :], stack, 0.0).sum(axis=0)
     return np.asarray(total / counted.sum(axis=0))
 
 
-def _reach(view: View) -> int:
-    return min(view.n_steps, view.stride * len(view.context.ahead_weather))
+def _reach(resolution: Resolution) -> int:
+    return min(resolution.n_steps, resolution.stride * len(resolution.context.ahead_weather))
 
 
 def _block_means(weather: Array, stride: int, *, pad_before: bool) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
 
@@ -13,7 +13,7 @@ class Persistence:
 
     name = "persistence"
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` when no value was ever measured."""
         free = checked_free(free_C, history)
         n = boundary.n_steps

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.stats import norm
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 
 LEVELS = np.arange(1, 10) / 10.0
@@ -128,7 +128,7 @@ class RcFreeResponse:
     def __init__(self, params: RcParameters) -> None:
         self._params = params
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`.
 
         Raises:
@@ -160,7 +160,7 @@ def _predict(params: RcParameters, mean: Array, covariance: Array, drive: Array)
     return a * mean + drive, a[:, None] * covariance * a[None, :] + np.diag(params.process_sd_K**2)
 
 
-def _filter(params: RcParameters, free_C: Array, history: History) -> tuple[Array, Array]:
+def _filter(params: RcParameters, free_C: Array, history: Record) -> tuple[Array, Array]:
     """Mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
     q = params.order
     first = free_C[np.isfinite(free_C)][0]

@@ -50,21 +50,21 @@ def _linear_weather() -> FreeResponse:
     return LinearWeather()
 
 
-def _residual(backbone: str = "shipped", context_steps: int = 512, looks: str = "several") -> FreeResponse:
+def _residual(backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several") -> FreeResponse:
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 
-    return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps, looks))
+    return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps, resolutions))
 
 
-def _selected(backbone: str = "shipped", context_steps: int = 512, looks: str = "several") -> FreeResponse:
+def _selected(backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several") -> FreeResponse:
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
     from thermoforce_mpc.model.free_response.persistence import Persistence
     from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
     from thermoforce_mpc.model.free_response.selected import SelectedFreeResponse
 
-    chronos = ChronosFreeResponse(backbone, context_steps, looks)
+    chronos = ChronosFreeResponse(backbone, context_steps, resolutions)
     candidates: dict[str, FreeResponse] = {
         "persistence": Persistence(),
         "chronos": chronos,
@@ -75,7 +75,7 @@ def _selected(backbone: str = "shipped", context_steps: int = 512, looks: str = 
 
 
 def _calibrated(
-    method: str = "residual", backbone: str = "shipped", context_steps: int = 512, looks: str = "several"
+    method: str = "residual", backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several"
 ) -> FreeResponse:
     from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 
@@ -84,13 +84,13 @@ def _calibrated(
             f"free response 'calibrated': method '{method}' is not one of {', '.join(_WITH_BACKBONE)}"
             f"{suggestion(method, _WITH_BACKBONE)}"
         )
-    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps, looks))
+    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps, resolutions))
 
 
-def _chronos(backbone: str = "shipped", context_steps: int = 512, looks: str = "several") -> FreeResponse:
+def _chronos(backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several") -> FreeResponse:
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 
-    return ChronosFreeResponse(backbone, context_steps, looks)
+    return ChronosFreeResponse(backbone, context_steps, resolutions)
 
 
 _WITH_BACKBONE: dict[str, Callable[[str, int, str], FreeResponse]] = {

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fit_linear_weather
@@ -43,7 +43,7 @@ _RENEW_S = DAY_S
 # Trials of two weeks: choosing anew repeats none of them.
 _REMEMBERED = 128
 
-_Task = tuple[Array, History, Boundary]
+_Task = tuple[Array, Record, Boundary]
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class ResidualFreeResponse:
         """Hash of the backbone's weights, which nothing here changes."""
         return self.backbone.weight_hash()
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` where the linear model or the backbone does."""
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
@@ -119,7 +119,7 @@ class ResidualFreeResponse:
         k = len(_NAMES)
         return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
 
-    def _learn(self, free: Array, history: History, boundary: Boundary) -> Weights:
+    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Weights:
         """Weights from forecasts of a day that could have been made over the last week, with the weather that came."""
         step_s, now = boundary.step_s, float(history.time_s[-1])
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))
@@ -134,7 +134,7 @@ class ResidualFreeResponse:
             share[:, trial_steps:] = learned[:, -1:]
         return Weights(share, len(errors) if len(errors) >= _LEAST_TRIALS else 0, now, step_s)
 
-    def _trial_errors(self, free: Array, history: History, steps: int) -> tuple[list[Array], Array]:
+    def _trial_errors(self, free: Array, history: Record, steps: int) -> tuple[list[Array], Array]:
         """Errors of the candidates' medians, (3, steps) each, over what was measured, and the trials' instants, s."""
         step_s = history.step_s
         last = history.n_steps - steps
@@ -163,7 +163,7 @@ class ResidualFreeResponse:
         return errors, history.time_s[origins]
 
 
-def _key(free: Array, history: History, origin: int, steps: int) -> tuple[float, int, bytes]:
+def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, int, bytes]:
     """What makes a trial the same one: its instant and what was and became known around it, a day either way."""
     day = round(DAY_S / history.step_s)
     around = slice(max(0, origin - day), origin + steps + 1)

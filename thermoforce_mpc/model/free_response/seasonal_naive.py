@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
@@ -14,7 +14,7 @@ class SeasonalNaive:
 
     name = "seasonal_naive"
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` for less than a day of history or gaps in the last day."""
         free = checked_free(free_C, history)
         n, day = boundary.n_steps, round(DAY_S / boundary.step_s)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import checked_free
 from thermoforce_mpc.model.free_response.walk_forward import interval_scale, rescaled, run_trials, trial_origins
@@ -65,7 +65,7 @@ class SelectedFreeResponse:
                 return str(hashed())
         raise DataError("selected: no candidate has weights")
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what the chosen method raises."""
         free = checked_free(free_C, history)
         current, now, n = self.selection, float(history.time_s[-1]), boundary.n_steps
@@ -74,7 +74,7 @@ class SelectedFreeResponse:
         forecast = rescaled(self._candidates[current.name].forecast(free, history, boundary), current.scale)
         return FreeForecast(forecast.levels, forecast.quantiles_C, f"{forecast.note}; {current.why}")
 
-    def _select(self, free: Array, history: History, boundary: Boundary) -> Selection:
+    def _select(self, free: Array, history: Record, boundary: Boundary) -> Selection:
         step_s, n, now = boundary.step_s, boundary.n_steps, float(history.time_s[-1])
         origins = (
             trial_origins(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -45,14 +45,14 @@ def trial_origins(n_steps: int, horizon: int, *, least_context: int, span: int, 
     return sorted(range(last, first - 1, -every))
 
 
-def past_task(free_C: Array, history: History, origin: int, horizon: int) -> tuple[Array, History, Boundary]:
+def past_task(free_C: Array, history: Record, origin: int, horizon: int) -> tuple[Array, Record, Boundary]:
     """What a free response is given at step `origin` of the history, with the weather that came as its forecast."""
-    ahead = history.part(origin, origin + horizon)
-    return free_C[: origin + 1], history.part(0, origin), ahead.weather()
+    ahead = history.slice(origin, origin + horizon)
+    return free_C[: origin + 1], history.slice(0, origin), ahead.weather()
 
 
 def run_trials(
-    method: FreeResponse, free_C: Array, history: History, horizon: int, origins: Sequence[int]
+    method: FreeResponse, free_C: Array, history: Record, horizon: int, origins: Sequence[int]
 ) -> list[Trial] | None:
     """Let `method` forecast `horizon` steps from each origin, with the weather that came as its weather forecast.
 

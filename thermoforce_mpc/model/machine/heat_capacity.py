@@ -19,7 +19,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.machine.load_regression import (
     LEAST_W,
     LEVEL_EDGE,
-    MISFIT,
+    RESIDUAL_SCALE,
     EndValues,
     Quality,
     Steps,
@@ -29,7 +29,7 @@ from thermoforce_mpc.model.machine.load_regression import (
 from thermoforce_mpc.model.operator.heat_input import OnLoad
 
 # How long a step's deviation lasts, h: what the machine warms takes hours to cool again, so steps are not independent.
-_MISFIT_H = 3.0
+_RESIDUAL_CORRELATION_H = 3.0
 # Odds before anything is measured: of the first of several kinds against each other one, and of levels between off and
 # full that are run against levels made by switching.
 _FIRST_KIND, _LEVELS_ARE_RUN = 20.0, 10.0
@@ -78,7 +78,7 @@ def kinds_for(sign: int) -> tuple[MachinePrior, ...]:
 
 @dataclass(frozen=True)
 class HeatFit:
-    """A fitted heat map and how good it is.
+    """A fitted heat capacity and how good it is.
 
     `full_sd` is the standard deviation of the heat at full in the middle of the outdoor temperatures seen, as a share
     of it; `kind` is what the machine was taken for, and `evidence` the logarithm of the probability of the data under
@@ -116,8 +116,10 @@ def fit_heat(
         DataError: fewer than ten usable steps, or heat was given in fewer than five.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
-    misfit = MISFIT * float(np.sqrt(max(1.0, 2.0 * _MISFIT_H * HOUR_S / step_s)))
-    fits = [_fit_at(steps, misfit, lowest, kind) for kind in kinds for lowest in levels_to_try(steps, lowest_level)]
+    residual_scale = RESIDUAL_SCALE * float(np.sqrt(max(1.0, 2.0 * _RESIDUAL_CORRELATION_H * HOUR_S / step_s)))
+    fits = [
+        _fit_at(steps, residual_scale, lowest, kind) for kind in kinds for lowest in levels_to_try(steps, lowest_level)
+    ]
 
     def posterior(fit: HeatFit) -> float:
         odds = (_FIRST_KIND if fit.kind == kinds[0].name else 1.0) * (_LEVELS_ARE_RUN if fit.load.levels_seen else 1.0)
@@ -126,8 +128,8 @@ def fit_heat(
     return max(fits, key=posterior)
 
 
-def _fit_at(steps: Steps, misfit: float, lowest_level: float, kind: MachinePrior) -> HeatFit:
-    """`misfit` is the error of a step as a share of full heat."""
+def _fit_at(steps: Steps, residual_scale: float, lowest_level: float, kind: MachinePrior) -> HeatFit:
+    """`residual_scale` is the error of a step as a share of full heat."""
     u, y, ends = steps.u, steps.load_W, EndValues.around(steps)
     levels_seen = lowest_level < 1.0
     carriers = [np.minimum(u / lowest_level, 1.0), u] if levels_seen else [u]
@@ -140,8 +142,8 @@ def _fit_at(steps: Steps, misfit: float, lowest_level: float, kind: MachinePrior
     full = _full_load(u, y, lowest_level, kind)
     relations, sds = _prior_rows(kind, lowest_level, ends, design.shape[1])
     # In shares of full heat, so that the evidence does not depend on the unit.
-    rows = np.concatenate([design / misfit, relations / sds[:, None]])
-    values = np.concatenate([y / full / misfit, np.zeros(sds.size)])
+    rows = np.concatenate([design / residual_scale, relations / sds[:, None]])
+    values = np.concatenate([y / full / residual_scale, np.zeros(sds.size)])
     least = np.full(design.shape[1], LEAST_W / full)
     least[straight.shape[1] :] = -np.inf
     solution = np.asarray(lsq_linear(rows, values, bounds=(least, np.inf)).x)

@@ -23,7 +23,7 @@ LEAST_W = 1e-3
 _MIN_LEVELS = 3
 _MIN_STEPS, _MIN_RUNNING = 10, 5
 # Share of full load that a step's measurement is off by (dynamics inside the step, what the law leaves out).
-MISFIT = 0.02
+RESIDUAL_SCALE = 0.02
 # How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.
 _TRUST_K = 15.0
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.machine.load_regression import (
     LEAST_W,
-    MISFIT,
+    RESIDUAL_SCALE,
     EndValues,
     Quality,
     Steps,
@@ -91,7 +91,7 @@ class PowerModel:
 
 
 def fit_power(
-    histories: Sequence[History], *, lowest_level: float | None = None, slope: SlopePrior = POWER_SLOPE
+    histories: Sequence[Record], *, lowest_level: float | None = None, slope: SlopePrior = POWER_SLOPE
 ) -> PowerModel:
     """Fit the power model to the measured power of probes; see `fit_load` for arguments and errors."""
     u, T_out, power, T_return, T_zone = (
@@ -156,8 +156,8 @@ def _fit_at(steps: Steps, times: Array, lowest_level: float, slope: SlopePrior |
     carriers = [on, level] if lowest_level < 1.0 else [level]
     design = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
     full = float(np.max(steps.load_W[steps.running]))
-    rows: list[Array] = [design / (MISFIT * full)]
-    values: list[Array] = [steps.load_W / (MISFIT * full)]
+    rows: list[Array] = [design / (RESIDUAL_SCALE * full)]
+    values: list[Array] = [steps.load_W / (RESIDUAL_SCALE * full)]
     if slope is not None:
         # Zero, give or take; the load's own size sets the scale.
         per_part = slope.sd_per_K * full / len(carriers)

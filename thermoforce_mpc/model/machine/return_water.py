@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from thermoforce_mpc.data import DAY_S, Array, History
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, MISFIT
+from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, RESIDUAL_SCALE
 
 # Fewer running steps than this with a measured return temperature cannot tell κ from the rest.
 _LEAST_STEPS = 20
@@ -43,14 +43,14 @@ class ReturnWater:
         T = np.clip(T_return_C, *self.range_C)
         return np.where(np.isfinite(T), 1.0 + self.per_K * (T - self.reference_C), 1.0)
 
-    def expected_C(self, history: History, T_zone_C: Array) -> Array:
+    def expected_C(self, history: Record, T_zone_C: Array) -> Array:
         """Return temperature to be expected where the zone is at `T_zone_C` °C and the machine runs, same shape, °C.
 
         As far above the zone as in the running steps of the last day of `history`, or of the identification where it
         did not run or was not measured.
         """
         if history.n_steps:
-            last_day = history.tail(max(1, round(DAY_S / history.step_s)))
+            last_day = history.last(max(1, round(DAY_S / history.step_s)))
             above_K = above_zone(last_day.T_return_C, last_day.T_zone_C[:-1], last_day.u)
         else:
             above_K = float("nan")
@@ -73,7 +73,7 @@ def fit_return_water(
     Args:
         T_return_C: mean over each step, (n,), °C; T_zone_C: at the start of each step, (n,), °C; u: (n,).
         misfit_of: sum of squared misfits in W² of the load fitted to the measured power over factors (n,) given.
-        full_W: scale of the power, W: a step's power is believed to `MISFIT` of it, as in `fit_load`.
+        full_W: scale of the power, W: a step's power is believed to `RESIDUAL_SCALE` of it, as in `fit_load`.
     """
     known = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
     if known.sum() < _LEAST_STEPS:
@@ -89,7 +89,7 @@ def fit_return_water(
 
     def loss(per_K: float) -> float:
         prior = ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
-        return misfit_of(water(per_K).factor(T_return_C)) / (MISFIT * full_W) ** 2 + prior
+        return misfit_of(water(per_K).factor(T_return_C)) / (RESIDUAL_SCALE * full_W) ** 2 + prior
 
     found = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
     return water(float(found.x))

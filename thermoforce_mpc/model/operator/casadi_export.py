@@ -7,7 +7,7 @@ from typing import TypeVar
 import casadi as ca
 
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap, OnLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput, OnLoad
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 Expression = TypeVar("Expression", ca.SX, ca.MX)
@@ -23,11 +23,11 @@ def on_load_expression(load: OnLoad, u: Expression, T_out_C: Expression) -> Expr
     return on * (c0 + c1 * T) + u * (c2 + c3 * T)
 
 
-def actuator_expression(actuator: ActuatorMap, u: Expression, T_out_C: Expression) -> Expression:
+def heat_input_expression(heat_input: HeatInput, u: Expression, T_out_C: Expression) -> Expression:
     """v(u, T_out) as an expression (elementwise)."""
-    if actuator.heat is None:
+    if heat_input.heat is None:
         return u
-    return on_load_expression(actuator.heat, u, T_out_C) / actuator.reference_W
+    return on_load_expression(heat_input.heat, u, T_out_C) / heat_input.reference_W
 
 
 def modulation_function(params: OperatorParameters) -> ca.Function:
@@ -43,7 +43,7 @@ def step_function(params: OperatorParameters) -> ca.Function:
     """`F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
     F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
     seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.sees_forced else x
-    drive = modulation_function(params)(seen) * actuator_expression(params.actuator, u, x[OUTDOOR])
+    drive = modulation_function(params)(seen) * heat_input_expression(params.heat_input, u, x[OUTDOOR])
     F_next = ca.DM(params.poles) * F + ca.DM(params.gains) * drive
     return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
 

@@ -91,9 +91,9 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
     m_low, m_high = modulation_interval(params)
     if m_low <= 0:
         reasons.append(f"the modulation can reach {m_low:g}")
-    v_low, v_high = params.actuator.slope_bounds()
+    v_low, v_high = params.heat_input.slope_bounds()
     if v_low < 0:
-        reasons.append(f"the actuator map falls with u (slope {v_low:g})")
+        reasons.append(f"the heat input falls with u (slope {v_low:g})")
     # Times a nonnegative interval of m ∂v/∂u; where the response itself may be negative, so may its product be.
     weak = np.where(least < 0, least * m_high * v_high, least * m_low * v_low)
     strong = most * m_high * v_high

@@ -51,7 +51,7 @@ def modulation_slope(params: OperatorParameters) -> tuple[float, float]:
 
 def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
     """Enclose the response over `n_steps` steps for every course of weather, temperature and later actions."""
-    largest = params.actuator.largest()
+    largest = params.heat_input.largest()
     low, high = (largest * slope for slope in modulation_slope(params))
     low, high = (low, high) if params.sees_forced else (0.0, 0.0)
     responses: list[tuple[float, float]] = []

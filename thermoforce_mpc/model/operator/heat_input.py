@@ -89,7 +89,7 @@ class OnLoad:
 
 
 @dataclass(frozen=True)
-class ActuatorMap:
+class HeatInput:
     """v(u, T_out), dimensionless and nondecreasing in u, with v = 1 at full heat at `reference_C`.
 
     Without a `heat` load it is the identity v = u, which is the paper's operator.
@@ -127,9 +127,9 @@ class ActuatorMap:
             return 1.0
         return max(sum(float(part) for part in self.heat.parts(T)) for T in self.heat.T_out_range_C) / self.reference_W
 
-    def at_lowest_level(self, lowest_level: float) -> ActuatorMap:
+    def at_lowest_level(self, lowest_level: float) -> HeatInput:
         """The same map for another actuation, see `OnLoad.at_lowest_level`."""
         return self if self.heat is None else replace(self, heat=self.heat.at_lowest_level(lowest_level))
 
 
-IDENTITY = ActuatorMap()
+IDENTITY = HeatInput()

@@ -17,7 +17,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 FeatureTemperature = Literal["free", "total"]
 
@@ -69,7 +69,7 @@ class OperatorParameters:
     pole_bounds: Array
     gamma: float = GAMMA
     sign: int = 1
-    actuator: ActuatorMap = field(default=IDENTITY)
+    heat_input: HeatInput = field(default=IDENTITY)
     feature_temperature: FeatureTemperature = "free"
 
     def __post_init__(self) -> None:
@@ -185,7 +185,7 @@ class OperatorParameters:
     def drive(self, u: Array, features: Array) -> Array:
         """m(x_t) · v(u_t, T_out,t), the scalar that enters every mode; `u` (..., N), `features` (..., N, 4) as seen."""
         features = np.asarray(features, dtype=np.float64)
-        return self.modulation(features) * self.actuator(u, features[..., OUTDOOR])
+        return self.modulation(features) * self.heat_input(u, features[..., OUTDOOR])
 
     def advance(self, forced_K: Array, heat: Array, features: Array) -> Array:
         """One step under v = `heat` (...): `forced_K` (..., r) K, `features` (..., 4) with T − F → (..., r) K."""
@@ -195,7 +195,7 @@ class OperatorParameters:
     def step(self, forced_K: Array, u: Array, features: Array) -> Array:
         """One step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) with T − F → (..., r) K."""
         features = np.asarray(features, dtype=np.float64)
-        return self.advance(forced_K, self.actuator(u, features[..., OUTDOOR]), features)
+        return self.advance(forced_K, self.heat_input(u, features[..., OUTDOOR]), features)
 
     def resampled(self, step_s: float) -> OperatorParameters:
         """The same operator at another step: exact where v and m are constant over the longer of the two steps."""
@@ -235,7 +235,7 @@ def linear_operator(
     gamma: float = GAMMA,
     feature_mean: Array | None = None,
     feature_scale: Array | None = None,
-    actuator: ActuatorMap = IDENTITY,
+    heat_input: HeatInput = IDENTITY,
     hidden: int = HIDDEN,
 ) -> OperatorParameters:
     """An operator whose modulation is exactly 1 (all weights zero): the linear gain of paper eq:arx."""
@@ -252,5 +252,5 @@ def linear_operator(
         sign=sign,
         step_s=step_s,
         pole_bounds=bounds_between(np.asarray(poles, dtype=np.float64)) if pole_bounds is None else pole_bounds,
-        actuator=actuator,
+        heat_input=heat_input,
     )

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import FeatureTemperature, OperatorParameters, initial_weight
 
 # How close to a bound a pole may start: its logit must stay finite for the gradient to live.
@@ -50,7 +50,7 @@ class ForcedResponseOperator(nn.Module):
         self.gamma = params.gamma
         self.sign = params.sign
         self.step_s = params.step_s
-        self.actuator: ActuatorMap = params.actuator
+        self.heat_input: HeatInput = params.heat_input
         self.feature_temperature: FeatureTemperature = params.feature_temperature
 
     @property
@@ -77,14 +77,14 @@ class ForcedResponseOperator(nn.Module):
         return 1.0 + self.gamma * torch.tanh(self.output(torch.tanh(self.hidden(x)))[..., 0])
 
     def heat(self, u: Tensor, T_out_C: Tensor) -> Tensor:
-        """v(u, T_out) of the actuator map, differentiable in u; shapes broadcast."""
-        load = self.actuator.heat
+        """v(u, T_out) of the heat input, differentiable in u; shapes broadcast."""
+        load = self.heat_input.heat
         if load is None:
             return u
         T = torch.clamp(T_out_C, *load.T_out_range_C)
         c0, c1, c2, c3 = load.coefficients
         on = u if load.lowest_level == 1.0 else torch.clamp(u / load.lowest_level, max=1.0)
-        return (on * (c0 + c1 * T) + u * (c2 + c3 * T)) / self.actuator.reference_W
+        return (on * (c0 + c1 * T) + u * (c2 + c3 * T)) / self.heat_input.reference_W
 
     def forward(self, F0: Tensor, u: Tensor, features: Tensor) -> Tensor:
         """Forced state after each step, K: `F0` (..., r), `u` (..., N), `features` (..., N, 4) → (..., N, r).
@@ -140,6 +140,6 @@ class ForcedResponseOperator(nn.Module):
             sign=self.sign,
             step_s=self.step_s,
             pole_bounds=bounds,
-            actuator=self.actuator,
+            heat_input=self.heat_input,
             feature_temperature=self.feature_temperature,
         )

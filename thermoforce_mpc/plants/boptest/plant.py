@@ -21,7 +21,7 @@ from boptest_client import (
     TransportConfig,
     UnknownTest,
 )
-from thermoforce_mpc.data import DAY_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
@@ -224,7 +224,7 @@ class BoptestPlant:
             emission_kg_per_kWh=series[f.emission],
         )
 
-    def past(self, step_s: float) -> History:
+    def past(self, step_s: float) -> Record:
         """What the service recorded since the start of the warm-up, at `step_s`; older remainders are cut.
 
         Raises:
@@ -242,7 +242,7 @@ class BoptestPlant:
         n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
         edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
         T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in sampled)
-        return History(
+        return Record(
             time_s=edges,
             T_zone_C=T_zone - _KELVIN,
             T_out_C=T_out - _KELVIN,

@@ -15,7 +15,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
@@ -200,7 +200,7 @@ class EmbeddedPlant:
             emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
         )
 
-    def past(self, step_s: float) -> History:
+    def past(self, step_s: float) -> Record:
         """Everything since the start of the warm-up at `step_s` (a multiple of 30 s); older remainders are cut.
 
         Raises:
@@ -214,7 +214,7 @@ class EmbeddedPlant:
         rows = rows[rows.shape[0] - 1 - steps * n :]
         means = rows[1:].reshape(steps, n, rows.shape[1]).mean(axis=1)
         ends = rows[::n]
-        return History(
+        return Record(
             time_s=self._now_s - np.arange(steps, -1, -1) * step_s,
             T_zone_C=ends[:, _COLUMN["T_operative"]] - _KELVIN,
             T_out_C=ends[:, _COLUMN["T_out"]] - _KELVIN,

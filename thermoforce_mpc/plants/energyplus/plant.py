@@ -18,7 +18,7 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
 from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
@@ -195,7 +195,7 @@ class EnergyPlusPlant:
             emission_kg_per_kWh=np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH),
         )
 
-    def past(self, step_s: float) -> History:
+    def past(self, step_s: float) -> Record:
         """Everything since the start of the warm-up at `step_s`; older remainders are cut.
 
         Raises:
@@ -208,7 +208,7 @@ class EnergyPlusPlant:
         edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
         T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in ("T", "T_out", "solar"))
         u, power, heat = (interval_means(record, [name], edges) for name in ("u", "power", "heat"))
-        return History(edges, T_zone, T_out, solar, u, power, heat)
+        return Record(edges, T_zone, T_out, solar, u, power, heat)
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs of heat and comfort since the end of the warm-up, from the 5-minute record."""

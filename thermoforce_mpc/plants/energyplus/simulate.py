@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, History
+from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.energyplus.engine import weather_file
 from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, ZONE, ZoneSpec, zone_model
@@ -126,7 +126,7 @@ class PiPolicy:
         return u
 
 
-def simulate(job: Job) -> History:
+def simulate(job: Job) -> Record:
     """Run one job in this process.
 
     Returns:
@@ -220,14 +220,14 @@ class Recorder:
             return False
         return self.done
 
-    def history(self) -> History:
+    def history(self) -> Record:
         """The record; raises `PlantError` when the engine ended before all steps were recorded."""
         if not self.done or self._before is None:
             raise PlantError(f"EnergyPlus recorded {len(self._readings)} of {self._job.n_steps} steps and then ended")
         readings = [self._before, *self._readings]
         u = np.array(self._u)
         spec = self._job.spec
-        return History(
+        return Record(
             time_s=np.asarray(self._job.first_day * DAY_S + spec.step_s * np.arange(len(readings), dtype=np.float64)),
             T_zone_C=np.array([r.T_zone_C for r in readings]),
             T_out_C=np.array([r.T_out_C for r in readings]),

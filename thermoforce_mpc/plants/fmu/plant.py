@@ -14,7 +14,7 @@ import numpy as np
 from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, History, Measurement, Period, PlantInfo
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
@@ -175,7 +175,7 @@ class FmuPlant:
             emission_kg_per_kWh=at(f.emission, time_s),
         )
 
-    def past(self, step_s: float) -> History:
+    def past(self, step_s: float) -> Record:
         """Everything since the start of the warm-up at `step_s`; older remainders are cut.
 
         Raises:
@@ -191,7 +191,7 @@ class FmuPlant:
             np.interp(edges, record["time"], record[name])
             for name in (m.zone_temperature, m.outdoor_temperature, m.solar)
         )
-        return History(
+        return Record(
             time_s=edges,
             T_zone_C=T_zone - _KELVIN,
             T_out_C=T_out - _KELVIN,

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES, parameter_count
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.model.predictor import ThermalModel, WorldModel
+from thermoforce_mpc.model.predictor import Predictor, ThermalModel
 from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 
@@ -37,7 +37,7 @@ class Building:
     """A controlled 15-min record, the operator identified on its first days, and instants to forecast from."""
 
     name: str
-    record: History
+    record: Record
     model: ThermalModel
     origins: tuple[int, ...]
 
@@ -110,8 +110,8 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
         alone = backbone.forecast(history.T_zone_C, history, boundary).median_C
         milliseconds.append((time.perf_counter() - began) * 1e3)
         raw.append(alone - truth)
-        composed.append(WorldModel(building.model, backbone).outlook(observation).predict(u).total_C[0] - truth)
-        weather.append(WorldModel(building.model, residual).outlook(observation).predict(u).total_C[0] - truth)
+        composed.append(Predictor(building.model, backbone).context(observation).predict(u).total_C[0] - truth)
+        weather.append(Predictor(building.model, residual).context(observation).predict(u).total_C[0] - truth)
     row = {
         "backbone": name,
         "parameters": parameter_count(backbone.modules),
@@ -130,8 +130,8 @@ def _instant(building: Building, origin: int) -> tuple[Observation, Array, Array
     """What is known at a step of the record, the actions that followed (1, N), and the temperatures (N,)."""
     record, n = building.record, building.horizon
     first = max(0, origin - round(_CONTEXT_DAYS * DAY_S / record.step_s))
-    ahead = record.part(origin, origin + n)
-    return Observation(record.part(first, origin), ahead.weather()), ahead.u[None], ahead.T_zone_C[1:]
+    ahead = record.slice(origin, origin + n)
+    return Observation(record.slice(first, origin), ahead.weather()), ahead.u[None], ahead.T_zone_C[1:]
 
 
 def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], None]) -> list[Building]:
@@ -153,7 +153,7 @@ def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], N
     return buildings
 
 
-def _embedded_records() -> dict[str, History]:
+def _embedded_records() -> dict[str, Record]:
     """Two records of the embedded plant under random probing, winter and spring of the synthetic year."""
     from thermoforce_mpc.boundary.weather import synthetic_weather
     from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe

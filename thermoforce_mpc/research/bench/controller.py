@@ -76,7 +76,10 @@ def _contestants(
     operator, config = mpc._operator, MPCConfig()
     free = ProblemShape(every_step(example.n_steps), example.u_max, example.lowest_level)
     blocked = replace(
-        free, move_of_step=blocked_moves(example.n_steps, example.step_s, config.moves.free_h, config.moves.hold_h)
+        free,
+        move_of_step=blocked_moves(
+            example.n_steps, example.step_s, config.move_blocking.free_h, config.move_blocking.hold_h
+        ),
     )
     clarabel = config.qp.model_copy(update={"backends": ("clarabel",)})
     solvers = {

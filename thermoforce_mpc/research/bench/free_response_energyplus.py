@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.plants.energyplus.engine import is_available
 from thermoforce_mpc.plants.energyplus.simulate import Job
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
@@ -51,12 +51,12 @@ def _job(climate: Climate, day: int) -> Job:
     return Job(spec, day, off, gains(climate, day, _DAYS, _SEED))
 
 
-def _hourly(record: History) -> tuple[History, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+def _hourly(record: Record) -> tuple[Record, np.ndarray[tuple[int], np.dtype[np.float64]]]:
     """Samples at full hours and what the temperature was there."""
     every = round(HOUR_S / record.step_s)
     n = record.n_steps // every
     off = np.zeros(n)
-    hourly = History(
+    hourly = Record(
         record.time_s[::every], record.T_zone_C[::every], record.T_out_C[::every], record.solar_W_m2[::every],
         off, off, off,
     )  # fmt: skip

@@ -88,10 +88,10 @@ def look_rows(backbone: str, at_most: int) -> list[Row]:
     sources = embedded_sources(_FINE_STEP_S, _LONG_H)
     day = round(DAY_S / _FINE_STEP_S)
     rows: list[Row] = []
-    for looks in ("one", "several"):
-        method = build_free_response("chronos", backbone=backbone, looks=looks)
+    for resolutions in ("one", "several"):
+        method = build_free_response("chronos", backbone=backbone, resolutions=resolutions)
         found = [score(method, source, forecast_origins(source, at_most)) for source in sources]
-        row: Row = {"48 h at 15 min, embedded": f"{looks} look{'s' if looks == 'several' else ''}"}
+        row: Row = {"48 h at 15 min, embedded": f"{resolutions} resolution{'s' if resolutions == 'several' else ''}"}
         for label, part in (("first day", slice(0, day)), ("second day", slice(day, None))):
             row[f"error in K, {label}"] = float(np.mean([one.errors_K[:, part].mean() for one in found]))
             row[f"inside 80 %, {label}"] = float(np.mean([one.inside[:, part].mean() for one in found]))

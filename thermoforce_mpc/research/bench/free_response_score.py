@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
-from thermoforce_mpc.data import Array, Boundary, History
+from thermoforce_mpc.data import Array, Boundary, Record
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.bench.free_response_sources import Source
 
@@ -44,7 +44,7 @@ def forecast_origins(source: Source, at_most: int) -> list[int]:
     return [possible[i] for i in np.linspace(0, len(possible) - 1, at_most).round().astype(int)]
 
 
-def window(source: Source, origin: int, error: ForecastError | None = None) -> tuple[Array, History, Boundary, Array]:
+def window(source: Source, origin: int, error: ForecastError | None = None) -> tuple[Array, Record, Boundary, Array]:
     """Control-free history up to `origin`, its weather, the 24 h ahead, and what came, shape (N,).
 
     With `error` (hourly sources only) the weather ahead is what a forecaster with such errors would have said.
@@ -53,10 +53,10 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
     whole = source.history
     past = slice(first, origin + 1)
     acting = np.full(origin - first, np.nan)
-    history = History(
+    history = Record(
         whole.time_s[past], source.free_C[past], whole.T_out_C[past], whole.solar_W_m2[past], acting, acting, acting
     )
-    boundary = whole.part(origin, origin + n).weather()
+    boundary = whole.slice(origin, origin + n).weather()
     if error is not None:
         hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
         # At the end of a record its last value stands for what lies beyond; it only steers redrawing.

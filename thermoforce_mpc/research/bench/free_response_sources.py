@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 
 # Modes of the forced response that is subtracted from the controlled records; with them least squares leaves 0.02 K on
@@ -35,7 +35,7 @@ class Source:
 
     name: str
     group: str
-    history: History
+    history: Record
     free_C: Array
     context_steps: int
     least_context_steps: int
@@ -82,7 +82,7 @@ def mons_sources(folder: Path) -> list[Source]:
     sources = []
     for room, column in _MONS_ROOMS.items():
         measured = frame[column].to_numpy(float)
-        history = History(seconds, measured, outdoor, solar, nothing, nothing, nothing)
+        history = Record(seconds, measured, outdoor, solar, nothing, nothing, nothing)
         sources.append(
             Source(f"Mons {room}", "Mons", history, measured, context_steps=14 * 48, least_context_steps=7 * 48)
         )
@@ -105,12 +105,12 @@ def embedded_sources(step_s: float = HOUR_S, horizon_h: float = 24.0) -> list[So
             np.array([getattr(row, key) for row in rows]) for key in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
         )
         off = np.zeros(time_s.size - 1)
-        history = History(time_s, T, T_out, solar, off, off, off)
+        history = Record(time_s, T, T_out, solar, off, off, off)
         sources.append(Source(name, "embedded", history, T, 14 * per_day, 7 * per_day, horizon_h))
     return sources
 
 
-def hourly_record(path: Path, gains: Array | None = None) -> tuple[History, Array]:
+def hourly_record(path: Path, gains: Array | None = None) -> tuple[Record, Array]:
     """A 15-min record of the test case at hourly boundaries, and its temperature less the forced response of `gains`.
 
     The forced response is rolled out at 15 min, since the machine switches inside the hour.
@@ -123,7 +123,7 @@ def hourly_record(path: Path, gains: Array | None = None) -> tuple[History, Arra
     def hour_mean(values: Array) -> Array:
         return np.array([values[a + 1 : b + 1].mean() for a, b in pairwise(boundary)])
 
-    history = History(
+    history = Record(
         time_s=time_s[boundary],
         T_zone_C=frame["reaTZon_y"].to_numpy(float)[boundary],
         T_out_C=frame["weaSta_reaWeaTDryBul_y"].to_numpy(float)[boundary],

@@ -41,13 +41,13 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     say("timing identification, rollout, forecast and solve")
     climate = next(iter(data.climates.values()))
     training = training_of(climate, days, seed)
-    free = build_free_response("chronos", backbone=backbone, looks="one")
+    free = build_free_response("chronos", backbone=backbone, resolutions="one")
     centre = (_TIME_CONSTANT_H,)
     linear_ms = _milliseconds(lambda: identified(training, centre, modulation="linear"), 3)
     neural_ms = _milliseconds(lambda: identified(training, centre), 1, warm=False)
     model = identified(training, centre, modulation="linear")
     window = climate.part("test")[0]
-    history, boundary = window.history.tail(512), window.boundary
+    history, boundary = window.history.last(512), window.boundary
     features = np.tile([20.0, 0.0, 100.0, 0.0], (24, 1))
     u = np.full(24, 0.5)
     rollout_ms = _milliseconds(lambda: forced_rollout(model.operator, np.zeros(1), u, features), _REPEATS)
@@ -112,7 +112,7 @@ def _observation(probe: Probe, climate: Climate, band_K: float) -> Observation:
     """The last 48 h before the probe days as the horizon, everything before as history."""
     past = probe.history
     n = round(_HORIZON_H * HOUR_S / past.step_s)
-    history, ahead = past.part(0, past.n_steps - n), past.part(past.n_steps - n, past.n_steps)
+    history, ahead = past.slice(0, past.n_steps - n), past.slice(past.n_steps - n, past.n_steps)
     day = base_setpoint(climate, 1)
     machine = day[np.round(np.mod(ahead.time_s, DAY_S) / past.step_s).astype(int) % day.size]
     other = np.full(n + 1, climate.comfort_C + climate.sign * band_K)

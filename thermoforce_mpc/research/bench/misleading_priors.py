@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
@@ -33,7 +33,7 @@ Row = dict[str, Any]
 
 
 def run_misleading_priors(
-    records: Mapping[int, Sequence[History]],
+    records: Mapping[int, Sequence[Record]],
     pairs: Sequence[ReferencePair],
     floor_area_m2: float,
     say: Callable[[str], None],
@@ -80,7 +80,7 @@ def _inside(model: ThermalModel, truth: ThermalModel) -> Array:
     """Whether the true answer per watt lies in the band, for each lag, shape (lags,)."""
     known, true = model.card.uncertainty, truth.card.uncertainty
     # Both are the answers to full heat as each believes it to be at its reference.
-    scale = model.operator.actuator.reference_W / truth.operator.actuator.reference_W
+    scale = model.operator.heat_input.reference_W / truth.operator.heat_input.reference_W
     names = [f"step_response_{hours}h" for hours in _LAGS_H]
     return np.array(
         [abs(known[f"{n}_K"] - scale * true[f"{n}_K"]) <= _BAND * known[f"{n}_sd_K"] for n in names], dtype=np.float64

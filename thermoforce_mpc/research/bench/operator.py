@@ -86,21 +86,21 @@ def _trained_on_pairs(
     for fold in (0,) if quick else (0, 1):
         training = [p.pair for p in pairs if days.index(p.start_day) % 2 == fold]
         testing = [p for p in pairs if days.index(p.start_day) % 2 != fold]
-        for actuator, order, modulation in _variants():
-            say(f"pairs, fold {fold + 1}: {actuator}, order {order}, {modulation}")
-            config = IdentificationConfig(actuator=actuator, order=order, modulation=modulation, **options)
+        for heat_input, order, modulation in _variants():
+            say(f"pairs, fold {fold + 1}: {heat_input}, order {order}, {modulation}")
+            config = IdentificationConfig(heat_input=heat_input, order=order, modulation=modulation, **options)
             start = perf_counter()
             model = identify(pairs=training, config=config, floor_area_m2=FLOOR_AREA_M2)
             seconds = perf_counter() - start
             scores = score_pairs(model.operator, testing)
-            key = (actuator, str(order), modulation)
+            key = (heat_input, str(order), modulation)
             if key not in worst or scores.rmse_K > worst[key].rmse_K:
                 worst[key] = scores
             rows.append(
                 {
                     "part": "trained on pairs",
                     "data": f"fold {fold + 1}, {len(training)} pairs",
-                    "input": actuator,
+                    "input": heat_input,
                     "gain": modulation,
                     "order": model.operator.order,
                     "rmse_K": scores.rmse_K,
@@ -117,18 +117,18 @@ def _trained_on_pairs(
         Target("pairs: sign accuracy of the selected operator", chosen.sign_accuracy, _SIGN_GOAL, "at least"),
         Target("pairs: RMSE against first order on the same input", chosen.rmse_K / first.rmse_K, _AGAINST_FIRST_ORDER),
     ]
-    for actuator in ("heat", "identity"):
-        neural, linear = (worst[actuator, "auto", gain].rmse_K for gain in ("neural", "linear"))
-        name = f"pairs: neural against linear gain on {INPUT_NAMES[actuator]}"
+    for heat_input in ("heat", "identity"):
+        neural, linear = (worst[heat_input, "auto", gain].rmse_K for gain in ("neural", "linear"))
+        name = f"pairs: neural against linear gain on {INPUT_NAMES[heat_input]}"
         targets.append(Target(name, neural / linear, NEURAL_PENALTY))
     return rows, targets
 
 
 def _variants() -> Iterator[tuple[Literal["identity", "heat"], Literal["auto", 1], Literal["neural", "linear"]]]:
-    for actuator in ("identity", "heat"):
+    for heat_input in ("identity", "heat"):
         for order in (1, "auto"):
             for modulation in ("linear", "neural"):
-                yield actuator, order, modulation
+                yield heat_input, order, modulation
 
 
 def _speed(epochs: int, say: Callable[[str], None]) -> tuple[list[Row], list[Target]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
 
@@ -41,7 +41,7 @@ def read_table(path: Path) -> pd.DataFrame:
         raise DataError(f"{path}: cannot be read as CSV ({error})") from error
 
 
-def read_run(path: Path) -> History:
+def read_run(path: Path) -> Record:
     """A 15-min record of the test case. Samples are at the ends of the steps, so the first step is given up.
 
     Raises:
@@ -49,7 +49,7 @@ def read_run(path: Path) -> History:
     """
     frame = read_table(path)
     try:
-        return History(
+        return Record(
             time_s=frame["time"].to_numpy(),
             T_zone_C=frame["reaTZon_y"].to_numpy(),
             T_out_C=frame["weaSta_reaWeaTDryBul_y"].to_numpy(),
@@ -62,11 +62,11 @@ def read_run(path: Path) -> History:
         raise DataError(f"{path}: column {error} is missing") from error
 
 
-def cut(history: History, first_day: float, days: float) -> History:
+def cut(history: Record, first_day: float, days: float) -> Record:
     """`days` days of a run, starting `first_day` days after its beginning."""
     per_day = DAY_S / history.step_s
     start, n = round(first_day * per_day), round(days * per_day)
-    return history.part(start, start + n)
+    return history.slice(start, start + n)
 
 
 def read_hourly_pairs(folder: Path) -> list[ReferencePair]:
@@ -84,8 +84,8 @@ def _hourly_pair(label: str, group: pd.DataFrame, weather: pd.DataFrame) -> Refe
     first = day * 24 + int(group["hour"].iloc[0])
     index = np.arange(first, first + len(group) + 1)
 
-    def run(side: str) -> History:
-        return History(
+    def run(side: str) -> Record:
+        return Record(
             time_s=index.astype(np.float64) * HOUR_S,
             T_zone_C=np.append(group[f"T{side}_start"].to_numpy(), group[f"T{side}_end"].iloc[-1]),
             T_out_C=weather["TDryBul"].to_numpy()[index],

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.two_stage import fit_two_stage
@@ -31,7 +31,7 @@ Row = dict[str, Any]
 
 
 def few_shot(
-    runs: dict[str, History],
+    runs: dict[str, Record],
     pairs: Sequence[ReferencePair],
     quick: bool,
     options: dict[str, Any],
@@ -51,7 +51,7 @@ def few_shot(
                 models = {
                     (given, gain): identify(
                         [record],
-                        config=IdentificationConfig(modulation=gain, actuator=given, **options),
+                        config=IdentificationConfig(modulation=gain, heat_input=given, **options),
                         floor_area_m2=FLOOR_AREA_M2,
                     )
                     for given, gain in found
@@ -86,7 +86,7 @@ def few_shot(
 
 
 def under_feedback(
-    runs: dict[str, History], pairs: Sequence[ReferencePair], quick: bool, say: Callable[[str], None]
+    runs: dict[str, Record], pairs: Sequence[ReferencePair], quick: bool, say: Callable[[str], None]
 ) -> tuple[list[Row], list[Target]]:
     """K days of a run under its native controller, which heats because it is cold; on heat, linear gain."""
     rows: list[Row] = []
@@ -108,7 +108,7 @@ def under_feedback(
     return rows, []
 
 
-def _windows(runs: dict[str, History], days: int, quick: bool, say: Callable[[str], None]) -> Iterator[History]:
+def _windows(runs: dict[str, Record], days: int, quick: bool, say: Callable[[str], None]) -> Iterator[Record]:
     """Every window of so many days, in turn."""
     for name, run in runs.items():
         total = run.n_steps * run.step_s / DAY_S
@@ -124,10 +124,10 @@ def _stride(days: int, quick: bool) -> float:
     return {7: 3.0}.get(days, 1.0)
 
 
-def _paper_estimate(record: History, pairs: Sequence[ReferencePair]) -> PairScores | None:
+def _paper_estimate(record: Record, pairs: Sequence[ReferencePair]) -> PairScores | None:
     """The paper's two-stage estimator on hourly means of the same days; None where it finds too few off or on steps."""
     try:
-        fit = fit_two_stage([record.coarser(round(HOUR_S / record.step_s))])
+        fit = fit_two_stage([record.resample(round(HOUR_S / record.step_s))])
     except DataError:
         return None
     return score_pairs(fit.operator(), pairs) if fit.g > 0 else None

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, History, Measurement
+from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
@@ -70,9 +70,9 @@ def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> lis
 
 def _designs(
     plant: EmbeddedPlant, pairs: list[ReferencePair], quick: bool, say: Callable[[str], None]
-) -> tuple[list[Row], list[Target], dict[int, list[History]]]:
+) -> tuple[list[Row], list[Target], dict[int, list[Record]]]:
     """Rows, targets, and the records of the chosen draws by their days."""
-    records: dict[int, list[History]] = {1: [], 3: []}
+    records: dict[int, list[Record]] = {1: [], 3: []}
     rows: list[Row] = []
     found: dict[tuple[int, str], list[float]] = {}
     designs: tuple[Literal["random", "informative"], ...] = ("random", "informative")
@@ -133,11 +133,11 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
         adaptation = OnlineAdaptation(model, AdaptationConfig(enabled=True))
         adaptation.update(seen)
         # What really changed in what is estimated, from the heat at full level in the first third and in the last
-        # days: for an operator on u that is all of it, for one with a heat map only what the map did not foresee.
+        # days: for an operator on u that is all of it, for one with a heat capacity only what the map did not foresee.
         on, steps_from_start = run.u > 0, np.arange(run.n_steps)
         early = on & (steps_from_start < run.n_steps // 3)
         late = on & (steps_from_start >= run.n_steps - round(_LATE_DAYS * DAY_S / run.step_s))
-        load = model.operator.actuator.heat
+        load = model.operator.heat_input.heat
         expected = load(run.u, run.T_out_C[:-1]) if load else np.ones(run.n_steps)
         relative = run.heat_W / np.where(on, expected, 1.0)
         true = float(relative[late].mean() / relative[early].mean())
@@ -163,10 +163,10 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
     return rows, targets
 
 
-def _thermostat(plant: EmbeddedPlant, start_s: float, days: int, step_s: float = 900.0) -> History:
+def _thermostat(plant: EmbeddedPlant, start_s: float, days: int, step_s: float = 900.0) -> Record:
     """A run under a switching thermostat, the machine weakened after the first third; u is what was asked for."""
     now = plant.reset(start_s, 3 * DAY_S)
-    history = History.beginning(now)
+    history = Record.beginning(now)
     on, n = False, round(days * DAY_S / step_s)
     for t in range(n):
         hour = now.time_s / HOUR_S % 24
@@ -181,5 +181,5 @@ def _asked(measurement: Measurement, u: float) -> Measurement:
     return replace(measurement, u=u)
 
 
-def _hourly(run: History) -> History:
-    return run.coarser(round(HOUR_S / run.step_s))
+def _hourly(run: Record) -> Record:
+    return run.resample(round(HOUR_S / run.step_s))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.train import causal_convolution, impulse_response, minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
@@ -131,7 +131,7 @@ def compare_many_buildings(buildings: int, days: int = 3) -> Comparison:
     )
 
 
-def _run(seed: int, days: int, step_s: float = 900.0) -> History:
+def _run(seed: int, days: int, step_s: float = 900.0) -> Record:
     """A building of order 1 with its own time constant and gain, switched at random."""
     rng = np.random.default_rng(seed)
     n = round(days * DAY_S / step_s)
@@ -147,4 +147,4 @@ def _run(seed: int, days: int, step_s: float = 900.0) -> History:
         gain = loss * (T_out[t] - T[t]) + 2e-5 * solar[t] + loss * (5.0 + 20.0 * u[t])
         T[t + 1] = T[t] + gain + 0.005 * rng.normal()
     nothing = np.full(n, np.nan)
-    return History(time_s, T, T_out, solar, u, nothing, nothing)
+    return Record(time_s, T, T_out, solar, u, nothing, nothing)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.plants.energyplus.engine import engine_hash, engine_version, file_hash, weather_file
@@ -50,9 +50,9 @@ class Window:
     part: Part
     day: int
     shift_K: float
-    history: History
-    factual: History
-    perturbed: History
+    history: Record
+    factual: Record
+    perturbed: Record
 
     @property
     def boundary(self) -> Boundary:
@@ -64,7 +64,7 @@ class Window:
 class Probe:
     """K probe days: what came before, and the pair of runs (probed, plain operation) that begin in one state."""
 
-    history: History
+    history: Record
     pair: Pair
 
 
@@ -118,7 +118,7 @@ def load_or_simulate(
         arrays = {
             f"{label}/{item.name}": getattr(record, item.name)
             for label, record in _cut(plan, records).items()
-            for item in fields(History)
+            for item in fields(Record)
         }
         folder.mkdir(parents=True, exist_ok=True)
         partial = arrays_file.with_suffix(f".{os.getpid()}.npz")
@@ -202,26 +202,26 @@ def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
     return jobs, plan
 
 
-def check_identical(a: History, b: History, n_steps: int, what: str) -> None:
+def check_identical(a: Record, b: Record, n_steps: int, what: str) -> None:
     """Refuse two runs that differ, in any bit, before the intervention begins after `n_steps` steps.
 
     Raises:
         DataError: naming the signal and the first step that differs.
     """
-    first, second = a.part(0, n_steps), b.part(0, n_steps)
-    for item in fields(History):
+    first, second = a.slice(0, n_steps), b.slice(0, n_steps)
+    for item in fields(Record):
         x, y = getattr(first, item.name), getattr(second, item.name)
         if x.shape != y.shape or x.tobytes() != y.tobytes():
             at = int(np.flatnonzero(x != y)[0]) if x.shape == y.shape and (x != y).any() else min(x.size, y.size)
             raise DataError(f"{what}: {item.name} differs at step {at}, before the intervention at step {n_steps}")
 
 
-def _cut(plan: list[_Cut], records: list[History]) -> dict[str, History]:
+def _cut(plan: list[_Cut], records: list[Record]) -> dict[str, Record]:
     out = {}
     for item in plan:
         if item.twin is not None:
             check_identical(records[item.run], records[item.twin], item.start, item.label)
-        out[item.label] = records[item.run].part(item.start, item.stop)
+        out[item.label] = records[item.run].slice(item.start, item.stop)
     return out
 
 
@@ -244,10 +244,10 @@ def _read(protocol: Protocol, arrays_file: Path, manifest_file: Path) -> Dataset
     if _arrays_hash(arrays) != manifest["arrays_sha256"]:
         raise DataError(f"{arrays_file}: its numbers do not have the hash in {manifest_file.name}; {advice}")
 
-    def record(label: str) -> History:
+    def record(label: str) -> Record:
         # Data of earlier versions hold no return temperature.
-        kept = [item.name for item in fields(History) if f"{label}/{item.name}" in arrays]
-        return History(**{name: arrays[f"{label}/{name}"] for name in kept})
+        kept = [item.name for item in fields(Record) if f"{label}/{item.name}" in arrays]
+        return Record(**{name: arrays[f"{label}/{name}"] for name in kept})
 
     climates = {}
     for name in protocol.climates:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Probe, Window, check_identical
@@ -93,8 +93,8 @@ def office_data(
     records = simulate_all(jobs, run=simulate_office, workers=workers, on_done=progress)
     forgotten = _FORGOTTEN_DAYS * _PER_DAY
 
-    def past(record: History, start: int) -> History:
-        return record.part(forgotten, start)
+    def past(record: Record, start: int) -> Record:
+        return record.slice(forgotten, start)
 
     windows = []
     for part, day, name, K, start, base, other in plan:
@@ -102,9 +102,9 @@ def office_data(
         check_identical(b, a, start, f"small office, day {day}, {name}")
         end = start + _HORIZON_STEPS
         windows.append(
-            Window("small_office", name, part, day, K, past(a, start), a.part(start, end), b.part(start, end))
+            Window("small_office", name, part, day, K, past(a, start), a.slice(start, end), b.slice(start, end))
         )
     a, b = records[plain], records[probed]
     check_identical(b, a, warm, "small office, probe")
-    pair = Pair(b.part(warm, b.n_steps), a.part(warm, a.n_steps), label=f"{PROBE_DAYS} days of the small office")
+    pair = Pair(b.slice(warm, b.n_steps), a.slice(warm, a.n_steps), label=f"{PROBE_DAYS} days of the small office")
     return ClimateData(OFFICE, tuple(windows), {PROBE_DAYS: Probe(past(a, warm), pair)})

@@ -62,7 +62,7 @@ def fan_figure(fans: Sequence[Fan], methods: Sequence[str] = ("tsfm", "rc", MONO
     figure = Figure(figsize=(3.1 * len(shown), 3.0 * len(fans)), layout="constrained")
     grid = np.atleast_2d(figure.subplots(len(fans), len(shown), sharex=True, sharey="row", squeeze=False))
     for row, fan in zip(grid, fans, strict=True):
-        past, ahead = fan.window.history.tail(24), fan.window.factual
+        past, ahead = fan.window.history.last(24), fan.window.factual
         start = ahead.time_s[0]
         for axes, name in zip(row, shown, strict=True):
             axes.plot((past.time_s - start) / HOUR_S, past.T_zone_C, color="#1b1f24", linewidth=1.2)

@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-from thermoforce_mpc.data import History
+from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.energyplus.engine import engine_folder
 from thermoforce_mpc.plants.energyplus.simulate import simulate
@@ -20,10 +20,10 @@ J = TypeVar("J")
 def simulate_all(
     jobs: Sequence[J],
     *,
-    run: Callable[[J], History] = simulate,  # type: ignore[assignment]
+    run: Callable[[J], Record] = simulate,  # type: ignore[assignment]
     workers: int | None = None,
     on_done: Callable[[int], None] | None = None,
-) -> list[History]:
+) -> list[Record]:
     """Run all jobs, `workers` processes at a time (by default one per core); records in the order of the jobs.
 
     `run` simulates one job in its process, by default one of our zones (`simulate.Job`).
@@ -35,7 +35,7 @@ def simulate_all(
     """
     engine_folder()
     workers = workers or min(len(jobs), os.cpu_count() or 1)
-    records: list[History] = []
+    records: list[Record] = []
     # Spawned, not forked: the engine must never be loaded into a process that has threads.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(max_workers=max(1, workers), mp_context=context) as pool:

@@ -14,7 +14,7 @@ from datetime import date, timedelta
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, History
+from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.energyplus.engine import reference_building, weather_file
 from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Reading, Wiring, run_engine, weather_reading
@@ -111,7 +111,7 @@ class _Recorder:
         return self.done
 
 
-def simulate_office(job: OfficeJob) -> History:
+def simulate_office(job: OfficeJob) -> Record:
     """Run one job in this process; u is the heat over `RANGE_W`.
 
     Raises:
@@ -128,7 +128,7 @@ def simulate_office(job: OfficeJob) -> History:
     u = (heat - RANGE_W[0]) / (RANGE_W[1] - RANGE_W[0])
     if u.min() < 0.0 or u.max() > 1.0:
         raise PlantError(f"{BUILDING}: heat from {heat.min():.0f} to {heat.max():.0f} W, expected {RANGE_W}")
-    return History(
+    return Record(
         time_s=np.asarray(job.first_day * DAY_S + STEP_S * np.arange(len(readings), dtype=np.float64)),
         T_zone_C=np.array([r.T_zone_C for r in readings]),
         T_out_C=np.array([r.T_out_C for r in readings]),

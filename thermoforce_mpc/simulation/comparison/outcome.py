@@ -140,7 +140,9 @@ def _row(record: Mapping[str, Any]) -> Row:
         "best_cost": False,
         "best_discomfort": False,
         "pareto": False,
-        "fallbacks": sum(n for rung, n in record["ladder"].items() if rung not in _AS_PLANNED) if done else None,
+        "fallbacks": sum(n for level, n in record["fallback_levels"].items() if level not in _AS_PLANNED)
+        if done
+        else None,
         "plan_ms": 1e3 * seconds["plan_median"] if done else None,
         "controller_s": seconds.get("controller"),
         "plant_s": seconds.get("plant"),

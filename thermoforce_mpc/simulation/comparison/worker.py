@@ -117,7 +117,7 @@ def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
         "scored_days": result.period.scored_s / DAY_S,
         "plant": asdict(plant),
         "kpis": kpis,
-        "ladder": result.ladder(),
+        "fallback_levels": result.fallback_levels(),
         "seconds": _seconds(result.steps, result.seconds),
     }
 

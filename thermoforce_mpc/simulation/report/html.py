@@ -48,7 +48,7 @@ def write_report(
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         events=events.to_dict("records"),
-        ladder=result.ladder(),
+        fallback_levels=result.fallback_levels(),
         sentences=_sentences(steps),
     )
     path = folder / "report.html"

@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import ACTING, SAMPLED, Array, History
+from thermoforce_mpc.data import ACTING, SAMPLED, Array, Record
 from thermoforce_mpc.research.interventions.dataset import Probe, Window
 from thermoforce_mpc.research.interventions.protocol import Climate
 
@@ -37,7 +37,7 @@ class Training:
     validation: Sequence[Window]
     seed: int = 1
 
-    def runs(self) -> tuple[History, History]:
+    def runs(self) -> tuple[Record, Record]:
         """Both runs of the probe days, each behind the history they share (so that forecasters have a context)."""
         return joined(self.probe.history, self.probe.pair.a), joined(self.probe.history, self.probe.pair.b)
 
@@ -61,11 +61,11 @@ class Predictor(Protocol):
 P = TypeVar("P", bound=Predictor)
 
 
-def joined(first: History, second: History) -> History:
+def joined(first: Record, second: Record) -> Record:
     """Two records of which the second begins where the first ends."""
     sampled = {name: np.concatenate([getattr(first, name)[:-1], getattr(second, name)]) for name in SAMPLED}
     acting = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ACTING}
-    return History(**sampled, **acting)
+    return Record(**sampled, **acting)
 
 
 def plans(window: Window) -> Array:

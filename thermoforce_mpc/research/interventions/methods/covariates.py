@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, History
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best
@@ -38,7 +38,7 @@ _OUTDOOR_UNIT_K = 10.0
 class _Case:
     """A forecast made somewhere in the record: its context, the weather ahead, what was done and what came of it."""
 
-    history: History
+    history: Record
     boundary: Boundary
     u: Array
     measured_C: Array
@@ -77,18 +77,18 @@ def build_covariates(training: Training, free_response: FreeResponse, *, autoreg
     return candidates[best(candidates, training.validation)]
 
 
-def _cases(run: History, first: int, horizon: int, free_response: FreeResponse) -> Sequence[_Case]:
+def _cases(run: Record, first: int, horizon: int, free_response: FreeResponse) -> Sequence[_Case]:
     """Forecasts from origins on the probe days, each with all that was known then."""
     cases = []
     for origin in range(first, run.n_steps - horizon + 1, _STRIDE):
-        history, ahead = run.part(0, origin), run.part(origin, origin + horizon)
+        history, ahead = run.slice(0, origin), run.slice(origin, origin + horizon)
         boundary = ahead.weather()
         forecast = free_response.forecast(history.T_zone_C, history, boundary).median_C
         cases.append(_Case(history, boundary, ahead.u, ahead.T_zone_C[1:], forecast))
     return cases
 
 
-def _features(history: History, boundary: Boundary, u: Array, kind: str, autoregressive: bool) -> Array:
+def _features(history: Record, boundary: Boundary, u: Array, kind: str, autoregressive: bool) -> Array:
     """Features of the N steps, shape (N, p): covariates of a kind, at once and lagged; decaying AR terms; 1."""
     differs, lags_h = _KINDS[kind]
     n, step_s = u.size, boundary.step_s

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 
 # Heat that the air passes on anyway, as a share of the capacity; fixed on validation windows of the first two draws.
 _OFFSET = 0.3
@@ -28,6 +28,6 @@ def curved(u: Array, exponent: float) -> Array:
     return np.asarray(((u + _OFFSET) ** exponent - start) / ((1.0 + _OFFSET) ** exponent - start))
 
 
-def with_curve(history: History, exponent: float) -> History:
+def with_curve(history: Record, exponent: float) -> Record:
     """A record whose control is v(u)."""
     return replace(history, u=np.clip(curved(history.u, exponent), 0.0, 1.0))

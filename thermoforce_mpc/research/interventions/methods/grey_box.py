@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best
 
@@ -58,7 +58,7 @@ def build_on_probe(training: Training) -> GreyBox:
     return candidates[best(candidates, training.validation)]
 
 
-def _candidates(runs: Sequence[History], horizon: int, orders: Sequence[tuple[int, int]]) -> dict[str, GreyBox]:
+def _candidates(runs: Sequence[Record], horizon: int, orders: Sequence[tuple[int, int]]) -> dict[str, GreyBox]:
     out = {}
     for lags in orders:
         one_step = _fit_one_step(runs, lags)
@@ -76,7 +76,7 @@ def _weather(T_out_C: Array, solar_W_m2: Array) -> Array:
     return np.stack([outdoor, sun, np.ones(outdoor.size)], axis=1)
 
 
-def _fit_one_step(runs: Sequence[History], lags: tuple[int, int]) -> Array:
+def _fit_one_step(runs: Sequence[Record], lags: tuple[int, int]) -> Array:
     na, nb = lags
     longest = max(lags)
     designs, targets = [], []
@@ -93,7 +93,7 @@ def _fit_one_step(runs: Sequence[History], lags: tuple[int, int]) -> Array:
     return np.asarray(np.linalg.solve(gram, scaled.T @ target) / scale)
 
 
-def _fit_rollouts(runs: Sequence[History], lags: tuple[int, int], start: Array, horizon: int) -> Array:
+def _fit_rollouts(runs: Sequence[Record], lags: tuple[int, int], start: Array, horizon: int) -> Array:
     na, nb = lags
     first = max(lags) - 1
     T0, u, weather, target = [], [], [], []

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, History
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -24,7 +24,7 @@ class Remembering:
         self.name = inner.name
         self._answers: OrderedDict[bytes, FreeForecast] = OrderedDict()
 
-    def forecast(self, free_C: Array, history: History, boundary: Boundary) -> FreeForecast:
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`."""
         digest = hashlib.blake2b(digest_size=16)
         asked = (free_C, history.time_s, history.T_out_C, history.solar_W_m2)
@@ -41,4 +41,4 @@ class Remembering:
 @lru_cache(maxsize=2)
 def tsfm(backbone: str) -> Remembering:
     """The paper's frozen forecaster with these weights: one look, loaded once in a process, shared by all methods."""
-    return Remembering(build_free_response("chronos", backbone=backbone, looks="one"))
+    return Remembering(build_free_response("chronos", backbone=backbone, resolutions="one"))

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from thermoforce_mpc.data import DAY_S, Array, History
+from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best, joined
@@ -108,7 +108,7 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     horizon = training.validation[0].factual.n_steps
     start, drivers, course, taught = [], [], [], []
 
-    def add(ahead: History, T_before: float, T: Array, by_teacher: bool) -> None:
+    def add(ahead: Record, T_before: float, T: Array, by_teacher: bool) -> None:
         start.append([T_before, ahead.T_zone_C[0]])
         drivers.append(_drivers(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, ahead.u))
         course.append(T)
@@ -118,13 +118,13 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     per_day = round(DAY_S / plain.step_s)
     first = max(per_day + 1, plain.n_steps - (_TEACHER_DAYS + training.days) * per_day)
     for origin in range(first, plain.n_steps - horizon + 1, _TEACHER_STRIDE):
-        past, ahead = plain.part(0, origin), plain.part(origin, origin + horizon)
+        past, ahead = plain.slice(0, origin), plain.slice(origin, origin + horizon)
         forecast = free_response.forecast(past.T_zone_C, past, ahead.weather()).median_C
         add(ahead, float(past.T_zone_C[-2]), forecast, True)
     for run in (training.probe.pair.a, training.probe.pair.b):
         last = run.n_steps - horizon + 1
         for origin in range(1, last, max(_MEASURED_STRIDE, -(-last // _MOST_COURSES))):
-            ahead = run.part(origin, origin + horizon)
+            ahead = run.slice(origin, origin + horizon)
             add(ahead, float(run.T_zone_C[origin - 1]), ahead.T_zone_C[1:], False)
     return _Lessons(
         torch.tensor(np.array(start)),

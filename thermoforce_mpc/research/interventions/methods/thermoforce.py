@@ -13,7 +13,7 @@ from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
-from thermoforce_mpc.model.predictor import ThermalModel, WorldModel
+from thermoforce_mpc.model.predictor import Predictor, ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best, clearly_better
@@ -37,7 +37,7 @@ class SuperpositionPredictor:
 
     def __init__(self, model: ThermalModel, free_response: FreeResponse, note: str, exponent: float = 1.0) -> None:
         self.model, self.note, self.exponent = model, note, exponent
-        self._world = WorldModel(model, free_response)
+        self._predictor = Predictor(model, free_response)
 
     @property
     def modulated(self) -> bool:
@@ -47,8 +47,8 @@ class SuperpositionPredictor:
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`."""
         history = with_curve(window.history, self.exponent)
-        outlook = self._world.outlook(Observation(history, window.boundary))
-        return outlook.predict(curved(u, self.exponent)).total_C
+        context = self._predictor.context(Observation(history, window.boundary))
+        return context.predict(curved(u, self.exponent)).total_C
 
 
 class LinearEffect:
@@ -84,7 +84,7 @@ def identified(
         "time_constants_h": time_constants_h,
         "time_constant_log_sd": _LOG_SD[len(time_constants_h)],
         "start_slope_K_per_h": _START_SLOPE_K_PER_H,
-        "actuator": "identity",
+        "heat_input": "identity",
         "modulation": modulation,
         "gamma": gamma,
         "seed": training.seed,

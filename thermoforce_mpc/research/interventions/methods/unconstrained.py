@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from thermoforce_mpc.data import Array, History
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.train import causal_convolution
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.parameters import HIDDEN
@@ -44,7 +44,7 @@ class FreeGain:
         x = (features - self.mean) / self.scale
         return np.asarray(np.tanh(x @ self.hidden_weight.T + self.hidden_bias) @ self.output_weight + self.output_bias)
 
-    def history(self, history: History) -> Array:
+    def history(self, history: Record) -> Array:
         """F at the boundaries of `history`, shape (n + 1,), K, from the steady state of the first day's mean action."""
         F = np.empty(history.n_steps + 1)
         T = history.T_zone_C

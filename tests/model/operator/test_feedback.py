@@ -40,7 +40,7 @@ operators = st.builds(
     scale=st.sampled_from([1e-3, 0.03, 0.1, 0.3, 1.0, 30.0, 1e50]),
     sign=st.sampled_from([1, -1]),
     gamma=st.sampled_from([0.0, 0.3, 0.75]),
-    actuator=st.sampled_from([IDENTITY, HEAT_MAP]),
+    heat_input=st.sampled_from([IDENTITY, HEAT_MAP]),
 )
 
 
@@ -51,7 +51,7 @@ def _loop(params, F0, u, features) -> np.ndarray:
         x[0] += F.sum()
         x = (x - params.feature_mean) / params.feature_scale
         mlp = params.output_weight @ np.tanh(params.hidden_weight @ x + params.hidden_bias) + params.output_bias
-        v = float(params.actuator(u[t], features[t, 1]))
+        v = float(params.heat_input(u[t], features[t, 1]))
         F = params.poles * F + params.gains * (1 + params.gamma * np.tanh(mlp)) * v
         out.append(F)
     return np.array(out)
@@ -67,7 +67,7 @@ def _jacobian(params, F0, u, features) -> np.ndarray:
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_three_forms_follow_the_recursion(order):
     rng = np.random.default_rng(order)
-    params = total(order, order, scale=0.3, actuator=HEAT_MAP)
+    params = total(order, order, scale=0.3, heat_input=HEAT_MAP)
     assert params.sees_forced
     F0, u, features = rng.normal(size=order), rng.uniform(0, 1, (5, N)), random_features(rng, N)
     together = forced_rollout(params, F0, u, features)
@@ -95,7 +95,7 @@ def test_every_effect_lies_in_the_certified_interval(params, seed):
     for u in (np.ones(N), rng.uniform(0, 1, N), np.full(N, 1e-3)):
         features = random_features(rng, N)
         jacobian = _jacobian(params, rng.normal(size=params.order), u, features)
-        room = 1e-9 * float(np.abs(params.gains).sum()) * params.actuator.slope_bounds()[1]
+        room = 1e-9 * float(np.abs(params.gains).sum()) * params.heat_input.slope_bounds()[1]
         for t in range(N):
             effect = jacobian[t:, t]
             assert np.all(effect >= low[: N - t] - room)

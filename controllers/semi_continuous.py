@@ -19,28 +19,28 @@ from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.features import OUTDOOR
-from thermoforce_mpc.model.operator.heat_input import ActuatorMap
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.scenario.testcase import StrictModel
 
 
-class HeldLevelsConfig(StrictModel):
+class SemiContinuousConfig(StrictModel):
     """Which levels are tried in the first step."""
 
     n_levels: int = Field(8, ge=2, le=50, description="levels from the lowest to the highest, besides off")
 
 
-class HeldLevelSolver:
+class SemiContinuousSolver:
     """Solves `MPCProblem`s of one operator and shape by trying levels in the first step.
 
     Raises:
         ControllerConfigError: the horizon is a single step, or the rest of the problem is not convex either.
     """
 
-    def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: HeldLevelsConfig, qp: QPConfig):
+    def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: SemiContinuousConfig, qp: QPConfig):
         self.operator, self.shape = operator, shape
         self._levels = np.concatenate([[0.0], np.linspace(shape.lowest_level, shape.u_max, config.n_levels)])
-        switching = replace(operator, actuator=operator.actuator.at_lowest_level(1.0))
+        switching = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
         later = shape.move_of_step[1:] - shape.move_of_step[1]
         self._later = QPSolver(switching, replace(shape, move_of_step=later, lowest_level=shape.u_max), qp)
 
@@ -63,7 +63,7 @@ class HeldLevelSolver:
             return Solution(False, np.empty(0), "no level", iterations, "; ".join(failures))
         level, solution = best
         T_out = problem.features[1:, OUTDOOR]
-        u = np.concatenate([[level], held_level(self.operator.actuator, solution.u, T_out, self.shape.u_max)])
+        u = np.concatenate([[level], held_level(self.operator.heat_input, solution.u, T_out, self.shape.u_max)])
         return Solution(True, u, f"held level, {solution.status}", iterations)
 
 
@@ -94,11 +94,11 @@ def first_step_cost(problem: MPCProblem, operator: OperatorParameters, level: fl
     return float(p.price_per_W[0] * power_W + p.comfort_price * slack + peak + p.weights.curvature * level**2)
 
 
-def held_level(actuator: ActuatorMap, share: Array, T_out_C: Array, u_max: float) -> Array:
+def held_level(heat_input: HeatInput, share: Array, T_out_C: Array, u_max: float) -> Array:
     """The level whose heat is that of running for `share` (N,) of the step at full level, shape (N,)."""
-    if actuator.heat is None:
+    if heat_input.heat is None:
         return np.asarray(share, dtype=np.float64)
-    heat = actuator.heat
+    heat = heat_input.heat
     fixed_W, per_u_W = heat.parts(T_out_C)
     wanted_W = np.asarray(share) * heat(np.ones_like(T_out_C), T_out_C)
     lowest_W = fixed_W + per_u_W * heat.lowest_level

@@ -42,8 +42,8 @@ def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
     mpc = ThermoForceMPC(model, MPCConfig(horizon_h=24.0), free_response=OutdoorResponse())
     plan = mpc.plan(observation)
     assert plan.status is PlanStatus.SOLVED
-    outlook = mpc.world.outlook(observation)
-    np.testing.assert_allclose(plan.T_forced_K, outlook.predict(plan.u).forced_K, atol=1e-4)
+    context = mpc.predictor.context(observation)
+    np.testing.assert_allclose(plan.T_forced_K, context.predict(plan.u).forced_K, atol=1e-4)
     blind = ThermoForceMPC(
         replace(model, operator=replace(model.operator, feature_temperature="free")),
         MPCConfig(horizon_h=24.0),

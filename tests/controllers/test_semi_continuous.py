@@ -9,21 +9,27 @@ import numpy as np
 import pytest
 from mpc_problems import N, random_operator, random_problem
 
-from controllers.held_levels import HeldLevelsConfig, HeldLevelSolver, after_first_step, first_step_cost, held_level
 from controllers.problem import ProblemShape, every_step
 from controllers.qp_backends import QPConfig
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, ActuatorMap, OnLoad
+from controllers.semi_continuous import (
+    SemiContinuousConfig,
+    SemiContinuousSolver,
+    after_first_step,
+    first_step_cost,
+    held_level,
+)
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput, OnLoad
 
 HEAT = OnLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=0.3)
 
 
 def machine(rng: np.random.Generator, order: int = 2):
-    return replace(random_operator(rng, order), actuator=ActuatorMap(heat=HEAT))
+    return replace(random_operator(rng, order), heat_input=HeatInput(heat=HEAT))
 
 
-def solver(operator, n_steps: int = N, n_levels: int = 8) -> HeldLevelSolver:
+def solver(operator, n_steps: int = N, n_levels: int = 8) -> SemiContinuousSolver:
     shape = ProblemShape(every_step(n_steps), lowest_level=0.3)
-    return HeldLevelSolver(operator, shape, HeldLevelsConfig(n_levels=n_levels), QPConfig())
+    return SemiContinuousSolver(operator, shape, SemiContinuousConfig(n_levels=n_levels), QPConfig())
 
 
 def test_the_first_level_is_one_the_machine_can_hold():
@@ -66,7 +72,7 @@ def test_two_steps_are_solved_as_well_as_by_trying_everything():
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.35, 0.8, 1.0])
 def test_a_held_level_brings_the_heat_of_the_share(share):
     T_out = np.array([-5.0, 3.0, 12.0])
-    level = held_level(ActuatorMap(heat=HEAT), np.full(3, share), T_out, 1.0)
+    level = held_level(HeatInput(heat=HEAT), np.full(3, share), T_out, 1.0)
     np.testing.assert_allclose(HEAT(level, T_out), share * HEAT(np.ones(3), T_out), rtol=1e-12, atol=1e-9)
     np.testing.assert_array_equal(held_level(IDENTITY, np.full(3, share), T_out, 1.0), np.full(3, share))
 

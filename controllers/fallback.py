@@ -11,8 +11,8 @@ from thermoforce_mpc.data import HOUR_S, Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.testcase import StrictModel
 
 
-class LadderConfig(StrictModel):
-    """Options of the fallback ladder."""
+class FallbackConfig(StrictModel):
+    """Options of the fallback policy."""
 
     follow_steps: int = Field(3, ge=0, description="how many steps a previous plan is followed without a new one")
     trust_K: float = Field(1.0, gt=0, description="a previous plan is dropped when its prediction is off by more, K")
@@ -20,16 +20,16 @@ class LadderConfig(StrictModel):
     look_ahead_h: float = Field(3.0, ge=0, description="rule: how far ahead the highest lower bound is looked for, h")
 
 
-class Ladder:
+class FallbackPolicy:
     """Remembers the last good plan and says what to do when there is no new one."""
 
-    def __init__(self, config: LadderConfig, step_s: float, level: float, mode: str) -> None:
+    def __init__(self, config: FallbackConfig, step_s: float, level: float, mode: str) -> None:
         self.config, self.step_s, self.level, self.mode = config, step_s, level, mode
         self._plan: Plan | None = None
         self._made_at_s = -math.inf
 
     def remember(self, plan: Plan, time_s: float) -> None:
-        """Keep a good plan as the first rung."""
+        """Keep a good plan as the first level."""
         self._plan, self._made_at_s = plan, time_s
 
     def level_to_follow(self, observation: Observation) -> float | None:
