@@ -19,7 +19,8 @@ from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.operator.features import ZONE
-from thermoforce_mpc.model.predictor import PredictionContext, Predictor, ThermalModel
+from thermoforce_mpc.model.predictor import PredictionContext, Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 # A bound nearer than this shapes the plan, K.
@@ -255,7 +256,7 @@ class ThermoForceMPC:
 def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> FreeResponse:
     from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
 
-    return build_free_response(config.name, model=model, **config.options)
+    return build_free_response(config.name, rc=model.free, **config.options)
 
 
 def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: FreeForecast) -> str:

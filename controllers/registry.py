@@ -15,7 +15,7 @@ from thermoforce_mpc.scenario.settings import merge, suggestion, validate
 from thermoforce_mpc.scenario.testcase import StrictModel, TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
-    from thermoforce_mpc.model.predictor import ThermalModel
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.model.predictor import Predictor, ThermalModel
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.simulation.composition import identify_on

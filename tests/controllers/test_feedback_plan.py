@@ -12,7 +12,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.errors import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.model.operator import certificate
-from thermoforce_mpc.model.predictor import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
 def seeing_model() -> ThermalModel:

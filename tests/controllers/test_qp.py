@@ -15,7 +15,8 @@ from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
 from controllers.qp import QPSolver, transfer_function
 from controllers.qp_backends import QPConfig, SolverResult
-from thermoforce_mpc.model.operator.heat_input import HeatInput, OnLoad
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.operator.rollout import driven_rollout
 
@@ -135,14 +136,14 @@ def test_a_problem_that_is_not_convex_is_refused_with_advice():
     operator = random_operator(np.random.default_rng(0), 1)
     with pytest.raises(ControllerConfigError, match=r"use actuation mode duty .*or solver: ipopt"):
         QPSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), QPConfig())
-    heat = OnLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
+    heat = MachineLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match="not convex"):
         QPSolver(replace(operator, heat_input=HeatInput(heat=heat)), ProblemShape(every_step(N)), QPConfig())
 
 
 def test_a_heat_map_of_an_on_off_machine_is_convex_and_scales_what_the_heat_adds():
     rng = np.random.default_rng(12)
-    heat = OnLoad((1000.0, 20.0, 9000.0, 200.0), (-10.0, 20.0), lowest_level=1.0)
+    heat = MachineLoad((1000.0, 20.0, 9000.0, 200.0), (-10.0, 20.0), lowest_level=1.0)
     operator = replace(random_operator(rng, 2), heat_input=HeatInput(heat=heat))
     problem = random_problem(rng, 2, curvature=1e-6)
     ours = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(problem)

@@ -18,9 +18,10 @@ from controllers.semi_continuous import (
     first_step_cost,
     held_level,
 )
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput, OnLoad
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
-HEAT = OnLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=0.3)
+HEAT = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=0.3)
 
 
 def machine(rng: np.random.Generator, order: int = 2):

@@ -13,7 +13,7 @@ from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME, load_model, save_model
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator
-from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
+from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
 
 
 @pytest.fixture

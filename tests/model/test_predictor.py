@@ -12,7 +12,8 @@ from thermoforce_mpc.data import Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
-from thermoforce_mpc.model.predictor import Predictor, ThermalModel, forced_history
+from thermoforce_mpc.model.predictor import Predictor, forced_history
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 STEP = 3600.0
 

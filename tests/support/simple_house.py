@@ -6,10 +6,10 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.operator.heat_input import OnLoad
 from thermoforce_mpc.model.operator.parameters import linear_operator
-from thermoforce_mpc.model.predictor import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 POLE = 0.99  # per hour: slow enough that on/off blocks inside an hour hardly show
 GAIN_K = 0.4  # K per hour at u = 1
@@ -112,5 +112,5 @@ class OutdoorResponse:
 
 def simple_model() -> ThermalModel:
     """The exact model of the simple house at hourly steps."""
-    power = PowerModel(OnLoad((FIXED_W, 0.0, PER_U_W, 0.0), (-20.0, 30.0), lowest_level=1.0))
+    power = PowerModel(MachineLoad((FIXED_W, 0.0, PER_U_W, 0.0), (-20.0, 30.0), lowest_level=1.0))
     return ThermalModel(operator=linear_operator(np.array([POLE]), np.array([GAIN_K]), step_s=HOUR_S), power=power)

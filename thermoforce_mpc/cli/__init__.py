@@ -7,8 +7,8 @@ import sys
 
 import click
 
-from thermoforce_mpc import __version__
 from thermoforce_mpc.errors import InputError, PlantError
+from thermoforce_mpc.version import VERSION
 
 # name: (module, one line for the overview)
 _COMMANDS = {
@@ -44,7 +44,7 @@ class _LazyGroup(click.Group):
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(__version__, prog_name="tf-mpc")
+@click.version_option(VERSION, prog_name="tf-mpc")
 def cli() -> None:
     """Model predictive control of buildings.
 

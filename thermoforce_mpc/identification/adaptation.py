@@ -28,7 +28,8 @@ from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import ThermalModel, forced_history, heat_drive
+from thermoforce_mpc.model.predictor import forced_history, heat_drive
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.testcase import StrictModel
 
 # Steps that are on, and hours of them, from which measured heat can be compared with the map.

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator.heat_input import OnLoad
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.scenario.testcase import StrictModel
 
 DEFAULT_TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
@@ -17,7 +17,7 @@ hour), room against structure (two to six hours), structure against outdoors (on
 
 
 class HeatCapacityConfig(StrictModel):
-    """Delivered heat by data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `operator.heat_input.OnLoad`."""
+    """Delivered heat by data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `MachineLoad`."""
 
     coefficients: tuple[float, float, float, float] = Field(description="c0 W, c1 W/K, c2 W, c3 W/K, all as heat > 0")
     T_out_range_C: tuple[float, float] = Field(description="outdoor temperatures it holds for, °C")
@@ -31,9 +31,9 @@ class HeatCapacityConfig(StrictModel):
             raise ValueError(str(error)) from error
         return self
 
-    def load(self) -> OnLoad:
+    def load(self) -> MachineLoad:
         """The load it describes."""
-        return OnLoad(self.coefficients, self.T_out_range_C, self.lowest_level)
+        return MachineLoad(self.coefficients, self.T_out_range_C, self.lowest_level)
 
 
 class IdentificationConfig(StrictModel):

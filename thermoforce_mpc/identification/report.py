@@ -11,7 +11,8 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
-from thermoforce_mpc.model.predictor import Predictor, ThermalModel
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

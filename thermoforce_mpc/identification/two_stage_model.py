@@ -18,7 +18,7 @@ from thermoforce_mpc.identification.regression_data import pair_regression
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
+from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
 
 # How far paired training may take pole and gain from where the two stages ended, relative.
 _TWO_STAGE_SD = 0.3

@@ -23,16 +23,17 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from thermoforce_mpc import __version__
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.machine.return_water import ReturnWater
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.operator.heat_input import HeatInput, OnLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import ModelCard, ThermalModel
+from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
+from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
 FORMAT_VERSION = 1
@@ -152,7 +153,7 @@ def _document(model: ThermalModel, arrays_sha256: str) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": FORMAT_VERSION,
-        "code_version": __version__,
+        "code_version": VERSION,
         "arrays_sha256": arrays_sha256,
         "operator": {
             "order": op.order,
@@ -189,10 +190,10 @@ def _number(value: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def _load(data: Mapping[str, Any]) -> OnLoad:
+def _load(data: Mapping[str, Any]) -> MachineLoad:
     c0, c1, c2, c3 = (float(c) for c in data["coefficients"])
     low, high = (float(T) for T in data["T_out_range_C"])
-    return OnLoad((c0, c1, c2, c3), (low, high), float(data["lowest_level"]), bool(data["levels_seen"]))
+    return MachineLoad((c0, c1, c2, c3), (low, high), float(data["lowest_level"]), bool(data["levels_seen"]))
 
 
 def _water(data: Mapping[str, Any] | None) -> ReturnWater | None:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, Array, Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.features import OUTDOOR, feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 if TYPE_CHECKING:
@@ -29,33 +28,6 @@ ROUNDING = 1e-6
 
 # Fixed-point rounds for the starting force: the modulation moves it by percents, so a handful settles it.
 _START_ROUNDS = 5
-
-
-@dataclass(frozen=True)
-class ModelCard:
-    """Where a model comes from and what it has seen; everything here is plain JSON.
-
-    `data` maps the name of each record to its sha256, `ranges` a signal to the (low, high) it was identified on,
-    `scores` and `uncertainty` hold numbers by name, `config` the configuration of the identification.
-    """
-
-    source: str = "given"
-    data: Mapping[str, str] = field(default_factory=dict)
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    scores: Mapping[str, float] = field(default_factory=dict)
-    uncertainty: Mapping[str, float] = field(default_factory=dict)
-    config: Mapping[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class ThermalModel:
-    """Everything identified on one building: operator, linear free model, electric power. This is what is saved."""
-
-    operator: OperatorParameters
-    power: PowerModel | None = None
-    free: RcParameters | None = None
-    card: ModelCard = field(default_factory=ModelCard)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from typing import Any
 from flask import Flask, Request, Response, request
 from werkzeug.exceptions import HTTPException
 
-from thermoforce_mpc import __version__
 from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.session import Reply, Session
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
+from thermoforce_mpc.version import VERSION
 
 TESTCASE = "bestest_hydronic_heat_pump"
 
@@ -55,7 +55,7 @@ def create_app(
 
     @app.get("/version")
     def version() -> Response:
-        return _envelope(200, "The version of this service.", {"version": f"thermoforce-mpc {__version__}"})
+        return _envelope(200, "The version of this service.", {"version": f"thermoforce-mpc {VERSION}"})
 
     @app.get("/testcases")
     def testcases() -> Response:

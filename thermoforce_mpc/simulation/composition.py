@@ -26,7 +26,7 @@ from thermoforce_mpc.simulation.run_folder import create_run_folder, write_parti
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
-    from thermoforce_mpc.model.predictor import ThermalModel
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # BOPTEST's names; the plant knows which of them it has.
 _NAMED_PERIODS = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day")

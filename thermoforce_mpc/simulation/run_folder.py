@@ -15,11 +15,11 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from thermoforce_mpc import __version__
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.version import VERSION
 
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
@@ -87,7 +87,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
 
 def environment() -> dict[str, str]:
     """Versions of everything that can change a number."""
-    found = {"thermoforce-mpc": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    found = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
     for name in _PACKAGES:
         try:
             found[name] = version(name)

@@ -11,8 +11,6 @@ from forecasting import LEVELS, boundary_of, history_of
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcFreeResponse, RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.model.operator.parameters import linear_operator
-from thermoforce_mpc.model.predictor import ThermalModel
 
 PAST, AHEAD = 240, 24
 WEIGHTS = np.array([[0.06, 1e-3, 0.7, 0, 0, 0, 0, 2e-4], [0.01, 5e-5, 0.08, 0, 0, 0.01, 0, 0]])
@@ -145,15 +143,13 @@ def test_what_does_not_belong_together_is_refused() -> None:
 
 
 def test_registry_builds_it_from_the_model_alone() -> None:
-    operator = linear_operator([0.9], [0.2], step_s=3600.0)
-    built = build_free_response("rc", model=ThermalModel(operator, free=two_modes()))
+    built = build_free_response("rc", rc=two_modes())
     free = np.full(49, 18.0)
     np.testing.assert_array_equal(
         built.forecast(free, history_of(free), boundary_of(48, 6)).quantiles_C,
         RcFreeResponse(two_modes()).forecast(free, history_of(free), boundary_of(48, 6)).quantiles_C,
     )
-    for model in (None, ThermalModel(operator)):
-        with pytest.raises(ConfigError, match="no linear free part"):
-            build_free_response("rc", model=model)
+    with pytest.raises(ConfigError, match="no linear free part"):
+        build_free_response("rc", rc=None)
     with pytest.raises(ConfigError, match="unknown option 'lags'; known: none"):
-        build_free_response("rc", model=ThermalModel(operator, free=two_modes()), lags=3)
+        build_free_response("rc", rc=two_modes(), lags=3)

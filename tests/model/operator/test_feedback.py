@@ -24,7 +24,7 @@ from thermoforce_mpc.model.operator import (
 )
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
-from thermoforce_mpc.model.predictor import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 N = 12
 

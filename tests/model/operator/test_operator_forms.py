@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator import (
     IDENTITY,
     HeatInput,
-    OnLoad,
     OperatorParameters,
     feature_matrix,
     forced_rollout,
@@ -223,13 +223,13 @@ def test_slope_bounds_contain_the_slopes():
 
 def test_actuator_maps_that_are_not_monotone_are_refused():
     with pytest.raises(DataError, match="not increasing"):
-        OnLoad((1000.0, 0.0, 5000.0, 600.0), (-20.0, 15.0))
+        MachineLoad((1000.0, 0.0, 5000.0, 600.0), (-20.0, 15.0))
     with pytest.raises(DataError, match="lowest level"):
-        OnLoad((1000.0, 0.0, 5000.0, 0.0), (0.0, 15.0), lowest_level=0.0)
+        MachineLoad((1000.0, 0.0, 5000.0, 0.0), (0.0, 15.0), lowest_level=0.0)
 
 
 def test_other_levels_need_to_have_been_seen():
-    unseen = HeatInput(OnLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
+    unseen = HeatInput(MachineLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
     assert unseen.at_lowest_level(1.0) == unseen
     with pytest.raises(DataError, match="intermediate levels"):
         unseen.at_lowest_level(0.3)

@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.research.interventions.dataset import check_identical
 from thermoforce_mpc.research.interventions.protocol import (
-    CLIMATES,
     QUICK,
     SHIFTS_K,
     WARMUP_DAYS,
     WINDOW_START_H,
     Protocol,
-    base_setpoint,
     days_of,
-    gains,
     probing_shift,
     shift_of,
 )

@@ -11,7 +11,7 @@ from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.scenario.settings import suggestion
 
 if TYPE_CHECKING:
-    from thermoforce_mpc.model.predictor import ThermalModel
+    from thermoforce_mpc.model.free_response.rc import RcParameters
 
 
 def _persistence() -> FreeResponse:
@@ -100,12 +100,12 @@ _WITH_BACKBONE: dict[str, Callable[[str, int, str], FreeResponse]] = {
 }
 
 
-def _rc(*, model: ThermalModel | None) -> FreeResponse:
+def _rc(*, rc: RcParameters | None) -> FreeResponse:
     from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 
-    if model is None or model.free is None:
+    if rc is None:
         raise ConfigError("free response 'rc': the model has no linear free part (it was identified from pairs alone)")
-    return RcFreeResponse(model.free)
+    return RcFreeResponse(rc)
 
 
 _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
@@ -123,8 +123,8 @@ _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
 }
 
 
-def build_free_response(name: str, *, model: ThermalModel | None = None, **options: Any) -> FreeResponse:
-    """Build a free response by name; `model` is what an identified one ('rc') is built from.
+def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
+    """Build a free response by name; `rc` is the identified linear free part that 'rc' forecasts with.
 
     Raises:
         ConfigError: unknown name or option, or 'rc' without a linear free part.
@@ -132,7 +132,7 @@ def build_free_response(name: str, *, model: ThermalModel | None = None, **optio
     """
     check_free_response(name, options)
     if name == "rc":
-        return _rc(model=model)
+        return _rc(rc=rc)
     return _BUILDERS[name](**options)
 
 
@@ -140,7 +140,7 @@ def check_free_response(name: str, options: dict[str, Any]) -> None:
     """Check a name and its options without loading anything; raises `ConfigError` naming what is allowed."""
     if name not in _BUILDERS:
         raise ConfigError(f"unknown free response '{name}'{suggestion(name, _BUILDERS)}; known: {', '.join(_BUILDERS)}")
-    allowed = [key for key in inspect.signature(_BUILDERS[name]).parameters if key != "model"]
+    allowed = [key for key in inspect.signature(_BUILDERS[name]).parameters if key != "rc"]
     for key in options:
         if key not in allowed:
             raise ConfigError(

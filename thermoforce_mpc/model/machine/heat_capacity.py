@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import (
     LEAST_W,
     LEVEL_EDGE,
@@ -26,7 +27,6 @@ from thermoforce_mpc.model.machine.load_regression import (
     levels_to_try,
     usable_steps,
 )
-from thermoforce_mpc.model.operator.heat_input import OnLoad
 
 # How long a step's deviation lasts, h: what the machine warms takes hours to cool again, so steps are not independent.
 _RESIDUAL_CORRELATION_H = 3.0
@@ -85,7 +85,7 @@ class HeatFit:
     it, up to a constant.
     """
 
-    load: OnLoad
+    load: MachineLoad
     quality: Quality
     full_sd: float
     kind: str
@@ -101,7 +101,7 @@ def fit_heat(
     step_s: float,
     lowest_level: float | None = None,
 ) -> HeatFit:
-    """Least squares for `OnLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
+    """Least squares for `MachineLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
 
     Args:
         u: mean control over each step, shape (n,), in [0, 1].

@@ -1,6 +1,6 @@
 """What fits of heat and of electric power share: usable steps, levels to try, and a law affine in T_out by its ends.
 
-Both are `OnLoad`: a fixed part while on and a part that follows u, each affine in the outdoor temperature. An affine
+Both are `MachineLoad`: a fixed part while on and a part that follows u, each affine in the outdoor temperature. Such a
 law is nonnegative on an interval exactly when it is at both ends, so the unknowns are the values there, bounded below.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator.heat_input import OnLoad
+from thermoforce_mpc.model.machine.load import MachineLoad
 
 # A level between these shares of full is an intermediate level; outside, off or full.
 LEVEL_EDGE = 0.02
@@ -86,14 +86,14 @@ class EndValues:
         """Slope minus `mean_per_K` times the value in the middle, as weights of the end values, shape (2,)."""
         return np.array([-1.0, 1.0]) / (self.high_C - self.low_C) - mean_per_K * self.weights(self.middle_C)
 
-    def load(self, ends_W: Array, lowest_level: float) -> OnLoad:
+    def load(self, ends_W: Array, lowest_level: float) -> MachineLoad:
         """The load whose parts have the end values `ends_W`: (fixed, per u), or per u alone for an on/off machine."""
         laws = []
         for at_low, at_high in np.reshape(ends_W, (-1, 2)):
             slope = (at_high - at_low) / (self.high_C - self.low_C)
             laws.append((float(at_low - slope * self.low_C), float(slope)))
         fixed, per_u = laws if len(laws) == 2 else [(0.0, 0.0), *laws]
-        return OnLoad(
+        return MachineLoad(
             coefficients=(*fixed, *per_u),
             T_out_range_C=(self.low_C, self.high_C),
             lowest_level=lowest_level,

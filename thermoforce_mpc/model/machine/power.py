@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import (
     LEAST_W,
     RESIDUAL_SCALE,
@@ -24,7 +25,6 @@ from thermoforce_mpc.model.machine.load_regression import (
     usable_steps,
 )
 from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_water
-from thermoforce_mpc.model.operator.heat_input import OnLoad
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ POWER_SLOPE = SlopePrior(0.0, 0.015)
 class LoadFit:
     """A fitted load and how good it is."""
 
-    load: OnLoad
+    load: MachineLoad
     quality: Quality
 
 
@@ -57,7 +57,7 @@ class PowerModel:
     `water` says how the power follows the return water; None where that was not measured.
     """
 
-    load: OnLoad
+    load: MachineLoad
     rmse_W: float = float("nan")
     r2: float = float("nan")
     source: str = "given"
@@ -71,13 +71,13 @@ class PowerModel:
         return np.asarray(self.load(u, T_out_C) * self._factor(T_return_C))
 
     def parts(self, T_out_C: Array, T_return_C: Array | float = float("nan")) -> tuple[Array, Array]:
-        """The part that is fixed while on and the part per unit of u, both W; see `OnLoad.parts`."""
+        """The part that is fixed while on and the part per unit of u, both W; see `MachineLoad.parts`."""
         fixed, per_u = self.load.parts(T_out_C)
         factor = self._factor(T_return_C)
         return np.asarray(fixed * factor), np.asarray(per_u * factor)
 
     def at_lowest_level(self, lowest_level: float) -> PowerModel:
-        """The same machine actuated with another lowest level, see `OnLoad.at_lowest_level`."""
+        """The same machine actuated with another lowest level, see `MachineLoad.at_lowest_level`."""
         return replace(self, load=self.load.at_lowest_level(lowest_level))
 
     @property
@@ -129,7 +129,7 @@ def fit_load(
     slope: SlopePrior | None = None,
     factor: Array | None = None,
 ) -> LoadFit:
-    """Least squares for `OnLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
+    """Least squares for `MachineLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
 
     Args:
         u: mean control over each step, shape (n,), in [0, 1].

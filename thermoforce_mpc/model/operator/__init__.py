@@ -3,7 +3,7 @@
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import FEATURES, feature_matrix, time_of_day
 from thermoforce_mpc.model.operator.feedback import FeedbackBounds, feedback_bounds, modulation_slope
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput, OnLoad
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import GAMMA, HIDDEN, OperatorParameters, linear_operator
 from thermoforce_mpc.model.operator.rollout import forced_rollout, marginal_effect
 
@@ -15,7 +15,6 @@ __all__ = [
     "Certificate",
     "FeedbackBounds",
     "HeatInput",
-    "OnLoad",
     "OperatorParameters",
     "certificate",
     "feature_matrix",

@@ -6,14 +6,15 @@ from typing import TypeVar
 
 import casadi as ca
 
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
-from thermoforce_mpc.model.operator.heat_input import HeatInput, OnLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 Expression = TypeVar("Expression", ca.SX, ca.MX)
 
 
-def on_load_expression(load: OnLoad, u: Expression, T_out_C: Expression) -> Expression:
+def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) -> Expression:
     """`load(u, T_out)` in W as an expression (elementwise), for delivered heat and for electric power."""
     low, high = load.T_out_range_C
     T = ca.fmin(ca.fmax(T_out_C, low), high)

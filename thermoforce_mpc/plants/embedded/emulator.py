@@ -10,7 +10,6 @@ from types import TracebackType
 
 import numpy as np
 
-from thermoforce_mpc import __version__
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
@@ -22,6 +21,7 @@ from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.kpis import compute_kpis
+from thermoforce_mpc.version import VERSION
 
 _KELVIN = 273.15
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
@@ -103,7 +103,7 @@ class EmbeddedPlant:
             testcase="bestest_hydronic_heat_pump",
             description="emulator of the BOPTEST test case, written from its documented physics",
             weather=self.weather.name,
-            version=__version__,
+            version=VERSION,
         )
 
     def period(self, name: str) -> Period:

@@ -21,12 +21,12 @@ from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
+from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
 from thermoforce_mpc.plants.energyplus.live import Advance, Stretch, serve
 from thermoforce_mpc.plants.energyplus.simulate import Job
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import interval_means
-from thermoforce_mpc.research.interventions.protocol import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 _KELVIN = 273.15

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
-import thermoforce_mpc
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
@@ -30,7 +29,7 @@ class WorkerProcess:
         self._job = job
         self._now_s = 0.0
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        root = str(Path(thermoforce_mpc.__file__).parents[1])
+        root = str(Path(__file__).resolve().parents[3])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         self._process = subprocess.Popen(
             [sys.executable, "-m", "thermoforce_mpc.plants.fmu.worker"],

@@ -21,7 +21,8 @@ from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES, parameter_count
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.model.predictor import Predictor, ThermalModel
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 

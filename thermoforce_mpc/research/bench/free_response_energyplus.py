@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, gains
 from thermoforce_mpc.plants.energyplus.engine import is_available
 from thermoforce_mpc.plants.energyplus.simulate import Job
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
 from thermoforce_mpc.research.bench.free_response_sources import Source
 from thermoforce_mpc.research.interventions.pool import simulate_all
-from thermoforce_mpc.research.interventions.protocol import CLIMATES, Climate, gains
 
 __all__ = ["energyplus_sources", "is_available"]
 

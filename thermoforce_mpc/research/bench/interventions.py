@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.plants.energyplus.climates import CLIMATES
 from thermoforce_mpc.research.interventions.dataset import Dataset, load_or_simulate
 from thermoforce_mpc.research.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE
 from thermoforce_mpc.research.interventions.paper import INTERVENTIONAL_VALIDITY
-from thermoforce_mpc.research.interventions.protocol import CLIMATES, PROBE_DAYS, QUICK, Protocol
+from thermoforce_mpc.research.interventions.protocol import PROBE_DAYS, QUICK, Protocol
 from thermoforce_mpc.research.interventions.scores import CellScore, one_sided_wilcoxon
 from thermoforce_mpc.research.interventions.suite import SuiteResult, run_suite
 from thermoforce_mpc.simulation.bench_result import Target, bench_result

@@ -17,13 +17,13 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.machine.power import fit_power
 from thermoforce_mpc.model.operator.rollout import forced_rollout
-from thermoforce_mpc.model.predictor import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.energyplus.climates import Climate, base_setpoint
 from thermoforce_mpc.plants.energyplus.plant import electric_power_W
 from thermoforce_mpc.research.interventions.dataset import Dataset, Probe
 from thermoforce_mpc.research.interventions.methods.base import Training
 from thermoforce_mpc.research.interventions.methods.thermoforce import identified
 from thermoforce_mpc.research.interventions.paper import EFFICIENCY_MS, PARAMETERS
-from thermoforce_mpc.research.interventions.protocol import Climate, base_setpoint
 from thermoforce_mpc.research.interventions.suite import training_of
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.bench_result import Target

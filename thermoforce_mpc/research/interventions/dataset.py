@@ -15,22 +15,18 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, ClimateName, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_hash, engine_version, file_hash, weather_file
 from thermoforce_mpc.plants.energyplus.simulate import Job
 from thermoforce_mpc.plants.energyplus.zone import model_hash, zone_model
 from thermoforce_mpc.research.interventions.pool import simulate_all
 from thermoforce_mpc.research.interventions.protocol import (
-    CLIMATES,
     WARMUP_DAYS,
     WINDOW_START_H,
-    Climate,
-    ClimateName,
     Part,
     Protocol,
     WindowName,
-    base_setpoint,
     days_of,
-    gains,
     probing_shift,
     seconds,
     shift_of,

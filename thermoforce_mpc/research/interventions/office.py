@@ -12,17 +12,11 @@ import numpy as np
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.plants.energyplus.climates import Climate, base_setpoint
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Probe, Window, check_identical
 from thermoforce_mpc.research.interventions.pool import simulate_all
-from thermoforce_mpc.research.interventions.protocol import (
-    WINDOW_START_H,
-    Climate,
-    Part,
-    base_setpoint,
-    probing_shift,
-    shift_of,
-)
+from thermoforce_mpc.research.interventions.protocol import WINDOW_START_H, Part, probing_shift, shift_of
 from thermoforce_mpc.research.interventions.small_office import (
     FLOOR_AREA_M2,
     RANGE_W,

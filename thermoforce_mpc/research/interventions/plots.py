@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.plants.energyplus.climates import CLIMATES
 from thermoforce_mpc.research.interventions.methods.registry import BEST, METHODS, MONOTONE
-from thermoforce_mpc.research.interventions.protocol import CLIMATES
 from thermoforce_mpc.research.interventions.scores import LEVELS
 from thermoforce_mpc.research.interventions.suite import Fan, SuiteResult
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.plants.energyplus.climates import ClimateName
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Dataset, Window
 from thermoforce_mpc.research.interventions.methods.base import Predictor, Training
 from thermoforce_mpc.research.interventions.methods.registry import METHODS, Forecasters, find_method
 from thermoforce_mpc.research.interventions.methods.remembering import tsfm
-from thermoforce_mpc.research.interventions.protocol import WINDOW_START_H, ClimateName
+from thermoforce_mpc.research.interventions.protocol import WINDOW_START_H
 from thermoforce_mpc.research.interventions.scores import LEVELS, CellScore, score_cell
 
 

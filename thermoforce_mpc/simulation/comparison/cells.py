@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from controllers.registry import find_entry
-from thermoforce_mpc import __version__
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
 from thermoforce_mpc.simulation.composition import identification_settings, validate_scenario
 from thermoforce_mpc.simulation.run_folder import file_sha256
+from thermoforce_mpc.version import VERSION
 
 # Changed whenever a cell's file or what decides a result changes, so that no old file is taken for a new one.
 FORMAT = 1
@@ -106,7 +106,7 @@ def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
             plant[key] = hash_of(plant[key])
     common = {
         "format": FORMAT,
-        "version": __version__,
+        "version": VERSION,
         "testcase": testcase.model_dump(mode="json"),
         "plant": plant,
         "period": scenario.period,

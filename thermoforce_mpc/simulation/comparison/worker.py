@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from controllers.registry import build_controller, find_entry
-from thermoforce_mpc import __version__
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.model.model_file import save_model
@@ -22,6 +21,7 @@ from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_cl
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store, source_fingerprint
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, model_for, scored_period
+from thermoforce_mpc.version import VERSION
 
 # What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
 Message = tuple[str, float | str]
@@ -95,7 +95,7 @@ def _head(cell: Cell) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "key": cell.key,
-        "version": __version__,
+        "version": VERSION,
         "source": source_fingerprint(),
         "variant": cell.variant,
         "controller": cell.scenario.controller.name,

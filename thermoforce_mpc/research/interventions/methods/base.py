@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import ACTING, SAMPLED, Array, Record
+from thermoforce_mpc.plants.energyplus.climates import Climate
 from thermoforce_mpc.research.interventions.dataset import Probe, Window
-from thermoforce_mpc.research.interventions.protocol import Climate
 
 # Below this a true effect has no sign worth scoring, K.
 LEAST_EFFECT_K = 0.05

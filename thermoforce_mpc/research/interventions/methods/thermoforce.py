@@ -13,7 +13,8 @@ from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
-from thermoforce_mpc.model.predictor import Predictor, ThermalModel
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best, clearly_better
