@@ -71,7 +71,7 @@ class ProblemShape:
 
     def linear_in_u(self, operator: OperatorParameters) -> bool:
         """Whether power and heat are proportional to u: then the problem is convex, a quadratic programme."""
-        if operator.sees_forced:  # the gain of an action depends on the actions before it
+        if operator.feedback_active:  # the gain of an action depends on the actions before it
             return False
         heat = operator.heat_input.heat
         return self.lowest_level >= self.u_max and (heat is None or heat.lowest_level >= self.u_max)

@@ -58,7 +58,7 @@ class QPSolver:
             raise ControllerConfigError(
                 "solver qp: power or heat is not proportional to u in this actuation, or the gain depends on the "
                 "predicted temperature, so the problem is not convex; use actuation mode duty with a model of "
-                "features: free, or solver: ipopt"
+                "feedback: false, or solver: ipopt"
             )
         self.operator, self.shape, self.config = operator, shape, config
         n, m = shape.n_steps, shape.n_moves

@@ -28,7 +28,7 @@ def seeing_model() -> ThermalModel:
         output_weight=output,
         feature_mean=np.array([21.0, 0.0, 0.0, 0.0]),
         feature_scale=np.array([3.0, 5.0, 100.0, 1.0]),
-        feature_temperature="total",
+        feedback=True,
     )
     return replace(model, operator=operator)
 
@@ -45,7 +45,7 @@ def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
     context = mpc.predictor.context(observation)
     np.testing.assert_allclose(plan.T_forced_K, context.predict(plan.u).forced_K, atol=1e-4)
     blind = ThermoForceMPC(
-        replace(model, operator=replace(model.operator, feature_temperature="free")),
+        replace(model, operator=replace(model.operator, feedback=False)),
         MPCConfig(horizon_h=24.0),
         free_response=OutdoorResponse(),
     ).plan(observation)

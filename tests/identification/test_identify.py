@@ -236,15 +236,15 @@ def test_features_of_the_total_temperature_are_certified_or_refused():
     pairs = [make_pair(house, seed) for seed in range(4)]
 
     def found(**options):
-        config = IdentificationConfig(order=1, heat_input="identity", features="total", epochs=60, **options)
+        config = IdentificationConfig(order=1, heat_input="identity", feedback=True, epochs=60, **options)
         return identify(pairs=pairs, config=config)
 
     model = found(gamma=0.3)
-    assert model.operator.feature_temperature == "total"
-    assert model.operator.sees_forced == bool(model.card.scores["modulation_kept"])
+    assert model.operator.feedback
+    assert model.operator.feedback_active == bool(model.card.scores["modulation_kept"])
     assert certificate(model.operator).certified
-    linear = identify(pairs=pairs, config=replace_config(LINEAR, features="total"))
-    assert not linear.operator.sees_forced
+    linear = identify(pairs=pairs, config=replace_config(LINEAR, feedback=True))
+    assert not linear.operator.feedback_active
 
 
 def replace_config(config: IdentificationConfig, **changes) -> IdentificationConfig:
@@ -265,7 +265,7 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
         return replace(result, operator=operator, linear_residuals=np.ones(9), residuals=np.linspace(0, 0.1, 9))
 
     monkeypatch.setattr(training, "train", steep)
-    config = IdentificationConfig(order=1, features="total", epochs=2)
+    config = IdentificationConfig(order=1, feedback=True, epochs=2)
     with pytest.raises(DataError, match=r"not certified: the modulation sees .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)
 

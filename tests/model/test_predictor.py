@@ -233,7 +233,7 @@ def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
 
 
 def test_total_features_see_the_measured_temperature_in_the_past():
-    operator = replace(random_operator(3, 2, scale=0.2, heat_input=HEAT_MAP), feature_temperature="total")
+    operator = replace(random_operator(3, 2, scale=0.2, heat_input=HEAT_MAP), feedback=True)
     history = make_history()
     forced = forced_history(operator, history, initial_force="zero")
     for t in range(history.n_steps):

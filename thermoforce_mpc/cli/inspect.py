@@ -63,7 +63,7 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         f"Certificate: {'CERTIFIED' if proof.certified else 'NOT CERTIFIED'}; sign {proof.sign:+d}, "
         f"modulation within [{low:.3f}, {high:.3f}]"
     )
-    if proof.feature_temperature == "total":
+    if proof.feedback:
         least, most = proof.feedback_slope_per_K
         say(
             "  the modulation sees the predicted temperature; proven with its feedback v dm/dT within "

@@ -58,9 +58,9 @@ class IdentificationConfig(StrictModel):
         None, gt=0, le=1, description="level below which the probed machine was switched; by default found in the data"
     )
     modulation: Literal["neural", "linear"] = Field("neural", description="gain m(x) of the paper, or m = 1")
-    features: Literal["free", "total"] = Field(
-        "free",
-        description="zone temperature that m(x) sees: without our actions (certified by its form), or with them",
+    feedback: bool = Field(
+        False,
+        description="m(x) sees the predicted temperature, actions included, instead of the free one (paper)",
     )
     gamma: float = Field(0.75, ge=0, lt=1, description="bound of the modulation, eq:mod")
     hidden: int = Field(32, ge=1, le=512, description="hidden units of the modulation")

@@ -18,7 +18,7 @@ from thermoforce_mpc.identification.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import FeatureTemperature, OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import forced_history
 
 # Held-out hours below which nothing is said about a network: a quarter of a day decides by chance. Behind heat
@@ -28,9 +28,9 @@ _LEAST_JUDGED_H = {"identity": 12.0, "heat": 24.0}
 _LINEAR_HELD_SD = 0.02
 
 
-def _features(operator: OperatorParameters, history: Record, temperature: FeatureTemperature) -> Array:
+def _features(operator: OperatorParameters, history: Record, feedback: bool) -> Array:
     """x_t of each step of a run: T − F by the linear operator (F feeds no gradient), or T as it was measured."""
-    forced = forced_history(operator, history).sum(axis=1) if temperature == "free" else 0.0
+    forced = forced_history(operator, history).sum(axis=1) if not feedback else 0.0
     free = history.T_zone_C - forced
     steps = np.arange(free.size)
     known = np.isfinite(free)
@@ -51,7 +51,7 @@ def modulate(
     from thermoforce_mpc.identification.train import TrainingData, train
 
     base = linear(final)
-    features = [tuple(_features(base, h, config.features) for h in c.histories) for c in cases]
+    features = [tuple(_features(base, h, config.feedback) for h in c.histories) for c in cases]
     free = np.concatenate([x[:, 0] for xs in features for x in xs])
     mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
     mean[0], scale[0] = free.mean(), max(float(free.std()), float(LEAST_SCALE[0]))
@@ -82,11 +82,11 @@ def modulate(
     judged_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
     scores["modulation_kept"] = float(search.worth_it and judged_h >= _LEAST_JUDGED_H[base.heat_input.kind])
     if not scores["modulation_kept"]:
-        return replace(started(final), feature_temperature=config.features), scores
+        return replace(started(final), feedback=config.feedback), scores
     everything = [whole(c.regression) for c in cases]
     # Trained on measured temperatures as features, so nothing recurs; in use the predicted one takes their place.
     trained = train(started(final), regressions(final, everything), known(final), config).operator
-    return replace(trained, feature_temperature=config.features), scores
+    return replace(trained, feedback=config.feedback), scores
 
 
 def _hours(regression: RegressionData, rows: NDArray[np.intp]) -> float:
@@ -95,7 +95,7 @@ def _hours(regression: RegressionData, rows: NDArray[np.intp]) -> float:
 
 
 def prove(operator: OperatorParameters) -> None:
-    """Refuse an operator whose effect has no proven sign: only `features: total` can lead to one."""
+    """Refuse an operator whose effect has no proven sign: only `feedback: true` can lead to one."""
     proof = certificate(operator)
     if not proof.certified:
         raise DataError(f"the identified operator is not certified: {'; '.join(proof.reasons)}")

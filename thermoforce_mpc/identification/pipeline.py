@@ -116,7 +116,7 @@ def identify(
             feature_scale=scale,
         )
 
-    operator = replace(linear(final), feature_temperature=config.features)
+    operator = replace(linear(final), feedback=config.feedback)
     scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
     scores["explained_by_actuation"] = explained

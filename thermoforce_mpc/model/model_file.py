@@ -36,7 +36,7 @@ from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
 from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
@@ -162,7 +162,7 @@ def _document(model: ThermalModel, arrays_sha256: str) -> dict[str, Any]:
             "gamma": op.gamma,
             "sign": op.sign,
             "step_s": op.step_s,
-            "feature_temperature": op.feature_temperature,
+            "feedback": op.feedback,
             "heat_input": dataclasses.asdict(op.heat_input),
             "time_constants_h": op.time_constants_h,
             "steady_gains_K": op.steady_gains_K,
@@ -213,8 +213,7 @@ def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> Thermal
             gamma=float(op["gamma"]),
             sign=int(op["sign"]),
             step_s=float(op["step_s"]),
-            # Models from before there was a choice saw the free temperature.
-            feature_temperature=op.get("feature_temperature", "free"),
+            feedback=op["feedback"],
             heat_input=HeatInput(
                 heat=None if heat is None else _load(heat), reference_C=float(op["heat_input"]["reference_C"])
             ),
@@ -233,8 +232,7 @@ def _model(document: Mapping[str, Any], tensors: Mapping[str, Array]) -> Thermal
             _number(power["rmse_W"]),
             _number(power["r2"]),
             str(power["source"]),
-            # Models from before the return water was looked at have none.
-            _water(power.get("water")),
+            _water(power["water"]),
         ),
         card=ModelCard(
             source=card["source"],

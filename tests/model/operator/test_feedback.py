@@ -30,7 +30,7 @@ N = 12
 
 
 def total(*args, **kwargs):
-    return replace(random_operator(*args, **kwargs), feature_temperature="total")
+    return replace(random_operator(*args, **kwargs), feedback=True)
 
 
 operators = st.builds(
@@ -68,7 +68,7 @@ def _jacobian(params, F0, u, features) -> np.ndarray:
 def test_three_forms_follow_the_recursion(order):
     rng = np.random.default_rng(order)
     params = total(order, order, scale=0.3, heat_input=HEAT_MAP)
-    assert params.sees_forced
+    assert params.feedback_active
     F0, u, features = rng.normal(size=order), rng.uniform(0, 1, (5, N)), random_features(rng, N)
     together = forced_rollout(params, F0, u, features)
     module = ForcedResponseOperator(params)
@@ -80,9 +80,9 @@ def test_three_forms_follow_the_recursion(order):
         np.testing.assert_allclose(np.array(forced).ravel(), expected.sum(-1), atol=1e-10)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
     np.testing.assert_allclose(by_torch, together, atol=1e-10)
-    blind = replace(params, feature_temperature="free")
+    blind = replace(params, feedback=False)
     assert np.abs(forced_rollout(blind, F0, u, features) - together).max() > 1e-3, "the choice must matter"
-    assert ForcedResponseOperator(params).numpy().feature_temperature == "total"
+    assert ForcedResponseOperator(params).numpy().feedback
 
 
 @settings(max_examples=80, deadline=None, derandomize=True)
@@ -139,8 +139,8 @@ def test_mild_feedback_is_certified_and_none_is_the_old_certificate():
     assert proof.certified, proof.reasons
     assert proof.feedback_slope_per_K[0] < 0 < proof.feedback_slope_per_K[1]
     linear = linear_operator([0.5, 0.98], [0.3, 0.05], step_s=3600.0)
-    seen = replace(linear, feature_temperature="total")
-    assert not seen.sees_forced
+    seen = replace(linear, feedback=True)
+    assert not seen.feedback_active
     np.testing.assert_allclose(certificate(seen).effect_low_K, certificate(linear).effect_low_K, rtol=1e-12)
 
 
@@ -149,7 +149,7 @@ def _turns_around():
     linear = linear_operator([0.9], [1.0], step_s=3600.0, hidden=1)
     return replace(
         linear,
-        feature_temperature="total",
+        feedback=True,
         hidden_weight=np.array([[4.0, 0.0, 0.0, 0.0]]),
         output_weight=np.array([-4.0]),
         feature_mean=np.array([20.0, 0, 0, 0]),
@@ -169,7 +169,7 @@ def test_an_operator_that_turns_around_is_not_certified():
     assert not proof.certified
     (reason,) = proof.reasons
     assert "-12" in reason, "the slope of 0.75 * 4 * 4 per K must be named"
-    assert "features: free" in reason
+    assert "feedback: false" in reason
 
 
 def test_runaway_feedback_ends_in_an_answer():
@@ -182,22 +182,22 @@ def test_runaway_feedback_ends_in_an_answer():
 def test_effects_of_one_action_alone_are_refused():
     with pytest.raises(DataError, match="difference of two rollouts"):
         marginal_effect(total(1), np.zeros(4), 5)
-    with pytest.raises(DataError, match="feature_temperature"):
-        replace(random_operator(1), feature_temperature="zone")
+    with pytest.raises(DataError, match="feedback"):
+        replace(random_operator(1), feedback="zone")
 
 
 def test_artifact_keeps_the_choice_and_refuses_what_is_not_proven(tmp_path):
     mild = total(3, 2, scale=0.03, gamma=0.3)
     folder = save_model(tmp_path / "mild", ThermalModel(mild))
-    assert load_model(folder).operator.feature_temperature == "total"
+    assert load_model(folder).operator.feedback
     assert '"feedback_slope_per_K"' in (folder / "model.json").read_text()
     with pytest.raises(
         ArtifactError, match=r"within \[-12, 0\] per K.*could turn the effect of an action around: 2 steps"
     ):
         save_model(tmp_path / "turns", ThermalModel(_turns_around()))
     # The same weights edited in from outside.
-    free = save_model(tmp_path / "edited", ThermalModel(replace(_turns_around(), feature_temperature="free")))
+    free = save_model(tmp_path / "edited", ThermalModel(replace(_turns_around(), feedback=False)))
     text = (free / "model.json").read_text()
-    (free / "model.json").write_text(text.replace('"feature_temperature": "free"', '"feature_temperature": "total"', 1))
+    (free / "model.json").write_text(text.replace('"feedback": false', '"feedback": true', 1))
     with pytest.raises(ArtifactError, match="fails its certificate"):
         load_model(free)

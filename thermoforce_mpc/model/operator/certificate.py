@@ -38,7 +38,7 @@ class Certificate:
     effect_low_K: tuple[float, ...]
     effect_high_K: tuple[float, ...]
     reasons: tuple[str, ...]
-    feature_temperature: str = "free"
+    feedback: bool = False
     feedback_slope_per_K: tuple[float, float] = (0.0, 0.0)
 
     def to_json(self) -> dict[str, object]:
@@ -52,7 +52,7 @@ class Certificate:
             "effect_low_K": list(self.effect_low_K),
             "effect_high_K": list(self.effect_high_K),
             "reasons": list(self.reasons),
-            "feature_temperature": self.feature_temperature,
+            "feedback": self.feedback,
             "feedback_slope_per_K": list(self.feedback_slope_per_K),
         }
 
@@ -86,7 +86,7 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
             "the modulation sees the predicted temperature, and its slope "
             f"(v dm/dT within [{slope[0]:.4g}, {slope[1]:.4g}] per K) could turn the effect of an action around: "
             f"{first + 1} steps later it is only known to be {least[first]:.4g} K or more in the direction "
-            "of the sign; use features: free, or a smaller gamma or modulation_sd"
+            "of the sign; use feedback: false, or a smaller gamma or modulation_sd"
         )
     m_low, m_high = modulation_interval(params)
     if m_low <= 0:
@@ -107,14 +107,14 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
         effect_low_K=tuple(low.tolist()),
         effect_high_K=tuple(high.tolist()),
         reasons=tuple(reasons),
-        feature_temperature=params.feature_temperature,
+        feedback=params.feedback,
         feedback_slope_per_K=slope,
     )
 
 
 def _responses(params: OperatorParameters, n_steps: int) -> tuple[Array, Array, tuple[float, float]]:
     """Response to one unit of m ∂v/∂u in the direction of the sign: at least and at most (n,) K; feedback slope 1/K."""
-    if not params.sees_forced:
+    if not params.feedback_active:
         impulse: Array = params.impulse(n_steps) * params.sign
         return impulse, impulse, (0.0, 0.0)
     bounds = feedback_bounds(params, n_steps)

@@ -1,7 +1,7 @@
 """The features x_t of the modulation (paper eq:mod): the state of zone and weather, never the control.
 
 That `u` and `F` stay out is what makes the effect of an action exactly `a^k g m(x_t)` (paper eq:marginal). An operator
-whose `feature_temperature` is 'total' adds F to the first column itself, and has to be certified for it.
+with `feedback` adds F to the first column itself, and has to be certified for it.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
     """Enclose the response over `n_steps` steps for every course of weather, temperature and later actions."""
     largest = params.heat_input.largest()
     low, high = (largest * slope for slope in modulation_slope(params))
-    low, high = (low, high) if params.sees_forced else (0.0, 0.0)
+    low, high = (low, high) if params.feedback_active else (0.0, 0.0)
     responses: list[tuple[float, float]] = []
     if max(-low, high) * float(np.abs(params.gains).sum()) > _RUNAWAY:
         nothing = np.full(n_steps, np.inf)

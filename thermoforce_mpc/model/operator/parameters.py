@@ -10,7 +10,6 @@ the fastest decay the impulse response only grows, so it never crosses zero, at 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal
 
 import numpy as np
 
@@ -18,8 +17,6 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-
-FeatureTemperature = Literal["free", "total"]
 
 HIDDEN = 32
 GAMMA = 0.75
@@ -48,10 +45,9 @@ class OperatorParameters:
         sign: +1 heating, −1 cooling.
         step_s: length of the step the poles and gains belong to, s.
         pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2), not overlapping.
-        actuator: v(u, T_out) in front of the modes.
-        feature_temperature: which zone temperature m(x) sees: 'free' is T − F (the paper's), 'total' is T itself, as
-            predicted. With 'total' past actions change the gain of later ones: see `operator.feedback` for what can
-            still be proven.
+        heat_input: v(u, T_out) in front of the modes.
+        feedback: whether m(x) sees the predicted temperature T instead of T − F (the paper's). Past actions then
+            change the gain of later ones: see `operator.feedback` for what can still be proven.
 
     Raises:
         DataError: a shape or value is not allowed; the message names the field.
@@ -70,7 +66,7 @@ class OperatorParameters:
     gamma: float = GAMMA
     sign: int = 1
     heat_input: HeatInput = field(default=IDENTITY)
-    feature_temperature: FeatureTemperature = "free"
+    feedback: bool = False
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -118,10 +114,8 @@ class OperatorParameters:
             raise DataError(f"operator: gamma is {self.gamma}, expected a value in [0, 1)")
         if not (self.feature_scale > 0).all():
             raise DataError(f"operator: feature_scale {self.feature_scale.tolist()} is not positive")
-        if self.feature_temperature not in ("free", "total"):
-            raise DataError(
-                f"operator: feature_temperature is '{self.feature_temperature}', expected 'free' or 'total'"
-            )
+        if not isinstance(self.feedback, bool):
+            raise DataError(f"operator: feedback is {self.feedback!r}, expected True or False")
         if not self.step_s > 0:
             raise DataError(f"operator: step_s is {self.step_s}, expected a positive number of seconds")
 
@@ -162,19 +156,19 @@ class OperatorParameters:
         return np.asarray(1.0 + self.gamma * np.tanh(hidden @ self.output_weight + self.output_bias))
 
     @property
-    def sees_forced(self) -> bool:
+    def feedback_active(self) -> bool:
         """Whether the modulation depends on F: then a rollout is not linear in the drive."""
         # A constant modulation sees nothing, whatever it is shown.
         connected = (self.output_weight != 0.0) & (self.hidden_weight[:, ZONE] != 0.0)
-        return self.feature_temperature == "total" and self.gamma > 0.0 and bool(connected.any())
+        return self.feedback and self.gamma > 0.0 and bool(connected.any())
 
     def seen(self, features: Array, forced_K: Array) -> Array:
         """`features` (..., 4) with T − F in them, as the modulation sees them at the forced state `forced_K` (..., r).
 
-        Callers always give T − F: with `feature_temperature` 'total', F is added here and nowhere else.
+        Callers always give T − F: with `feedback` F is added here and nowhere else.
         """
         features = np.asarray(features, dtype=np.float64)
-        if self.feature_temperature == "free":
+        if not self.feedback:
             return features
         forced = np.asarray(forced_K, dtype=np.float64).sum(axis=-1)
         lead = np.broadcast_shapes(features.shape[:-1], forced.shape)

@@ -35,7 +35,7 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
         raise DataError(f"forced rollout: F0 has shape {F0.shape}, expected (..., {params.order})")
     if not (np.isfinite(u).all() and np.isfinite(F0).all() and np.isfinite(features).all()):
         raise DataError("forced rollout: u, F0 and features must be finite")
-    if params.sees_forced:
+    if params.feedback_active:
         return _stepwise(params, F0, u, features)
     return driven_rollout(params, F0, params.drive(u, features))
 
@@ -72,7 +72,7 @@ def marginal_effect(params: OperatorParameters, features: Array, n_steps: int) -
     Raises:
         DataError: the modulation sees F, so that the effect depends on the whole plan.
     """
-    if params.sees_forced:
+    if params.feedback_active:
         raise DataError(
             "marginal effect: this operator's modulation sees the predicted temperature, so an action's effect depends "
             "on the rest of the plan; use the difference of two rollouts, or the bounds of its certificate"

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import FeatureTemperature, OperatorParameters, initial_weight
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
 
 # How close to a bound a pole may start: its logit must stay finite for the gradient to live.
 _EDGE = 1e-9
@@ -51,7 +51,7 @@ class ForcedResponseOperator(nn.Module):
         self.sign = params.sign
         self.step_s = params.step_s
         self.heat_input: HeatInput = params.heat_input
-        self.feature_temperature: FeatureTemperature = params.feature_temperature
+        self.feedback: bool = params.feedback
 
     @property
     def poles(self) -> Tensor:
@@ -89,9 +89,9 @@ class ForcedResponseOperator(nn.Module):
     def forward(self, F0: Tensor, u: Tensor, features: Tensor) -> Tensor:
         """Forced state after each step, K: `F0` (..., r), `u` (..., N), `features` (..., N, 4) → (..., N, r).
 
-        The zone's column of `features` is T − F; with `feature_temperature` 'total', F is added step by step.
+        The zone's column of `features` is T − F; with `feedback` F is added step by step.
         """
-        if self.feature_temperature == "total":
+        if self.feedback:
             return self._stepwise(F0, self.heat(u, features[..., OUTDOOR]), features)
         drive = self.modulation(features) * self.heat(u, features[..., OUTDOOR])
         return self.respond(F0, drive)
@@ -141,5 +141,5 @@ class ForcedResponseOperator(nn.Module):
             step_s=self.step_s,
             pole_bounds=bounds,
             heat_input=self.heat_input,
-            feature_temperature=self.feature_temperature,
+            feedback=self.feedback,
         )
