@@ -10,9 +10,10 @@ from operators import HEAT_MAP, random_operator
 
 from thermoforce_mpc.data import Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
-from thermoforce_mpc.model.predictor import Predictor, forced_history
+from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 STEP = 3600.0

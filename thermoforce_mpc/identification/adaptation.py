@@ -25,10 +25,10 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.regression_data import run_regression
+from thermoforce_mpc.model.forced_history import forced_history, heat_drive
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import forced_history, heat_drive
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.testcase import StrictModel
 
@@ -127,7 +127,7 @@ class OnlineAdaptation:
             history: the run so far, or its latest days; blocks that were seen before are not looked at again.
 
         Raises:
-            DataError: u or the weather have gaps, see `world_model.heat_drive`.
+            DataError: u or the weather have gaps, see `forced_history.heat_drive`.
         """
         if not self.config.enabled or history.n_steps == 0:
             return self._model

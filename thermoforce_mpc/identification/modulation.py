@@ -16,10 +16,10 @@ from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.likelihood import Split, residuals, whole
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
+from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import forced_history
 
 # Held-out hours below which nothing is said about a network: a quarter of a day decides by chance. Behind heat
 # what is left for it is small against the weather's surprises, so a whole cycle of sun and clock has to be held out.

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator import OperatorParameters, feature_matrix, forced_rollout
-from thermoforce_mpc.model.predictor import forced_history
 from thermoforce_mpc.research.bench.operator_data import ReferencePair
 
 # Below this, K, the sign of an effect is not scored: nobody could feel or use it.

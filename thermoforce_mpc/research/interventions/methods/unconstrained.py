@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.train import causal_convolution
+from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.parameters import HIDDEN
-from thermoforce_mpc.model.predictor import forced_history
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best
