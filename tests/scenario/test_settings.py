@@ -124,12 +124,12 @@ def test_the_actuator_maps_levels_to_the_wire_and_back():
     assert scaled.level(scaled.value(0.37)) == pytest.approx(0.37)
 
 
-@pytest.mark.parametrize(("baselines", "between"), [((), False), (("thermoforce_paper",), True)])
-def test_the_machine_is_probed_the_way_the_controllers_will_run_it(baselines, between):
+@pytest.mark.parametrize(("controller", "between"), [(None, False), ("thermoforce_paper", True)])
+def test_the_machine_is_probed_the_way_the_controller_will_run_it(controller, between):
     from thermoforce_mpc.simulation.composition import identification_settings
 
-    scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=baselines)
-    levels = identification_settings(scenario, load_testcase(scenario.testcase))[0].levels
+    scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=("thermoforce_paper", "rc_mpc"))
+    levels = identification_settings(scenario, load_testcase(scenario.testcase), controller)[0].levels
     assert any(0 < level < 1 for level in levels) is between
 
 

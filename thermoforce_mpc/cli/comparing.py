@@ -18,11 +18,11 @@ from rich.table import Table
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
-from thermoforce_mpc.simulation.comparison.cells import Cell, expand
+from thermoforce_mpc.simulation.comparison.cells import Cell, expand, source_fingerprint
 from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
 from thermoforce_mpc.simulation.comparison.runner import run_cells
-from thermoforce_mpc.simulation.comparison.store import DONE, Store, source_fingerprint
+from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.variants import Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
 

@@ -15,13 +15,7 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.scenario.settings import merge
-from thermoforce_mpc.simulation.composition import (
-    build_plant,
-    identification_settings,
-    identify_on,
-    scored_period,
-    validate_scenario,
-)
+from thermoforce_mpc.simulation.composition import build_plant, learn_model, learning_for, validate_scenario
 
 
 @click.command(short_help="Probe a building for a few days and save what was learned.")
@@ -51,24 +45,13 @@ def command(**options: Any) -> None:
         changed = merge(scenario.model_dump(), {"identification": {"days": options["probe_days"]}})
         scenario = type(scenario).model_validate(changed)
     testcase = validate_scenario(scenario)
-    probing, config = identification_settings(scenario, testcase)
+    learning = learning_for(scenario, testcase)
     display = RunDisplay()
     records: list[Record] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
-        period = scored_period(plant, scenario.period, scenario.days)
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
-        with display.working(f"Probing for {scenario.identification.days:g} days and identifying"):
-            model = identify_on(
-                plant,
-                before=period,
-                days=scenario.identification.days,
-                testcase=testcase,
-                step_s=scenario.step_s,
-                seed=scenario.seed,
-                probing=probing,
-                config=config,
-                on_record=records.append,
-            )
+        with display.working(f"Probing for {learning.days:g} days and identifying"):
+            model = learn_model(learning, plant, records.append)
     save_model(out, model, overwrite=options["overwrite"])
     show_model(str(out), model, display.console)
     from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification

@@ -43,6 +43,11 @@ class PlantSpec(StrictModel):
             )
         return self
 
+    def files(self) -> dict[str, str]:
+        """Paths of the files that this plant is made from, by the field that names them."""
+        named = {"path": self.path, "weather": self.weather, "prices_file": self.prices_file}
+        return {field: path for field, path in named.items() if path not in (None, "synthetic")}
+
 
 class ProbingSpec(StrictModel):
     """Where the operator comes from: a saved model, or days of probing before the warm-up of the scored window."""

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from pydantic import BaseModel
 
 from controllers.registry import build_controller, controller_config, find_entry
 from thermoforce_mpc.data import DAY_S, Period, Record
@@ -63,6 +64,32 @@ class Display(Protocol):
 
 
 @dataclass(frozen=True)
+class Learning:
+    """Everything that decides an identification before a window, and nothing else: `learn_model` is given no more.
+
+    `period` is the window that must not be probed, `days` of probing end where its warm-up begins; `step_s` is the
+    model's; `seed` that of the probing and, in `plant`, of the forecast errors, which the choice of draws sees.
+    """
+
+    testcase: TestCase
+    plant: PlantSpec
+    period: str
+    days: float
+    step_s: float
+    seed: int
+    probing: ProbingConfig
+    identification: IdentificationConfig
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values of every field, for a key or a file."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {
+            name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+            for name, value in values.items()
+        }
+
+
+@dataclass(frozen=True)
 class IdentifiedModel:
     """A model and where it came from, for the manifest."""
 
@@ -77,8 +104,12 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     if find_entry(scenario.controller.name).needs_model:
         identification_settings(scenario, testcase)
     for name in scenario.baselines:
-        if find_entry(name).needs_model and not find_entry(scenario.controller.name).needs_model:
-            raise ConfigError(f"baselines: '{name}' needs a model, but the controller of this scenario identifies none")
+        if find_entry(name).needs_model:
+            if not find_entry(scenario.controller.name).needs_model:
+                raise ConfigError(
+                    f"baselines: '{name}' needs a model, but the controller of this scenario identifies none"
+                )
+            identification_settings(scenario, testcase, name)
     if scenario.plant.kind == "embedded" and testcase.energyplus is not None:
         if scenario.plant.weather != "synthetic":
             raise ConfigError(f"plant.weather: test case '{testcase.name}' has EnergyPlus' own weather; leave it out")
@@ -208,24 +239,24 @@ def identify_on(
     )
 
 
-def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[ProbingConfig, IdentificationConfig]:
-    """How a scenario probes and identifies; raises `ConfigError` naming each wrong key.
+def identification_settings(
+    scenario: Scenario, testcase: TestCase, controller: str | None = None
+) -> tuple[ProbingConfig, IdentificationConfig]:
+    """How a scenario probes and identifies for `controller`, by default its own; `ConfigError` names each wrong key.
 
-    Unless told otherwise the machine is probed the way the controllers of the scenario will run it.
+    Unless told otherwise the machine is probed the way that controller will run it, whoever it is compared with.
     """
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
 
-    spec = scenario.identification
-    acting = [scenario.controller.name, *scenario.baselines]
-    configs = [controller_config(name, controller_options(scenario, name), testcase) for name in acting]
-    actuations = [config.actuation for config in configs if hasattr(config, "actuation")]
-    held = [actuation.lowest_level for actuation in actuations if actuation.mode == "modulating"]
+    spec, name = scenario.identification, controller or scenario.controller.name
+    actuation = getattr(controller_config(name, controller_options(scenario, name), testcase), "actuation", None)
     defaults: dict[str, Any] = {}
-    if held:  # levels between off and full have to be seen to be planned
-        defaults["levels"] = (0.0, *np.linspace(min(held), 1.0, 5).round(3).tolist())
-    elif actuations:
-        defaults["levels"] = (0.0, actuations[0].level)
+    if actuation is not None and actuation.mode == "modulating":
+        # Levels between off and full have to be seen to be planned.
+        defaults["levels"] = (0.0, *np.linspace(actuation.lowest_level, 1.0, 5).round(3).tolist())
+    elif actuation is not None:
+        defaults["levels"] = (0.0, actuation.level)
     own = testcase.defaults
     probing = validate(ProbingConfig, merge(merge(defaults, own.probing), spec.probing), "identification.probing")
     options = merge(merge({"seed": scenario.seed}, own.identification), spec.options)
@@ -233,8 +264,51 @@ def identification_settings(scenario: Scenario, testcase: TestCase) -> tuple[Pro
     return probing, config
 
 
-def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period) -> ThermalModel:
-    """The model of a scenario: the saved one it names, at the scenario's step, or one identified before `period`.
+def learning_for(scenario: Scenario, testcase: TestCase, controller: str | None = None) -> Learning:
+    """What decides the model that `controller`, by default the scenario's own, gets in this scenario.
+
+    Raises:
+        ConfigError: a setting of the identification is wrong.
+    """
+    probing, config = identification_settings(scenario, testcase, controller)
+    return Learning(
+        testcase=testcase,
+        plant=scenario.plant,
+        period=scenario.period,
+        days=scenario.identification.days,
+        step_s=scenario.step_s or testcase.step_s,
+        seed=scenario.seed,
+        probing=probing,
+        identification=config,
+    )
+
+
+def learn_model(learning: Learning, plant: Plant, on_record: Callable[[Record], None] | None = None) -> ThermalModel:
+    """Probe `plant`, which is that of `learning`, and identify.
+
+    Args:
+        on_record: given the record before anything is identified from it.
+
+    Raises:
+        DataError: the record cannot identify.
+        PlantError: the plant failed.
+    """
+    check_window(learning.period)
+    return identify_on(
+        plant,
+        before=plant.period(learning.period),
+        days=learning.days,
+        testcase=learning.testcase,
+        step_s=learning.step_s,
+        seed=learning.seed,
+        probing=learning.probing,
+        config=learning.identification,
+        on_record=on_record,
+    )
+
+
+def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:
+    """The model of `controller`: the saved one that the scenario names, at its step, or one identified for it.
 
     Raises:
         ArtifactError: the saved model cannot be used.
@@ -244,28 +318,45 @@ def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, period: Peri
     from thermoforce_mpc.model.model_file import load_model
 
     spec = scenario.identification
+    if spec.model is None:
+        return learn_model(learning_for(scenario, testcase, controller), plant)
     step_s = scenario.step_s or testcase.step_s
-    if spec.model is not None:
-        model = load_model(Path(spec.model))
-        if model.operator.step_s != step_s:
-            model = replace(model, operator=model.operator.resampled(step_s))
-        return model
-    probing, config = identification_settings(scenario, testcase)
-    return identify_on(
-        plant, before=period, days=spec.days, testcase=testcase, step_s=step_s, seed=scenario.seed,
-        probing=probing, config=config,
-    )  # fmt: skip
+    model = load_model(Path(spec.model))
+    if model.operator.step_s != step_s:
+        model = replace(model, operator=model.operator.resampled(step_s))
+    return model
 
 
-def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, period: Period, display: Display) -> IdentifiedModel:
-    """Load the model of the scenario, or probe and identify one, and say what came of it."""
+def _learn_all(scenario: Scenario, testcase: TestCase, plant: Plant, display: Display) -> dict[str, IdentifiedModel]:
+    """The model of every contestant that needs one; those that would probe and identify alike share one.
+
+    Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
+    """
+    found: dict[str, IdentifiedModel] = {}
+    known: list[tuple[Learning | None, IdentifiedModel]] = []
+    for name in dict.fromkeys((scenario.controller.name, *scenario.baselines)):
+        if not find_entry(name).needs_model:
+            continue
+        learning = None if scenario.identification.model else learning_for(scenario, testcase, name)
+        same = [learned for other, learned in known if other == learning]
+        if not same:
+            if known:
+                display.say(f"For {name}, which runs the machine another way:")
+            same = [_learn(scenario, testcase, plant, name, display)]
+            known.append((learning, same[0]))
+        found[name] = same[0]
+    return found
+
+
+def _learn(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: Display) -> IdentifiedModel:
+    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it."""
     spec = scenario.identification
     if spec.model is not None:
-        model = model_for(scenario, testcase, plant, period)
+        model = model_for(scenario, testcase, plant, controller)
         display.say(f"Model: {spec.model} ({model.card.source})")
     else:
         with display.working(f"Probing for {spec.days:g} days and identifying"):
-            model = model_for(scenario, testcase, plant, period)
+            model = model_for(scenario, testcase, plant, controller)
         display.say(f"Identified from {model.card.source}")
     operator = model.operator
     hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
@@ -309,16 +400,16 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
         with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
             period = scored_period(plant, scenario.period, scenario.days)
             display.say(_headline(plant, period, scenario))
-            learned = _learn(scenario, testcase, plant, period, display) if find_entry(name).needs_model else None
-            model = learned.model if learned else None
-            controller = build_controller(name, controller_options(scenario, name), testcase, model)
+            learned = _learn_all(scenario, testcase, plant, display)
+            models = {who: found.model for who, found in learned.items()}
+            controller = build_controller(name, controller_options(scenario, name), testcase, models.get(name))
             before = _weight_hash(controller)
             result = _follow(plant, controller, period, scenario, testcase, display, records)
             forecaster = _frozen(controller, before)
             baselines = {
                 other: _follow(
                     plant,
-                    build_controller(other, controller_options(scenario, other), testcase, model),
+                    build_controller(other, controller_options(scenario, other), testcase, models.get(other)),
                     period,
                     scenario,
                     testcase,
@@ -344,7 +435,7 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
         plant=info,
         result=result,
         baselines=baselines,
-        identification=learned.origin if learned else {},
+        identification=_origins(learned, name),
         command=command,
         forecaster=forecaster,
     )
@@ -359,6 +450,15 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     return folder
+
+
+def _origins(learned: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:
+    """Where the models came from: the controller's, and by name those of baselines that have one of their own."""
+    if controller not in learned:
+        return {}
+    own = learned[controller]
+    others = {name: dict(found.origin) for name, found in learned.items() if found is not own}
+    return dict(own.origin) | ({"baselines": others} if others else {})
 
 
 def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import pytest
+from pydantic import BaseModel
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
+from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.variants import (
     Variant,
@@ -15,6 +19,7 @@ from thermoforce_mpc.simulation.comparison.variants import (
     swept_variants,
     variants_by_name,
 )
+from thermoforce_mpc.simulation.composition import Learning
 
 TESTCASE = "bestest_hydronic_heat_pump"
 BASE = Scenario(testcase=TESTCASE, days=1)
@@ -97,6 +102,71 @@ def test_a_run_is_known_by_what_decides_it_not_by_its_name():
     assert learned[0] != plain[0]
     assert learned[1] != plain[1]
     assert keys(Variant(controller="native"))[1] is None
+
+
+def test_forecast_errors_play_a_part_in_learning():
+    """Probing chooses its draws for the weather that is forecast, so what errs there decides what is probed."""
+    found = {}
+    for seed in (1, 2):
+        base = BASE.model_copy(update={"seed": seed})
+        axes = (["44"], ["constant", "dynamic"], ["none", "high"])
+        for cell in expand(base, {"v": Variant(controller="rc_mpc")}, *axes):
+            found.setdefault((seed, cell.uncertainty), set()).add(cell.learning_key)
+    assert all(len(keys) == 1 for keys in found.values()), "tariffs learn together"
+    assert len(set.union(*found.values())) == 4
+
+
+@pytest.mark.parametrize("field", [item.name for item in fields(Learning)])
+def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch):
+    variant = {"v": Variant(controller="rc_mpc")}
+    (before,) = expand(BASE, variant, ["44"], ["constant"])
+    value = getattr(before.learning, field)
+    if isinstance(value, BaseModel):
+        name = {"testcase": "floor_area_m2", "plant": "url", "probing": "above_K", "identification": "gamma"}[field]
+        changed = value.model_copy(update={name: "http://elsewhere" if name == "url" else 0.9 * getattr(value, name)})
+    else:
+        changed = value + type(value)(1)
+    other = replace(before.learning, **{field: changed})
+    monkeypatch.setattr(cells, "learning_for", lambda scenario, testcase: other)
+    (after,) = expand(BASE, variant, ["44"], ["constant"])
+    assert after.learning_key != before.learning_key
+    assert after.key != before.key
+
+
+def test_a_model_learned_by_other_code_is_not_taken_up(monkeypatch):
+    variant = {"v": Variant(controller="rc_mpc")}
+    (before,) = expand(BASE, variant, ["44"], ["constant"])
+    monkeypatch.setattr(cells, "source_fingerprint", lambda: "other")
+    (after,) = expand(BASE, variant, ["44"], ["constant"])
+    assert after.learning_key != before.learning_key
+    assert after.key == before.key, "finished cells are kept, with a note"
+
+
+def test_files_that_decide_a_run_count_by_content(tmp_path):
+    """The FMU at the same path may be another one tomorrow, and so may a forecaster's checkpoint."""
+    fmu, backbone = tmp_path / "wrapped.fmu", tmp_path / "checkpoint"
+    backbone.mkdir()
+    plant = {"kind": "fmu", "path": str(fmu)}
+    options = {"free_response": {"options": {"backbone": str(backbone)}}}
+
+    def key() -> str:
+        base = Scenario(testcase=TESTCASE, days=1, plant=plant)
+        return keys(Variant(controller="thermoforce_mpc", options=options), base)[0]
+
+    fmu.write_bytes(b"one")
+    (backbone / "config.json").write_text("one", encoding="utf-8")
+    first = key()
+    assert key() == first
+    fmu.write_bytes(b"two")
+    second = key()
+    (backbone / "config.json").write_text("two", encoding="utf-8")
+    assert len({first, second, key()}) == 3
+
+
+def test_defaults_written_out_are_the_same_run():
+    plain = Variant(controller="thermoforce_mpc")
+    spoken = Variant(controller="thermoforce_mpc", options={"horizon_h": 48.0, "step_s": 900.0})
+    assert keys(plain) == keys(spoken)
 
 
 def test_weather_counts_by_content_not_by_place(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -9,24 +10,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from controllers.registry import find_entry
+import boptest_client
+import controllers
+import thermoforce_mpc
+from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
-from thermoforce_mpc.simulation.composition import identification_settings, validate_scenario
+from thermoforce_mpc.simulation.composition import Learning, controller_options, learning_for, validate_scenario
 from thermoforce_mpc.simulation.run_folder import file_sha256
 from thermoforce_mpc.version import VERSION
 
 # Changed whenever a cell's file or what decides a result changes, so that no old file is taken for a new one.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
 class Cell:
     """A run to be made: `scenario` decides its result, `key` is its hash.
 
-    `learning_key` names the identification it needs (None: no model, or a saved one); cells that would probe and
-    identify alike share one.
+    `learning` is the identification it needs (None: no model, or a saved one) and `learning_key` its hash; cells that
+    would probe and identify alike share one.
     """
 
     variant: str
@@ -35,6 +39,7 @@ class Cell:
     uncertainty: str
     scenario: Scenario
     key: str
+    learning: Learning | None
     learning_key: str | None
 
     @property
@@ -77,6 +82,17 @@ def digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+@functools.cache
+def source_fingerprint() -> str:
+    """Hash of the source files that made a result: within one version, a working tree changes."""
+    total = hashlib.sha256()
+    for package in (thermoforce_mpc, controllers, boptest_client):
+        for root in map(Path, package.__path__):
+            for path in sorted(root.rglob("*.py")):
+                total.update(str(path.relative_to(root.parent)).encode() + path.read_bytes())
+    return total.hexdigest()[:16]
+
+
 class _FileHashes:
     """Hashes of input files and saved models: what counts is their content, not where they lie."""
 
@@ -98,36 +114,44 @@ class _FileHashes:
 
 
 def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
+    """The cell of a scenario. Keys are hashes of all that a run or an identification is given, nothing picked out.
+
+    A controller without a model is not told how others learn, so that its runs are the same beside any of them. A
+    model also depends on the code that made it: it is not shown as a result of its own, so nobody would be told.
+    """
     testcase = validate_scenario(scenario)
-    spec = scenario.plant
-    plant = spec.model_dump(mode="json")
-    for key in ("weather", "prices_file"):
-        if plant[key] not in (None, "synthetic"):
-            plant[key] = hash_of(plant[key])
-    common = {
-        "format": FORMAT,
-        "version": VERSION,
+    controller = scenario.controller.name
+    made = {"format": FORMAT, "version": VERSION}
+    learning, learning_key = None, None
+    model: str | dict[str, Any] | None = None
+    if find_entry(controller).needs_model:
+        if scenario.identification.model is not None:
+            model = hash_of(scenario.identification.model)
+        else:
+            learning = learning_for(scenario, testcase)
+            model = learning.to_json() | {"plant": _plant_by_content(learning.plant, hash_of)}
+            learning_key = digest({**made, "source": source_fingerprint(), "learning": model})
+    options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
+    decides = scenario.model_dump(mode="json") | {
         "testcase": testcase.model_dump(mode="json"),
-        "plant": plant,
-        "period": scenario.period,
-        "seed": scenario.seed,
+        "plant": _plant_by_content(scenario.plant, hash_of),
+        "controller": {"name": controller, "options": options, "files": _files_named(options, hash_of)},
+        "identification": model,
     }
-    needs_model = find_entry(scenario.controller.name).needs_model
-    learning: dict[str, Any] = {}
-    learning_key = None
-    if needs_model and scenario.identification.model is not None:
-        learning = {"model": hash_of(scenario.identification.model)}
-    elif needs_model:
-        probing, config = identification_settings(scenario, testcase)
-        learning = {
-            "days": scenario.identification.days,
-            "step_s": scenario.step_s or testcase.step_s,
-            "probing": probing.model_dump(mode="json"),
-            "config": config.model_dump(mode="json"),
-        }
-        # Forecasts play no part in probing, so cells that differ in their error alone learn together.
-        learning_key = digest({**common, "plant": {**plant, "forecast_uncertainty": "none"}, "learning": learning})
-    controller = scenario.controller.model_dump(mode="json") | {"step_s": scenario.step_s}
-    scored = {"days": scenario.days, "price": scenario.price}
-    key = digest({**common, "controller": controller, "learning": learning, **scored})
-    return Cell(name, scenario.period, scenario.price, spec.forecast_uncertainty, scenario, key, learning_key)
+    key = digest({**made, "scenario": decides})
+    uncertainty = scenario.plant.forecast_uncertainty
+    return Cell(name, scenario.period, scenario.price, uncertainty, scenario, key, learning, learning_key)
+
+
+def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[str, Any]:
+    return spec.model_dump(mode="json") | {field: hash_of(path) for field, path in spec.files().items()}
+
+
+def _files_named(options: Any, hash_of: Callable[[str], str]) -> dict[str, str]:
+    """Hashes of the files and folders that options name, such as a forecaster's checkpoint, by their paths."""
+    if isinstance(options, Mapping | list):
+        parts = options.values() if isinstance(options, Mapping) else options
+        return {path: found for part in parts for path, found in _files_named(part, hash_of).items()}
+    if isinstance(options, str) and options and Path(options).expanduser().exists():
+        return {options: hash_of(str(Path(options).expanduser()))}
+    return {}

@@ -5,8 +5,6 @@ Files appear whole or not at all, so a comparison can be stopped at any time and
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import json
 import os
 import re
@@ -72,14 +70,3 @@ def write_atomically(path: Path, content: Mapping[str, Any]) -> None:
     except BaseException:
         Path(aside).unlink(missing_ok=True)
         raise
-
-
-@functools.cache
-def source_fingerprint() -> str:
-    """Hash of the source files that made a result: within one version, a working tree changes."""
-    package = Path(__file__).resolve().parents[2]
-    total = hashlib.sha256()
-    for root in (package, package.parent / "controllers"):
-        for path in sorted(root.rglob("*.py")):
-            total.update(str(path.relative_to(package.parent)).encode() + path.read_bytes())
-    return total.hexdigest()[:16]

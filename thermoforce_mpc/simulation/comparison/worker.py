@@ -18,9 +18,15 @@ from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
-from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
-from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store, source_fingerprint
-from thermoforce_mpc.simulation.composition import build_plant, controller_options, model_for, scored_period
+from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, source_fingerprint
+from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store
+from thermoforce_mpc.simulation.composition import (
+    build_plant,
+    controller_options,
+    learn_model,
+    model_for,
+    scored_period,
+)
 from thermoforce_mpc.version import VERSION
 
 # What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
@@ -58,11 +64,12 @@ def _answer(channel: Connection, work: Callable[[], None]) -> None:
 
 
 def _learn(cell: Cell, store: Store) -> None:
+    """Whatever this uses is in `cell.learning`, whose hash the model is kept under."""
+    learning = cell.learning
+    assert learning is not None
     assert cell.learning_key is not None
-    scenario = cell.scenario
-    testcase = load_testcase(scenario.testcase)
-    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
-        model = model_for(scenario, testcase, plant, scored_period(plant, scenario.period, scenario.days))
+    with closing(build_plant(learning.plant, learning.testcase, learning.seed)) as plant:
+        model = learn_model(learning, plant)
     path = store.model_path(cell.learning_key)
     save_model(path, model, overwrite=path.exists())
 
@@ -76,7 +83,7 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
         scenario = scenario.model_copy(update={"identification": learned})
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
-        model = model_for(scenario, testcase, plant, period) if find_entry(name).needs_model else None
+        model = model_for(scenario, testcase, plant) if find_entry(name).needs_model else None
         controller = build_controller(name, controller_options(scenario, name), testcase, model)
         told = time.monotonic()
 

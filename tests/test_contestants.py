@@ -1,0 +1,33 @@
+"""A contestant's result must not depend on who else is in the table."""
+
+from __future__ import annotations
+
+import json
+
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+
+
+def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path):
+    """`rc_mpc` switches, `thermoforce_hourly` holds levels between off and full: each is probed for its own way."""
+
+    def run(name: str, controller: str, baselines: str):
+        words = ["--testcase", "bestest_hydronic_heat_pump", "--period", "20", "--days", "0.25", "--quiet"]
+        words += ["--set", "identification.days=1", "--set", "identification.options.modulation=linear"]
+        words += ["--controller", controller, "--baselines", baselines, "--out", str(tmp_path / name)]
+        done = CliRunner().invoke(cli, ["run", *words])
+        assert done.exit_code == 0, done.output
+        files = (tmp_path / name / "manifest.json", tmp_path / name / "kpis.json")
+        return [json.loads(path.read_text(encoding="utf-8")) for path in files]
+
+    (alone, _), (hourly_alone, hourly_kpis) = run("a", "rc_mpc", ""), run("b", "thermoforce_hourly", "")
+    both, both_kpis = run("c", "rc_mpc", "thermoforce_hourly,thermostat")
+    assert both["identification"]["data_sha256"] == alone["identification"]["data_sha256"], "the probed record"
+    beside = both["identification"].pop("baselines")["thermoforce_hourly"]
+    assert both["identification"] == alone["identification"]
+    assert beside == hourly_alone["identification"] != both["identification"]
+    for kpis in (both_kpis["baselines"]["thermoforce_hourly"], hourly_kpis["kpis"]):
+        kpis.pop("time_rat")  # computing time
+    assert both_kpis["baselines"]["thermoforce_hourly"] == hourly_kpis["kpis"]
+    assert (tmp_path / "a" / "trajectory.csv").read_bytes() == (tmp_path / "c" / "trajectory.csv").read_bytes()
