@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from simple_house import SimpleHouse
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.simulation import composition
+from thermoforce_mpc.simulation import run as simulation_run
 
 TESTCASE = "bestest_hydronic_heat_pump"
 
@@ -27,7 +27,7 @@ def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[
 def simple(monkeypatch, tmp_path):
     """`tf-mpc run` on the simple house, in an empty folder; gives a function that runs it in this process."""
     house = SimpleHouse()
-    monkeypatch.setattr(composition, "build_plant", lambda spec, testcase, seed: house)
+    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: house)
     monkeypatch.chdir(tmp_path)
 
     def call(*words: str):

@@ -15,10 +15,12 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.scenario.settings import merge
-from thermoforce_mpc.simulation.composition import build_plant, learn_model, learning_for, validate_scenario
+from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.composition import build_plant
+from thermoforce_mpc.simulation.identifying import identification_task, run_identification
 
 
-@click.command(short_help="Probe a building for a few days and save what was learned.")
+@click.command(short_help="Probe a building for a few days and save what was identified.")
 @scenario_options
 @click.option("--probe-days", type=float, help="Days of probing, ending a week before --period.  [default: 3]")
 @click.option("--controller", metavar="NAME", help="Probe the way this controller will act.")
@@ -27,7 +29,7 @@ from thermoforce_mpc.simulation.composition import build_plant, learn_model, lea
 def command(**options: Any) -> None:
     """Probe a building for a few days, identify what our actions do to it, show it and save it as a model folder.
 
-    The probing chooses its actions for what can be learned from them, and keeps the zone near its comfort band. The
+    The probing chooses its actions for what can be identified from them, and keeps the zone near its comfort band. The
     folder also gets a picture of the fit and of the step response with its uncertainty.
 
     The probing days end where the warm-up of --period begins. Use the model with `tf-mpc run --model FOLDER`.
@@ -45,13 +47,13 @@ def command(**options: Any) -> None:
         changed = merge(scenario.model_dump(), {"identification": {"days": options["probe_days"]}})
         scenario = type(scenario).model_validate(changed)
     testcase = validate_scenario(scenario)
-    learning = learning_for(scenario, testcase)
+    task = identification_task(scenario, testcase)
     display = RunDisplay()
     records: list[Record] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
-        with display.working(f"Probing for {learning.days:g} days and identifying"):
-            model = learn_model(learning, plant, records.append)
+        with display.working(f"Probing for {task.days:g} days and identifying"):
+            model = run_identification(task, plant, records.append)
     save_model(out, model, overwrite=options["overwrite"])
     show_model(str(out), model, display.console)
     from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification

@@ -11,7 +11,7 @@ import click
 
 from thermoforce_mpc.cli.display import RunDisplay
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
-from thermoforce_mpc.simulation.composition import run_scenario
+from thermoforce_mpc.simulation.run import run_scenario
 
 
 @click.command(short_help="Control a building over a scored window.")

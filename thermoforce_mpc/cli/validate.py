@@ -9,7 +9,7 @@ import click
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.composition import validate_scenario
+from thermoforce_mpc.simulation.checks import validate_scenario
 
 
 @click.command(short_help="Check a scenario or test case file.")

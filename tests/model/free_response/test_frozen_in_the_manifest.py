@@ -9,7 +9,7 @@ import pytest
 from forecasting import boundary_of, history_of, hours
 
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.simulation.composition import _frozen, _weight_hash
+from thermoforce_mpc.simulation.run import _frozen, _weight_hash
 
 
 @pytest.mark.parametrize("name", ["chronos", "residual", "selected", "calibrated"])

@@ -128,16 +128,16 @@ def test_a_scenario_runs_to_its_end(tmp_path):
 
 def test_without_the_engine_it_says_what_to_install(monkeypatch):
     from thermoforce_mpc.plants.energyplus import engine
-    from thermoforce_mpc.simulation import composition
+    from thermoforce_mpc.simulation import checks
 
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
     scenario = Scenario(testcase="energyplus:heating_chicago")
     with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[energyplus\]'"):
-        composition.validate_scenario(scenario)
+        checks.validate_scenario(scenario)
 
 
 def test_its_own_weather_is_not_replaced_in_silence():
-    from thermoforce_mpc.simulation.composition import validate_scenario
+    from thermoforce_mpc.simulation.checks import validate_scenario
 
     scenario = Scenario(testcase="energyplus:heating_chicago", plant={"weather": "Brussels.mos"})
     with pytest.raises(ConfigError, match=r"plant\.weather"):

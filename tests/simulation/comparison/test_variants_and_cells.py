@@ -19,7 +19,7 @@ from thermoforce_mpc.simulation.comparison.variants import (
     swept_variants,
     variants_by_name,
 )
-from thermoforce_mpc.simulation.composition import Learning
+from thermoforce_mpc.simulation.identifying import IdentificationTask
 
 TESTCASE = "bestest_hydronic_heat_pump"
 BASE = Scenario(testcase=TESTCASE, days=1)
@@ -29,7 +29,7 @@ def keys(
     variant: Variant, base: Scenario = BASE, window: str = "44", price: str = "constant"
 ) -> tuple[str, str | None]:
     (cell,) = expand(base, {"any name": variant}, [window], [price])
-    return cell.key, cell.learning_key
+    return cell.key, cell.identification_key
 
 
 @pytest.mark.parametrize("name", named_configs("comparisons"))
@@ -91,16 +91,16 @@ def test_a_run_is_known_by_what_decides_it_not_by_its_name():
     assert plain == keys(Variant(controller="thermoforce_mpc"))
     dearer = keys(Variant(controller="thermoforce_mpc", options={"objective": {"comfort_weight": 9}}))
     assert dearer[0] != plain[0]
-    assert dearer[1] == plain[1], "options of the controller play no part in learning"
+    assert dearer[1] == plain[1], "options of the controller play no part in the identification"
     priced = keys(Variant(controller="thermoforce_mpc"), price="dynamic")
     assert priced[0] != plain[0]
     assert priced[1] == plain[1]
     elsewhere = keys(Variant(controller="thermoforce_mpc"), window="45")
     assert elsewhere[0] != plain[0]
     assert elsewhere[1] != plain[1]
-    learned = keys(Variant(controller="thermoforce_mpc", identification={"options": {"order": 1}}))
-    assert learned[0] != plain[0]
-    assert learned[1] != plain[1]
+    identified = keys(Variant(controller="thermoforce_mpc", identification={"options": {"order": 1}}))
+    assert identified[0] != plain[0]
+    assert identified[1] != plain[1]
     assert keys(Variant(controller="native"))[1] is None
 
 
@@ -111,25 +111,25 @@ def test_forecast_errors_play_a_part_in_learning():
         base = BASE.model_copy(update={"seed": seed})
         axes = (["44"], ["constant", "dynamic"], ["none", "high"])
         for cell in expand(base, {"v": Variant(controller="rc_mpc")}, *axes):
-            found.setdefault((seed, cell.uncertainty), set()).add(cell.learning_key)
+            found.setdefault((seed, cell.uncertainty), set()).add(cell.identification_key)
     assert all(len(keys) == 1 for keys in found.values()), "tariffs learn together"
     assert len(set.union(*found.values())) == 4
 
 
-@pytest.mark.parametrize("field", [item.name for item in fields(Learning)])
+@pytest.mark.parametrize("field", [item.name for item in fields(IdentificationTask)])
 def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch):
     variant = {"v": Variant(controller="rc_mpc")}
     (before,) = expand(BASE, variant, ["44"], ["constant"])
-    value = getattr(before.learning, field)
+    value = getattr(before.task, field)
     if isinstance(value, BaseModel):
         name = {"testcase": "floor_area_m2", "plant": "url", "probing": "above_K", "identification": "gamma"}[field]
         changed = value.model_copy(update={name: "http://elsewhere" if name == "url" else 0.9 * getattr(value, name)})
     else:
         changed = value + type(value)(1)
-    other = replace(before.learning, **{field: changed})
-    monkeypatch.setattr(cells, "learning_for", lambda scenario, testcase: other)
+    other = replace(before.task, **{field: changed})
+    monkeypatch.setattr(cells, "identification_task", lambda scenario, testcase: other)
     (after,) = expand(BASE, variant, ["44"], ["constant"])
-    assert after.learning_key != before.learning_key
+    assert after.identification_key != before.identification_key
     assert after.key != before.key
 
 
@@ -138,7 +138,7 @@ def test_a_model_learned_by_other_code_is_not_taken_up(monkeypatch):
     (before,) = expand(BASE, variant, ["44"], ["constant"])
     monkeypatch.setattr(cells, "source_fingerprint", lambda: "other")
     (after,) = expand(BASE, variant, ["44"], ["constant"])
-    assert after.learning_key != before.learning_key
+    assert after.identification_key != before.identification_key
     assert after.key == before.key, "finished cells are kept, with a note"
 
 

@@ -95,7 +95,7 @@ class ResidualFreeResponse:
             or weights.share.shape[1] != boundary.n_steps
             or weights.step_s != boundary.step_s
         ):
-            weights = self.weights = self._learn(free, history, boundary)
+            weights = self.weights = self._identify(free, history, boundary)
         quantiles = np.einsum("kn,kqn->qn", weights.share, candidates[0])
         return FreeForecast(LEVELS, quantiles, f"linear weather models plus residual by {note}; {weights.why}")
 
@@ -119,7 +119,7 @@ class ResidualFreeResponse:
         k = len(_NAMES)
         return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
 
-    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Weights:
+    def _identify(self, free: Array, history: Record, boundary: Boundary) -> Weights:
         """Weights from forecasts of a day that could have been made over the last week, with the weather that came."""
         step_s, now = boundary.step_s, float(history.time_s[-1])
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))

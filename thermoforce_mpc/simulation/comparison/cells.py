@@ -16,8 +16,10 @@ import thermoforce_mpc
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
-from thermoforce_mpc.simulation.composition import Learning, controller_options, learning_for, validate_scenario
+from thermoforce_mpc.simulation.composition import controller_options
+from thermoforce_mpc.simulation.identifying import IdentificationTask, identification_task
 from thermoforce_mpc.simulation.run_folder import file_sha256
 from thermoforce_mpc.version import VERSION
 
@@ -29,7 +31,7 @@ FORMAT = 2
 class Cell:
     """A run to be made: `scenario` decides its result, `key` is its hash.
 
-    `learning` is the identification it needs (None: no model, or a saved one) and `learning_key` its hash; cells that
+    `task` is the identification it needs (None: no model, or a saved one) and `identification_key` its hash; cells that
     would probe and identify alike share one.
     """
 
@@ -39,8 +41,8 @@ class Cell:
     uncertainty: str
     scenario: Scenario
     key: str
-    learning: Learning | None
-    learning_key: str | None
+    task: IdentificationTask | None
+    identification_key: str | None
 
     @property
     def title(self) -> str:
@@ -122,15 +124,15 @@ def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
     testcase = validate_scenario(scenario)
     controller = scenario.controller.name
     made = {"format": FORMAT, "version": VERSION}
-    learning, learning_key = None, None
+    task, identification_key = None, None
     model: str | dict[str, Any] | None = None
     if find_entry(controller).needs_model:
         if scenario.identification.model is not None:
             model = hash_of(scenario.identification.model)
         else:
-            learning = learning_for(scenario, testcase)
-            model = learning.to_json() | {"plant": _plant_by_content(learning.plant, hash_of)}
-            learning_key = digest({**made, "source": source_fingerprint(), "learning": model})
+            task = identification_task(scenario, testcase)
+            model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of)}
+            identification_key = digest({**made, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
     decides = scenario.model_dump(mode="json") | {
         "testcase": testcase.model_dump(mode="json"),
@@ -140,7 +142,7 @@ def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
     }
     key = digest({**made, "scenario": decides})
     uncertainty = scenario.plant.forecast_uncertainty
-    return Cell(name, scenario.period, scenario.price, uncertainty, scenario, key, learning, learning_key)
+    return Cell(name, scenario.period, scenario.price, uncertainty, scenario, key, task, identification_key)
 
 
 def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[str, Any]:

@@ -79,14 +79,14 @@ def run_cells(cells: Sequence[Cell], store: Store, jobs: int, watcher: Watcher) 
     ready: deque[_Task] = deque()
     waiting: dict[str, list[_Task]] = {}
     for cell in {cell.key: cell for cell in cells}.values():
-        learning_key, task = cell.learning_key, _Task(cell)
-        if learning_key is None or store.model_path(learning_key).exists():
+        identification_key, task = cell.identification_key, _Task(cell)
+        if identification_key is None or store.model_path(identification_key).exists():
             ready.append(task)
             continue
-        if learning_key not in waiting:
-            waiting[learning_key] = []
+        if identification_key not in waiting:
+            waiting[identification_key] = []
             ready.appendleft(_Task(cell, learns=True))
-        waiting[learning_key].append(task)
+        waiting[identification_key].append(task)
     records: dict[str, dict[str, Any]] = {}
 
     def fail(cell: Cell, reason: str) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def run_cells(cells: Sequence[Cell], store: Store, jobs: int, watcher: Watcher) 
         cell = task.cell
         if task.learns:
             watcher.ended(task.title, None, reason, seconds)
-            for then in waiting.pop(str(cell.learning_key)):
+            for then in waiting.pop(str(cell.identification_key)):
                 if reason:
                     records[then.cell.key] = fail(then.cell, f"its model could not be identified: {reason}")
                     watcher.ended(then.title, records[then.cell.key], reason, 0.0)

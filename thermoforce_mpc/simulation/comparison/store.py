@@ -37,9 +37,9 @@ class Store:
         stem = "-".join(re.sub(r"[^A-Za-z0-9_.=]+", "_", word) for word in (cell.variant, cell.window, cell.price))
         return self.folder / "cells" / f"{stem[:100]}-{cell.key}.json"
 
-    def model_path(self, learning_key: str) -> Path:
+    def model_path(self, identification_key: str) -> Path:
         """Where the model of an identification belongs."""
-        return self.folder / "models" / learning_key
+        return self.folder / "models" / identification_key
 
     def finished(self, cell: Cell) -> dict[str, Any] | None:
         """What an earlier call left of this cell, or None where it failed, was never made or cannot be read."""

@@ -20,13 +20,8 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, source_fingerprint
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store
-from thermoforce_mpc.simulation.composition import (
-    build_plant,
-    controller_options,
-    learn_model,
-    model_for,
-    scored_period,
-)
+from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.identifying import model_for, run_identification
 from thermoforce_mpc.version import VERSION
 
 # What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
@@ -35,7 +30,7 @@ Message = tuple[str, float | str]
 
 def learn(cell: Cell, folder: Path, channel: Connection) -> None:
     """Process: probe and identify for `cell`, save the model in the comparison's folder."""
-    _answer(channel, lambda: _learn(cell, Store(folder)))
+    _answer(channel, lambda: _identify(cell, Store(folder)))
 
 
 def run(cell: Cell, folder: Path, channel: Connection) -> None:
@@ -63,14 +58,14 @@ def _answer(channel: Connection, work: Callable[[], None]) -> None:
         channel.close()
 
 
-def _learn(cell: Cell, store: Store) -> None:
-    """Whatever this uses is in `cell.learning`, whose hash the model is kept under."""
-    learning = cell.learning
-    assert learning is not None
-    assert cell.learning_key is not None
-    with closing(build_plant(learning.plant, learning.testcase, learning.seed)) as plant:
-        model = learn_model(learning, plant)
-    path = store.model_path(cell.learning_key)
+def _identify(cell: Cell, store: Store) -> None:
+    """Whatever this uses is in `cell.task`, whose hash the model is kept under."""
+    task = cell.task
+    assert task is not None
+    assert cell.identification_key is not None
+    with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
+        model = run_identification(task, plant)
+    path = store.model_path(cell.identification_key)
     save_model(path, model, overwrite=path.exists())
 
 
@@ -78,9 +73,11 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
     scenario = cell.scenario
     name = scenario.controller.name
     testcase = load_testcase(scenario.testcase)
-    if cell.learning_key is not None:
-        learned = scenario.identification.model_copy(update={"model": str(store.model_path(cell.learning_key))})
-        scenario = scenario.model_copy(update={"identification": learned})
+    if cell.identification_key is not None:
+        identified = scenario.identification.model_copy(
+            update={"model": str(store.model_path(cell.identification_key))}
+        )
+        scenario = scenario.model_copy(update={"identification": identified})
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         model = model_for(scenario, testcase, plant) if find_entry(name).needs_model else None
@@ -110,7 +107,7 @@ def _head(cell: Cell) -> dict[str, Any]:
         "window": cell.window,
         "price": cell.price,
         "uncertainty": cell.uncertainty,
-        "model": cell.learning_key or cell.scenario.identification.model,
+        "model": cell.identification_key or cell.scenario.identification.model,
         "scenario": cell.scenario.model_dump(mode="json"),
     }
 

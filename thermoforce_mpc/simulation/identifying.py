@@ -1,0 +1,200 @@
+"""Identification before a window: what decides it, the probing of the plant, and the model that comes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from controllers.registry import controller_config
+from thermoforce_mpc.data import DAY_S, Period, Record
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.scenario.settings import merge, validate
+from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.composition import check_window, controller_options
+
+if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.probing.probe import ProbingConfig
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+
+@dataclass(frozen=True)
+class IdentificationTask:
+    """Everything that decides an identification before a window: `run_identification` is given nothing else.
+
+    `period` is the window that must not be probed, `days` of probing end where its warm-up begins; `step_s` is the
+    model's; `seed` that of the probing and, in `plant`, of the forecast errors, which the choice of draws sees.
+    """
+
+    testcase: TestCase
+    plant: PlantSpec
+    period: str
+    days: float
+    step_s: float
+    seed: int
+    probing: ProbingConfig
+    identification: IdentificationConfig
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values of every field, for a key or a file."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {
+            name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+            for name, value in values.items()
+        }
+
+
+@dataclass(frozen=True)
+class IdentifiedModel:
+    """A model and where it came from, for the manifest."""
+
+    model: ThermalModel
+    origin: Mapping[str, Any]
+
+
+def identify_on(
+    plant: Plant,
+    *,
+    before: Period,
+    days: float,
+    testcase: TestCase | None = None,
+    step_s: float | None = None,
+    seed: int = 1,
+    probing: ProbingConfig | None = None,
+    config: IdentificationConfig | None = None,
+    on_step: Callable[[float], None] | None = None,
+    on_record: Callable[[Record], None] | None = None,
+) -> ThermalModel:
+    """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
+
+    Early in the year the probing days are taken from the end of the year: a scored window is never probed.
+
+    Args:
+        testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
+        step_s: step of the model; by default the test case's.
+        on_step: told the share of the probing done.
+        on_record: given the record before anything is identified from it.
+
+    Raises:
+        DataError: the record cannot identify; the message has numbers and advice.
+        PlantError: the plant failed.
+    """
+    from thermoforce_mpc.identification.pipeline import identify
+    from thermoforce_mpc.identification.probing.probe import probe
+
+    testcase = testcase or load_testcase("bestest_hydronic_heat_pump")
+    start_s = before.start_s - before.warmup_s - days * DAY_S
+    if start_s < 0:
+        start_s = 365 * DAY_S - days * DAY_S
+    record = probe(
+        plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, identification=config, on_step=on_step
+    )
+    if on_record:
+        on_record(record)
+    info = plant.info
+    first = start_s / DAY_S
+    return identify(
+        [record],
+        config=config,
+        mode=testcase.mode,
+        floor_area_m2=testcase.floor_area_m2,
+        step_s=step_s or testcase.step_s,
+        source=f"{days:g} days of probing (days {first:g} to {first + days:g}) on {info.kind} {info.testcase}, "
+        f"{info.weather}",
+    )
+
+
+def identification_settings(
+    scenario: Scenario, testcase: TestCase, controller: str | None = None
+) -> tuple[ProbingConfig, IdentificationConfig]:
+    """How a scenario probes and identifies for `controller`, by default its own; `ConfigError` names each wrong key.
+
+    Unless told otherwise the machine is probed the way that controller will run it, whoever it is compared with.
+    """
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.probing.probe import ProbingConfig
+
+    spec, name = scenario.identification, controller or scenario.controller.name
+    actuation = getattr(controller_config(name, controller_options(scenario, name), testcase), "actuation", None)
+    defaults: dict[str, Any] = {}
+    if actuation is not None and actuation.mode == "modulating":
+        # Levels between off and full have to be seen to be planned.
+        defaults["levels"] = (0.0, *np.linspace(actuation.lowest_level, 1.0, 5).round(3).tolist())
+    elif actuation is not None:
+        defaults["levels"] = (0.0, actuation.level)
+    own = testcase.defaults
+    probing = validate(ProbingConfig, merge(merge(defaults, own.probing), spec.probing), "identification.probing")
+    options = merge(merge({"seed": scenario.seed}, own.identification), spec.options)
+    config = validate(IdentificationConfig, options, "identification.options")
+    return probing, config
+
+
+def identification_task(scenario: Scenario, testcase: TestCase, controller: str | None = None) -> IdentificationTask:
+    """What decides the model that `controller`, by default the scenario's own, gets in this scenario.
+
+    Raises:
+        ConfigError: a setting of the identification is wrong.
+    """
+    probing, config = identification_settings(scenario, testcase, controller)
+    return IdentificationTask(
+        testcase=testcase,
+        plant=scenario.plant,
+        period=scenario.period,
+        days=scenario.identification.days,
+        step_s=scenario.step_s or testcase.step_s,
+        seed=scenario.seed,
+        probing=probing,
+        identification=config,
+    )
+
+
+def run_identification(
+    task: IdentificationTask, plant: Plant, on_record: Callable[[Record], None] | None = None
+) -> ThermalModel:
+    """Probe `plant`, which is that of `task`, and identify.
+
+    Args:
+        on_record: given the record before anything is identified from it.
+
+    Raises:
+        DataError: the record cannot identify.
+        PlantError: the plant failed.
+    """
+    check_window(task.period)
+    return identify_on(
+        plant,
+        before=plant.period(task.period),
+        days=task.days,
+        testcase=task.testcase,
+        step_s=task.step_s,
+        seed=task.seed,
+        probing=task.probing,
+        config=task.identification,
+        on_record=on_record,
+    )
+
+
+def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:
+    """The model of `controller`: the saved one that the scenario names, at its step, or one identified for it.
+
+    Raises:
+        ArtifactError: the saved model cannot be used.
+        DataError: the record cannot identify.
+        PlantError: the plant failed.
+    """
+    from thermoforce_mpc.model.model_file import load_model
+
+    spec = scenario.identification
+    if spec.model is None:
+        return run_identification(identification_task(scenario, testcase, controller), plant)
+    step_s = scenario.step_s or testcase.step_s
+    model = load_model(Path(spec.model))
+    if model.operator.step_s != step_s:
+        model = replace(model, operator=model.operator.resampled(step_s))
+    return model
