@@ -35,7 +35,7 @@ class ThermoForceMPC:
 
     ```python
     from controllers import ThermoForceMPC
-    from thermoforce_mpc.model.model_file import load_model
+    from thermoforce_mpc.model.thermal_model import load_model
 
     controller = ThermoForceMPC(load_model("my_model"))
     plan = controller.plan(observation)

@@ -12,7 +12,6 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.order import Fitted, choose_order
-from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.model.operator import certificate
 from thermoforce_mpc.scenario.settings import validate
 
@@ -146,7 +145,7 @@ def test_silent_sensor_in_between_is_left_out():
 
 def test_same_data_same_bytes(tmp_path):
     for name in ("a", "b"):
-        save_model(tmp_path / name, identify([record(HOUSE, 2.0)], config=QUICK, floor_area_m2=190.0))
+        identify([record(HOUSE, 2.0)], config=QUICK, floor_area_m2=190.0).save(tmp_path / name)
     for file in sorted(path.name for path in (tmp_path / "a").iterdir()):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 

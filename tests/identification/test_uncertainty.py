@@ -10,7 +10,7 @@ from houses import House, record
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.report import plot_identification, rollouts
-from thermoforce_mpc.model.model_file import load_model, save_model
+from thermoforce_mpc.model.thermal_model import load_model
 
 HOUSE = House()
 LINEAR = IdentificationConfig(order=3, modulation="linear")
@@ -93,7 +93,7 @@ def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
 
 
 def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):
-    folder = save_model(tmp_path / "model", models[0])
+    folder = models[0].save(tmp_path / "model")
     assert load_model(folder).card.uncertainty == dict(models[0].card.uncertainty)
     shown = CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False).output
     known = models[0].card.uncertainty

@@ -9,11 +9,12 @@ import pytest
 from operators import HEAT_MAP, random_features, random_operator
 
 from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME, load_model, save_model
+from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator
-from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def model() -> ThermalModel:
 
 
 def test_a_model_comes_back_bit_for_bit(tmp_path, model):
-    back = load_model(save_model(tmp_path / "model", model))
+    back = load_model(model.save(tmp_path / "model"))
     features = random_features(np.random.default_rng(0), 10)
     u = np.linspace(0, 1, 10)
     for operator in (model.operator, model.operator.resampled(900.0)):
@@ -61,30 +62,30 @@ def test_a_model_comes_back_bit_for_bit(tmp_path, model):
 
 def test_a_bare_operator_can_be_saved(tmp_path):
     model = ThermalModel(linear_operator([0.9], [0.1], step_s=3600.0))
-    back = load_model(save_model(tmp_path / "deep" / "model", model))
+    back = load_model(model.save(tmp_path / "deep" / "model"))
     assert back.power is None
     assert back.free is None
 
 
 def test_same_model_same_bytes(tmp_path, model):
     for name in ("a", "b"):
-        save_model(tmp_path / name, model)
+        model.save(tmp_path / name)
     for file in (JSON_NAME, ARRAYS_NAME):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
 def test_nothing_is_overwritten_unless_asked(tmp_path, model):
-    folder = save_model(tmp_path / "model", model)
+    folder = model.save(tmp_path / "model")
     with pytest.raises(ArtifactError, match="exists already"):
-        save_model(folder, model)
+        model.save(folder)
     other = ThermalModel(linear_operator([0.9], [0.1], step_s=3600.0))
-    save_model(folder, other, overwrite=True)
+    other.save(folder, overwrite=True)
     assert load_model(folder).operator.order == 1
     precious = tmp_path / "thesis"
     precious.mkdir()
     (precious / "chapter").write_text("words")
     with pytest.raises(ArtifactError, match="not a saved model"):
-        save_model(precious, model, overwrite=True)
+        model.save(precious, overwrite=True)
     assert (precious / "chapter").read_text() == "words"
     assert {path.name for path in tmp_path.iterdir()} == {"model", "thesis"}, "leftovers of an unfinished write"
 
@@ -97,7 +98,7 @@ def _edit(folder, **changes):
 
 
 def test_damage_is_named(tmp_path, model):
-    folder = save_model(tmp_path / "model", model)
+    folder = model.save(tmp_path / "model")
     arrays = folder / ARRAYS_NAME
     raw = bytearray(arrays.read_bytes())
     raw[-1] ^= 1
@@ -120,14 +121,14 @@ def test_damage_is_named(tmp_path, model):
     ],
 )
 def test_foreign_or_edited_json_is_refused(tmp_path, model, changes, message):
-    folder = save_model(tmp_path / "model", model)
+    folder = model.save(tmp_path / "model")
     _edit(folder, **changes)
     with pytest.raises(ArtifactError, match=message):
         load_model(folder)
 
 
 def test_an_edited_sign_fails_at_load(tmp_path, model):
-    folder = save_model(tmp_path / "model", model)
+    folder = model.save(tmp_path / "model")
     document = json.loads((folder / JSON_NAME).read_text())
     _edit(folder, operator=document["operator"] | {"sign": -1})
     with pytest.raises(ArtifactError, match="gains"):
@@ -147,5 +148,5 @@ def test_missing_and_unreadable_folders(tmp_path):
 
 def test_an_operator_without_effect_is_not_saved(tmp_path):
     with pytest.raises(ArtifactError, match="certificate"):
-        save_model(tmp_path / "model", ThermalModel(linear_operator([0.9], [0.0], step_s=3600.0)))
+        ThermalModel(linear_operator([0.9], [0.0], step_s=3600.0)).save(tmp_path / "model")
     assert not (tmp_path / "model").exists()

@@ -13,7 +13,6 @@ from thermoforce_mpc.cli.inspect import show_model
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
@@ -54,7 +53,7 @@ def command(**options: Any) -> None:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
         with display.working(f"Probing for {task.days:g} days and identifying"):
             model = run_identification(task, plant, records.append)
-    save_model(out, model, overwrite=options["overwrite"])
+    model.save(out, overwrite=options["overwrite"])
     show_model(str(out), model, display.console)
     from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification
 

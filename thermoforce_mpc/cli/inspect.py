@@ -9,9 +9,8 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.model.model_file import load_model
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 _SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)

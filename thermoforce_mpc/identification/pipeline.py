@@ -31,8 +31,9 @@ from thermoforce_mpc.identification.records import Pair, check_pairs, check_run,
 from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be believed.
 _LEAST_EXPLAINED = 0.1

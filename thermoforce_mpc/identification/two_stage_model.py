@@ -16,9 +16,10 @@ from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.records import Pair, data_hash
 from thermoforce_mpc.identification.regression_data import pair_regression
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.thermal_model import ModelCard, ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # How far paired training may take pole and gain from where the two stages ended, relative.
 _TWO_STAGE_SD = 0.3

@@ -188,7 +188,7 @@ def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: 
         DataError: the record cannot identify.
         PlantError: the plant failed.
     """
-    from thermoforce_mpc.model.model_file import load_model
+    from thermoforce_mpc.model.thermal_model import load_model
 
     spec = scenario.identification
     if spec.model is None:

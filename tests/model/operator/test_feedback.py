@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.model_file import load_model, save_model
 from thermoforce_mpc.model.operator import (
     IDENTITY,
     certificate,
@@ -24,7 +23,7 @@ from thermoforce_mpc.model.operator import (
 )
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 N = 12
 
@@ -188,15 +187,15 @@ def test_effects_of_one_action_alone_are_refused():
 
 def test_artifact_keeps_the_choice_and_refuses_what_is_not_proven(tmp_path):
     mild = total(3, 2, scale=0.03, gamma=0.3)
-    folder = save_model(tmp_path / "mild", ThermalModel(mild))
+    folder = ThermalModel(mild).save(tmp_path / "mild")
     assert load_model(folder).operator.feedback
     assert '"feedback_slope_per_K"' in (folder / "model.json").read_text()
     with pytest.raises(
         ArtifactError, match=r"within \[-12, 0\] per K.*could turn the effect of an action around: 2 steps"
     ):
-        save_model(tmp_path / "turns", ThermalModel(_turns_around()))
+        ThermalModel(_turns_around()).save(tmp_path / "turns")
     # The same weights edited in from outside.
-    free = save_model(tmp_path / "edited", ThermalModel(replace(_turns_around(), feedback=False)))
+    free = ThermalModel(replace(_turns_around(), feedback=False)).save(tmp_path / "edited")
     text = (free / "model.json").read_text()
     (free / "model.json").write_text(text.replace('"feedback": false', '"feedback": true', 1))
     with pytest.raises(ArtifactError, match="fails its certificate"):

@@ -15,7 +15,6 @@ from typing import Any
 from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.model.model_file import save_model
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, source_fingerprint
@@ -66,7 +65,7 @@ def _identify(cell: Cell, store: Store) -> None:
     with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
         model = run_identification(task, plant)
     path = store.model_path(cell.identification_key)
-    save_model(path, model, overwrite=path.exists())
+    model.save(path, overwrite=path.exists())
 
 
 def _run(cell: Cell, store: Store, channel: Connection) -> None:
