@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import Block
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 # A share below this asks for the machine to be off.
 _OFF = 1e-3

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class FallbackConfig(StrictModel):

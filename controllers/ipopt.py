@@ -15,7 +15,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.casadi_export import step_function
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 # Statuses with which Ipopt claims an optimum; anything else is a failed solve, whatever it left in u.
 _ACCEPTED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}

@@ -15,7 +15,7 @@ from controllers.semi_continuous import SemiContinuousConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class FreeResponseConfig(StrictModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class NativeConfig(StrictModel):

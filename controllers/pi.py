@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import HOUR_S, Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class PIConfig(StrictModel):

@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy import sparse
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 QPBackend = Literal["piqp", "clarabel"]
 

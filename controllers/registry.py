@@ -11,8 +11,8 @@ from controllers.native import NativeConfig, NativeController
 from controllers.pi import PIConfig, PIController
 from controllers.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.scenario.settings import merge, suggestion, validate
-from thermoforce_mpc.scenario.testcase import StrictModel, TestCase
+from thermoforce_mpc.scenario.settings import StrictModel, merge, suggestion, validate
+from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
     from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -10,7 +10,7 @@ from pydantic import Field
 from controllers.problem import MPCProblem, Solution
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class SearchConfig(StrictModel):

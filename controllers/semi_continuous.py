@@ -21,7 +21,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.features import OUTDOOR
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class SemiContinuousConfig(StrictModel):

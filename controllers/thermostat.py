@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class Setback(StrictModel):

@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.cli.display import RunDisplay
 from thermoforce_mpc.cli.inspect import show_model
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
 from thermoforce_mpc.data import Record
@@ -16,6 +15,7 @@ from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
+from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import identification_task, run_identification
 
 

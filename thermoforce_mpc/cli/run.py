@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.cli.display import RunDisplay
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
+from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.run import run_scenario
 
 

@@ -30,7 +30,7 @@ from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 # Steps that are on, and hours of them, from which measured heat can be compared with the map.
 _ON, _LEAST_ON_H = 0.02, 0.5

@@ -19,7 +19,7 @@ from thermoforce_mpc.data import Array, FreeForecast, Record
 from thermoforce_mpc.model.forced_history import InitialForce, forced_history, heat_drive
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 # A forecast is never surer than a sensor, K.
 _LEAST_SD_K = 0.01

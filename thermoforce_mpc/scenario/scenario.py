@@ -9,8 +9,8 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, validate
-from thermoforce_mpc.scenario.testcase import Price, StrictModel, TestCase
+from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, validate
+from thermoforce_mpc.scenario.testcase import Price, TestCase
 
 
 class PlantSpec(StrictModel):

@@ -5,18 +5,13 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.scenario.settings import StrictModel
 
 Price = Literal["constant", "dynamic", "highly_dynamic"]
 PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
-
-
-class StrictModel(BaseModel):
-    """Base of everything users write: unknown keys are refused, values are immutable once read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Actuator(StrictModel):
@@ -94,11 +89,13 @@ class ForecastPoints(StrictModel):
     occupancy: str = "Occupancy[1]"
     lower: str = "LowerSetp[1]"
     upper: str = "UpperSetp[1]"
-    price: dict[Price, str] = {
-        "constant": "PriceElectricPowerConstant",
-        "dynamic": "PriceElectricPowerDynamic",
-        "highly_dynamic": "PriceElectricPowerHighlyDynamic",
-    }
+    price: dict[Price, str] = Field(
+        {
+            "constant": "PriceElectricPowerConstant",
+            "dynamic": "PriceElectricPowerDynamic",
+            "highly_dynamic": "PriceElectricPowerHighlyDynamic",
+        }
+    )
     emission: str = "EmissionsElectricPower"
 
 

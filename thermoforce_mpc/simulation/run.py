@@ -2,58 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, closing
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from controllers.registry import build_controller, find_entry
-from thermoforce_mpc.data import DAY_S, Period
-from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.data import DAY_S, Period, PlantInfo
+from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
+from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import IdentificationTask, IdentifiedModel, identification_task, model_for
-from thermoforce_mpc.simulation.run_folder import create_run_folder, write_partial, write_results
+from thermoforce_mpc.simulation.run_folder import create_run_folder, trajectory_frame, write_partial, write_results
 
-if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
-    pass
-
-
-class StepFollower(Protocol):
-    """Shown the steps of one closed loop."""
-
-    def step(self, record: StepRecord) -> None:
-        """Take one control step in."""
-        ...
+if TYPE_CHECKING:  # loaded only when a controller needs a model
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
-class Display(Protocol):
-    """What `run_scenario` tells its reader while it works."""
-
-    def say(self, text: str) -> None:
-        """One line."""
-        ...
-
-    def working(self, text: str) -> AbstractContextManager[object]:
-        """Shown while something takes a while."""
-        ...
-
-    def loop(
-        self, controller: str, period: Period, kpis: Callable[[], Mapping[str, float]], currency: str
-    ) -> AbstractContextManager[StepFollower]:
-        """Follows one closed loop; `kpis` are the plant's so far, asked for once a day."""
-        ...
-
-    def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
-        """KPIs side by side."""
-        ...
-
-
-def _identify_all(scenario: Scenario, testcase: TestCase, plant: Plant, display: Display) -> dict[str, IdentifiedModel]:
+def _identify_all(
+    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay
+) -> dict[str, IdentifiedModel]:
     """The model of every contestant that needs one; those that would probe and identify alike share one.
 
     Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
@@ -75,7 +52,7 @@ def _identify_all(scenario: Scenario, testcase: TestCase, plant: Plant, display:
 
 
 def _identify(
-    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: Display
+    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay
 ) -> IdentifiedModel:
     """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it."""
     spec = scenario.identification
@@ -109,7 +86,68 @@ def _identify(
     )
 
 
-def run_scenario(scenario: Scenario, display: Display, out: Path | None, command: Sequence[str]) -> Path:
+@dataclass(frozen=True)
+class ScenarioResult:
+    """A scenario that was run: the controller's closed loop and its baselines' on the same plant and window.
+
+    `identification` and `forecaster` are what the manifest says of the models and of the frozen weights.
+    """
+
+    scenario: Scenario
+    plant: PlantInfo
+    result: RunResult
+    baselines: Mapping[str, RunResult]
+    models: Mapping[str, ThermalModel]
+    identification: Mapping[str, Any]
+    forecaster: Mapping[str, Any]
+
+    @property
+    def kpis(self) -> dict[str, dict[str, float]]:
+        """BOPTEST's KPIs by controller, the scenario's own first."""
+        return {name: dict(result.kpis) for name, result in self._results().items()}
+
+    def to_dataframe(self, controller: str | None = None) -> pd.DataFrame:
+        """The trajectory of a controller, by default the scenario's own; one row per applied block.
+
+        Raises:
+            ConfigError: no controller of that name was run.
+        """
+        results = self._results()
+        name = controller or self.result.controller
+        if name not in results:
+            raise ConfigError(f"no run of '{name}'{suggestion(name, results)}; there are {', '.join(results)}")
+        return trajectory_frame(results[name].steps)
+
+    def _results(self) -> dict[str, RunResult]:
+        return {self.result.controller: self.result, **self.baselines}
+
+
+def run(
+    testcase: str,
+    *,
+    controller: str = "thermoforce_mpc",
+    model: ThermalModel | None = None,
+    progress: bool = True,
+    **settings: Any,
+) -> ScenarioResult:
+    """Control a building over a scored window; nothing is written (`tf-mpc run` also writes a folder and a report).
+
+    Args:
+        testcase: a test case that ships, by name, or the path of a YAML file.
+        controller: name in the registry, see `tf-mpc controllers`.
+        model: an identified model; by default the plant is probed and a model identified first.
+        progress: say on the terminal how far the run is.
+        settings: any other key of a scenario file: `days`, `period`, `price`, `plant`, `baselines`, `seed`, ….
+
+    Raises:
+        InputError: something given cannot be used; the message names the key.
+        PlantError: the plant or its service failed.
+    """
+    named = {"testcase": testcase, "controller": {"name": controller}}
+    return _execute(load_scenario(None, merge(named, settings)), RunDisplay(quiet=not progress), {}, model)
+
+
+def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
     """Run a scenario and its baselines, print the KPI table, and write the run folder.
 
     Returns:
@@ -120,34 +158,10 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
         PlantError: the plant or service failed; what had been recorded is in the run folder the message names.
     """
     testcase = validate_scenario(scenario)
-    name = scenario.controller.name
-    stem = f"{testcase.name}-{scenario.period}-{scenario.price}-{name}"
-    folder = create_run_folder(out, stem)
+    folder = create_run_folder(out, f"{testcase.name}-{scenario.period}-{scenario.price}-{scenario.controller.name}")
     records: dict[str, list[StepRecord]] = {}
     try:
-        with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
-            period = scored_period(plant, scenario.period, scenario.days)
-            display.say(_headline(plant, period, scenario))
-            identified = _identify_all(scenario, testcase, plant, display)
-            models = {who: found.model for who, found in identified.items()}
-            controller = build_controller(name, controller_options(scenario, name), testcase, models.get(name))
-            before = _weight_hash(controller)
-            result = _follow(plant, controller, period, scenario, testcase, display, records)
-            forecaster = _frozen(controller, before)
-            baselines = {
-                other: _follow(
-                    plant,
-                    build_controller(other, controller_options(scenario, other), testcase, models.get(other)),
-                    period,
-                    scenario,
-                    testcase,
-                    display,
-                    records,
-                )
-                for other in scenario.baselines
-                if other != name
-            }
-            info = plant.info
+        done = _execute(scenario, display, records)
     except PlantError as error:
         write_partial(folder, records, str(error))
         raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
@@ -160,24 +174,53 @@ def run_scenario(scenario: Scenario, display: Display, out: Path | None, command
     kpis = write_results(
         folder,
         scenario=scenario,
-        plant=info,
-        result=result,
-        baselines=baselines,
-        identification=_origins(identified, name),
+        plant=done.plant,
+        result=done.result,
+        baselines=done.baselines,
+        identification=done.identification,
         command=command,
-        forecaster=forecaster,
+        forecaster=done.forecaster,
     )
     with display.working("Drawing the report"):
         from thermoforce_mpc.simulation.report import write_report
 
-        write_report(folder, currency=testcase.currency, kpis=kpis, result=result, baselines=baselines)
-    everyone = {name: result.kpis, **{other: b.kpis for other, b in baselines.items()}}
-    title = f"{info.kind} plant, {info.weather}\n{_window(period)}, {scenario.price} tariff"
-    display.kpi_table(everyone, title, testcase.currency)
-    fallbacks = {level: n for level, n in result.fallback_levels().items() if n and level not in ("solved", "rule")}
+        write_report(folder, currency=testcase.currency, kpis=kpis, result=done.result, baselines=done.baselines)
+    title = f"{done.plant.kind} plant, {done.plant.weather}\n{_window(done.result.period)}, {scenario.price} tariff"
+    display.kpi_table(done.kpis, title, testcase.currency)
+    levels = done.result.fallback_levels()
+    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule")}
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     return folder
+
+
+def _execute(
+    scenario: Scenario,
+    display: RunDisplay,
+    records: dict[str, list[StepRecord]],
+    model: ThermalModel | None = None,
+) -> ScenarioResult:
+    """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails."""
+    testcase = validate_scenario(scenario)
+    name = scenario.controller.name
+    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        period = scored_period(plant, scenario.period, scenario.days)
+        display.say(_headline(plant, period, scenario))
+        identified = _identify_all(scenario, testcase, plant, display) if model is None else {}
+        models = {who: found.model for who, found in identified.items()}
+
+        def follow(controller: Controller) -> RunResult:
+            return _follow(plant, controller, period, scenario, testcase, display, records)
+
+        def built(who: str) -> Controller:
+            return build_controller(who, controller_options(scenario, who), testcase, models.get(who, model))
+
+        controller = built(name)
+        before = _weight_hash(controller)
+        result = follow(controller)
+        forecaster = _frozen(controller, before)
+        baselines = {other: follow(built(other)) for other in scenario.baselines if other != name}
+        return ScenarioResult(scenario, plant.info, result, baselines, models, _origins(identified, name), forecaster)
 
 
 def _origins(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:
@@ -209,7 +252,7 @@ def _follow(
     period: Period,
     scenario: Scenario,
     testcase: TestCase,
-    display: Display,
+    display: RunDisplay,
     records: dict[str, list[StepRecord]],
 ) -> RunResult:
     """One closed loop, shown and recorded step by step so that a failure half way loses nothing."""

@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.testcase import StrictModel
+from thermoforce_mpc.scenario.settings import StrictModel
 
 # How far ahead the band is looked at: the zone must be able to meet the occupied bounds again.
 _BAND_AHEAD_S = DAY_S

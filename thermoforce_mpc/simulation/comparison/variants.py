@@ -12,8 +12,8 @@ from pydantic import BaseModel, Field, field_validator
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, suggestion, validate
-from thermoforce_mpc.scenario.testcase import PRICES, Price, StrictModel, TestCase
+from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, suggestion, validate
+from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
 
