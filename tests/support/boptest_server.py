@@ -20,7 +20,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
-from thermoforce_mpc.plants.embedded.kernel import RECORD, STEP_S
+from thermoforce_mpc.plants.embedded.kernel import RECORD
 
 NAME = "bestest_hydronic_heat_pump"
 _FORECAST = {
@@ -213,13 +213,11 @@ class Service:
         return out
 
     def _results(self, testid, plant, body):
-        rows = np.vstack([plant._first, *plant._record])
-        time_s = plant._begin_s + np.arange(rows.shape[0]) * STEP_S
-        inside = (time_s >= body["start_time"]) & (time_s <= body["final_time"])
-        if not inside.any():
+        record = plant.recorded(body["start_time"], body["final_time"])
+        if not record["time"].size:
             reason = "Traceback (most recent call last):\nIndexError: index 0 is out of bounds"
             raise Bare(500, {"status": 500, "message": "Internal BOPTEST error", "payload": reason})
-        out = {"time": time_s[inside].tolist()}
+        out = {"time": record["time"].tolist()}
         for name in body["point_names"]:
             if name in MEASUREMENTS:
                 column = MEASUREMENTS[name]
@@ -230,8 +228,7 @@ class Service:
                 continue
             else:
                 raise rejected(f"Invalid point name {name} in parameter point_names.")
-            values = rows[inside, RECORD.index(column)]
-            out[name] = [None if np.isnan(v) else v for v in values.tolist()]
+            out[name] = [None if np.isnan(v) else v for v in record[column].tolist()]
         return out
 
     def _kpi(self, testid, plant, body):

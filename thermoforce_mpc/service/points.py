@@ -75,9 +75,8 @@ MEASUREMENT_POINTS: dict[str, PointInfo] = dict(
 )
 
 
-def recorded_points(plant: EmbeddedPlant, names: list[str], start_s: float, final_s: float) -> dict[str, Array]:
-    """Recorded samples of measurements and inputs between two times, with 'time'; names must be known."""
-    record = plant.recorded(start_s, final_s)
+def recorded_points(plant: EmbeddedPlant, names: list[str], record: Mapping[str, Array]) -> dict[str, Array]:
+    """Measurements and inputs at the samples of a record of the plant, with 'time'; names must be known."""
     time_s = record["time"]
 
     def series(name: str) -> Array:

@@ -1,7 +1,7 @@
 """One test: an embedded plant with a step, a scenario and overwritten inputs, driven by requests.
 
 Every public method is one endpoint: it takes the request's values as they came and returns `Reply(message, payload)`,
-or raises `Refusal`. Semantics follow the BOPTEST documentation; steps are multiples of the emulator's 30 s.
+or raises `Refusal`. Semantics follow the BOPTEST service.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
 from thermoforce_mpc.data import HOUR_S, Array, Period
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
 from thermoforce_mpc.service.points import (
     FORECAST_POINTS,
@@ -32,7 +33,7 @@ from thermoforce_mpc.service.scenario import forecast_error, level
 DEFAULT_STEP_S = 3600.0
 # What one answer and one test may hold, so that memory stays bounded.
 MOST_VALUES = 5_000_000
-_MOST_RECORDED_S = 400 * 86400.0
+_MOST_SAMPLES = 400 * 2880
 _PERIODS = ("peak_heat_day", "typical_heat_day")
 
 
@@ -62,6 +63,7 @@ class Session:
         self._overwrites: dict[str, float] = {}
         self._active: dict[str, bool] = {}
         self._switches: list[tuple[float, Mapping[str, bool]]] = []
+        self._n_steps = 0
         self._waits_s: list[float] = []
         self._answered_s: float | None = None
 
@@ -84,10 +86,8 @@ class Session:
         return Reply("The control step.", self._step_s)
 
     def set_step(self, body: Mapping[str, Any]) -> Reply:
-        """Set the length of a step: a multiple of 30 s, less than a year."""
-        step_s = _number(body, "step", low=STEP_S, high=364 * 86400.0)
-        if abs(step_s % STEP_S) > 1e-6:
-            raise Refusal(400, f"Invalid step {step_s:g} s: the embedded plant simulates multiples of {STEP_S:g} s.")
+        """Set the length of a step: a millisecond or more, less than a year."""
+        step_s = _number(body, "step", low=LEAST_STEP_S, high=364 * 86400.0)
         self._step_s = step_s
         return Reply("The control step was set.", {"step": step_s})
 
@@ -140,16 +140,19 @@ class Session:
         self._count_wait()
         overwrites, active, notes = self._read_inputs(body)
         now_s = self._plant.now_s
-        if now_s >= self._end_s:
+        if self._end_s - now_s < LEAST_STEP_S:
             return Reply("End of test case scenario: its time period is over.", {})
         step_s = min(self._step_s, self._end_s - now_s)
-        if now_s + step_s - self._plant.begin_s > _MOST_RECORDED_S:
+        # A step of less than 30 s leaves a sample as well.
+        if (now_s + step_s - self._plant.begin_s) / STEP_S + self._n_steps > _MOST_SAMPLES:
             raise Refusal(400, "This test holds as long a record as it may; initialize it again, or select another.")
         forced = {name: overwrites[name] for name, on in active.items() if on}
         with _refusing():
             self._plant.advance_points(forced, step_s)
         self._overwrites, self._active = overwrites, active
-        self._switches.append((self._plant.now_s, active))
+        self._n_steps += 1
+        if not self._switches or self._switches[-1][1] != active:
+            self._switches.append((now_s, active))
         self._answered_s = time.monotonic()
         message = f"Advanced simulation from {now_s:g} s to {self._plant.now_s:g} s."
         return Reply(" ".join(notes) or message, self._state())
@@ -182,7 +185,6 @@ class Session:
                 f"Nothing is recorded between {start_s:g} s and {final_s:g} s: "
                 f"the record of this test goes from {self._plant.begin_s:g} s to {self._plant.now_s:g} s.",
             )
-        _check_size(len(names), (last_s - first_s) / STEP_S)
         return Reply("The results.", _lists(self._recorded(names, first_s, last_s)))
 
     def kpi(self) -> Reply:
@@ -202,7 +204,7 @@ class Session:
             self._plant.reset(start_s, warmup_s, self._scenario["electricity_price"])
         self._start_s, self._end_s = start_s, end_s
         self._overwrites, self._active, self._switches = {}, {}, []
-        self._waits_s, self._answered_s = [], None
+        self._n_steps, self._waits_s, self._answered_s = 0, [], None
         return Reply(f"The test was initialized to {start_s:g} s.", self._state())
 
     def _surround(self) -> None:
@@ -220,14 +222,14 @@ class Session:
     def _recorded(self, names: list[str], start_s: float, final_s: float) -> dict[str, Array]:
         """Recorded samples of any measurements and inputs, with 'time'."""
         switches = [name for name in names if name.endswith("_activate")]
-        series = recorded_points(self._plant, [name for name in names if name not in switches], start_s, final_s)
-        # A sample belongs to the step that ends there or later.
-        step = np.searchsorted([until_s for until_s, _ in self._switches], series["time"])
-        started = series["time"] > self._start_s
+        record = self._plant.recorded(start_s, final_s)
+        _check_size(len(names), record["time"].size)
+        series = recorded_points(self._plant, [name for name in names if name not in switches], record)
+        # A sample belongs to the step that ends there or later; nothing was overwritten before the first.
+        step = np.searchsorted([from_s for from_s, _ in self._switches], series["time"])
         for key in switches:
             name = key.removesuffix("_activate")
-            on = np.array([float(active.get(name, False)) for _, active in self._switches] + [0.0])
-            series[key] = np.where(started, on[step], 0.0)
+            series[key] = np.array([0.0] + [float(active.get(name, False)) for _, active in self._switches])[step]
         return {name: series[name] for name in [*names, "time"]}
 
     def _read_inputs(self, body: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, bool], list[str]]:

@@ -21,10 +21,16 @@ from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.kpis import compute_kpis
+from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.version import VERSION
 
 _KELVIN = 273.15
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
+
+# Shorter steps would drown in the rounding of the clock.
+LEAST_STEP_S = 1e-3
+# Samples are told apart down to this, s.
+_CLOCK_S = 1e-6
 
 # Overwrite inputs of the test case in the kernel's order: (name, lowest, highest) at the wire.
 OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
@@ -58,6 +64,7 @@ class Snapshot:
     start_s: float
     price: str
     record: tuple[Array, ...]
+    times: tuple[Array, ...]
     first: Array
 
 
@@ -125,7 +132,7 @@ class EmbeddedPlant:
         return Period(f"day {day:g}", day * DAY_S)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control in steps of 30 s, cut at the beginning of the year.
+        """Start at `start_s` after `warmup_s` of native control, cut at the beginning of the year.
 
         Raises:
             InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
@@ -139,9 +146,9 @@ class EmbeddedPlant:
         self._scalars[kernel.T_EVAPORATOR] = 278.15
         self._scalars[kernel.CO2_PPM] = 400.0
         self._start_s = float(start_s)
-        # Samples lie whole steps from the start, wherever that is, so that a test starts at the second asked for.
-        self._begin_s = self._now_s = start_s - self._whole_steps(min(warmup_s, start_s))
+        self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
         self._record: list[Array] = []
+        self._times: list[Array] = []
         self._first = self._still()
         if self._start_s > self._now_s:
             self._advance({}, self._start_s - self._now_s)
@@ -159,8 +166,8 @@ class EmbeddedPlant:
         """Advance with overwrite inputs by their names at the wire (kelvin); those not named stay native.
 
         Raises:
-            InputError: an unknown input, a value that is not finite or out of its limits, or a duration that is not a
-                whole number of 30-s steps between 30 s and a year.
+            InputError: an unknown input, a value that is not finite or out of its limits, or a duration that is not
+                between a millisecond and a year.
         """
         limits = {name: (low, high) for name, low, high in OVERWRITES}
         for name, value in overrides.items():
@@ -172,8 +179,8 @@ class EmbeddedPlant:
                 raise InputError(f"input '{name}' is {value!r}, expected a number from {low:g} to {high:g}")
         if not (isinstance(duration_s, int | float | np.number) and math.isfinite(duration_s)):
             raise InputError(f"step of {duration_s!r}: expected a number of seconds")
-        if not kernel.STEP_S <= duration_s < YEAR_S or abs(duration_s % kernel.STEP_S) > 1e-6:
-            raise InputError(f"step of {duration_s:g} s: expected a multiple of {kernel.STEP_S:g} s, less than a year")
+        if not LEAST_STEP_S <= duration_s < YEAR_S:
+            raise InputError(f"step of {duration_s:g} s: expected {LEAST_STEP_S:g} s or more, less than a year")
         return self._measurement(self._advance(overrides, float(duration_s)))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
@@ -201,35 +208,33 @@ class EmbeddedPlant:
         )
 
     def past(self, step_s: float) -> Record:
-        """Everything since the start of the warm-up at `step_s` (a multiple of 30 s); older remainders are cut.
+        """Everything since the start of the warm-up at `step_s`; older remainders are cut.
 
         Raises:
-            InputError: `step_s` is not a multiple of 30 s.
+            InputError: `step_s` is not positive.
         """
-        n = round(step_s / kernel.STEP_S)
-        if n < 1 or abs(n * kernel.STEP_S - step_s) > 1e-6:
-            raise InputError(f"history at {step_s!r} s: expected a multiple of {kernel.STEP_S:g} s")
-        rows = np.vstack([self._first, *self._record])
-        steps = (rows.shape[0] - 1) // n
-        rows = rows[rows.shape[0] - 1 - steps * n :]
-        means = rows[1:].reshape(steps, n, rows.shape[1]).mean(axis=1)
-        ends = rows[::n]
+        if not (math.isfinite(step_s) and step_s > 0):
+            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        record = self.recorded(self._begin_s, self._now_s)
+        steps = math.floor((self._now_s - self._begin_s) / step_s + 1e-9)
+        edges: Array = self._now_s - np.arange(float(steps), -1.0, -1.0) * step_s
+        sampled = {name: np.interp(edges, record["time"], record[name]) for name in ("T_operative", "T_out", "solar")}
         return Record(
-            time_s=self._now_s - np.arange(steps, -1, -1) * step_s,
-            T_zone_C=ends[:, _COLUMN["T_operative"]] - _KELVIN,
-            T_out_C=ends[:, _COLUMN["T_out"]] - _KELVIN,
-            solar_W_m2=ends[:, _COLUMN["solar"]],
-            u=means[:, _COLUMN["level"]],
-            power_W=_total_power(means),
-            heat_W=means[:, _COLUMN["Q_condenser"]],
-            T_return_C=means[:, _COLUMN["T_return"]] - _KELVIN,
+            time_s=edges,
+            T_zone_C=sampled["T_operative"] - _KELVIN,
+            T_out_C=sampled["T_out"] - _KELVIN,
+            solar_W_m2=sampled["solar"],
+            u=interval_means(record, ["level"], edges),
+            power_W=interval_means(record, ["P_heat_pump", "P_fan", "P_pump"], edges),
+            heat_W=interval_means(record, ["Q_condenser"], edges),
+            T_return_C=interval_means(record, ["T_return"], edges) - _KELVIN,
         )
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the end of the warm-up (no computing time: that is the loop's to know)."""
         rows = np.vstack([self._first, *self._record])
-        time_s = self._begin_s + np.arange(rows.shape[0]) * kernel.STEP_S
-        scored = time_s >= self._start_s - 1e-6
+        time_s = np.concatenate([[self._begin_s], *self._times])
+        scored = time_s >= self._start_s - _CLOCK_S
         time_s, rows = time_s[scored], rows[scored]
         if time_s.size < 2:  # nothing has been simulated since: BOPTEST answers zeros
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
@@ -278,30 +283,32 @@ class EmbeddedPlant:
         self._price, self._forecast_error = price, forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
-        """Samples every 30 s between two times: 'time' s and every column of `kernel.RECORD`, units of the wire.
+        """Samples between two times: 'time' s and every column of `kernel.RECORD`, units of the wire.
 
-        The record starts with the warm-up and ends now; arrays of one length, empty where nothing was recorded.
+        An advance leaves equally spaced samples, 30 to 60 s apart (30 where its length is a multiple);
+        a shorter one leaves one. The record starts with the warm-up and ends now; arrays of one length, empty where
+        nothing was recorded.
         """
-        n_rows = round((self._now_s - self._begin_s) / kernel.STEP_S) + 1
-        first = max(math.ceil((start_s - self._begin_s) / kernel.STEP_S - 1e-9), 0)
-        last = min(math.floor((final_s - self._begin_s) / kernel.STEP_S + 1e-9), n_rows - 1)
         # From the latest backwards: a client that asks for the present must not pay for the past.
-        needed, position = [], n_rows
-        for part in itertools.chain(reversed(self._record), [self._first]):
-            position -= part.shape[0]
-            if position <= last:
-                needed.append(part)
-            if position <= first:
+        times, parts = [np.empty(0)], [self._first[:0]]
+        for time_s, rows in zip(
+            itertools.chain(reversed(self._times), [np.array([self._begin_s])]),
+            itertools.chain(reversed(self._record), [self._first]),
+            strict=True,
+        ):
+            if time_s[-1] < start_s - _CLOCK_S:
                 break
-        rows = np.vstack(needed[::-1])[first - position : last + 1 - position] if needed else self._first[:0]
-        time_s: Array = self._begin_s + (first + np.arange(rows.shape[0], dtype=np.float64)) * kernel.STEP_S
-        return {"time": time_s} | {name: rows[:, i] for name, i in _COLUMN.items()}
+            first, last = np.searchsorted(time_s, [start_s - _CLOCK_S, final_s + _CLOCK_S])
+            times.append(time_s[first:last])
+            parts.append(rows[first:last])
+        values = np.vstack(parts[::-1])
+        return {"time": np.concatenate(times[::-1])} | {name: values[:, i] for name, i in _COLUMN.items()}
 
     def snapshot(self) -> Snapshot:
         """Keep this moment, to come back to it or branch from it."""
         return Snapshot(
             self._nodes.copy(), self._scalars.copy(), self._now_s, self._begin_s, self._start_s, self._price,
-            tuple(self._record), self._first,
+            tuple(self._record), tuple(self._times), self._first,
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -309,7 +316,7 @@ class EmbeddedPlant:
         s = snapshot
         self._nodes, self._scalars = s.nodes.copy(), s.scalars.copy()
         self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
-        self._record, self._first = list(s.record), s.first
+        self._record, self._times, self._first = list(s.record), list(s.times), s.first
 
     def close(self) -> None:
         """Nothing is held."""
@@ -323,17 +330,21 @@ class EmbeddedPlant:
         self.close()
 
     def _advance(self, overrides: Mapping[str, float], duration_s: float) -> Array:
-        n = round(duration_s / kernel.STEP_S)
+        # As BOPTEST samples: as many equal steps as there are whole 30 s in it, at least one.
+        n = max(math.floor(duration_s / kernel.STEP_S + 1e-9), 1)
         rows = np.empty((n, len(kernel.RECORD)))
         forced = np.array([float(overrides.get(name, math.nan)) for name, _, _ in OVERWRITES])
         net = self._network
         kernel.advance(
-            self._nodes, self._scalars, self._now_s, n, forced, self._grid, net.capacity, net.coupling, net.outside,
-            net.inside, net.pipe, net.slab, rows,
+            self._nodes, self._scalars, self._now_s, n, duration_s / n, forced, self._grid, net.capacity, net.coupling,
+            net.outside, net.inside, net.pipe, net.slab, rows,
         )  # fmt: skip
-        self._now_s += n * kernel.STEP_S
+        time_s = self._now_s + duration_s / n * np.arange(1.0, n + 1)
+        self._now_s += duration_s
+        time_s[-1] = self._now_s  # not a rounding beside it
         rows.setflags(write=False)
         self._record.append(rows)
+        self._times.append(time_s)
         return rows
 
     def _native_year(self) -> Array:
@@ -376,10 +387,6 @@ class EmbeddedPlant:
         row[0, _COLUMN["T_out"]] = self.weather.at("T_dry_C", at)[0] + _KELVIN
         row[0, _COLUMN["solar"]] = self.weather.at("global_W_m2", at)[0]
         return row
-
-    @staticmethod
-    def _whole_steps(time_s: float) -> float:
-        return math.floor(time_s / kernel.STEP_S + 1e-9) * kernel.STEP_S
 
 
 def _total_power(rows: Array) -> Array:

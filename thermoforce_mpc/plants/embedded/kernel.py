@@ -19,6 +19,7 @@ from thermoforce_mpc.plants.embedded import schedule as s
 from thermoforce_mpc.plants.embedded.heat_pump import heat_pump
 from thermoforce_mpc.plants.embedded.schedule import is_occupied
 
+# Length of a step where nothing asks for another, and least distance of samples but for shorter advances.
 STEP_S = 30.0
 
 # Scalars of the state, after the nodes.
@@ -105,6 +106,7 @@ def advance(
     scalars: np.ndarray,
     time_s: float,
     n_steps: int,
+    dt: float,
     overrides: np.ndarray,
     grid: np.ndarray,
     capacity: np.ndarray,
@@ -115,13 +117,12 @@ def advance(
     slab: int,
     record: np.ndarray,
 ) -> None:
-    """Advance `nodes` (n,) K and `scalars` (12,) in place by `n_steps` of 30 s; fill `record` (n_steps, 17).
+    """Advance `nodes` (n,) K and `scalars` (12,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
 
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
     """
     n = nodes.size
     n_inside = inside.size
-    dt = STEP_S
     w = np.empty(x.N_COLUMNS)
     diagonal, right = np.empty(n), np.empty((n, 3))
     factor = np.empty(n)
