@@ -197,6 +197,25 @@ def test_a_scenario_ends_on_time_whatever_the_step(client):
     assert client.advance() == {}
 
 
+def test_what_follows_the_clock_is_held_for_a_quarter_of_an_hour(client):
+    """The real data lie every 15 min, with people still there at 07:00, and are held; day 21 is a Tuesday."""
+    names = ["Occupancy[1]", "LowerSetp[1]", "UpperSetp[1]", "InternalGainsRad[1]", "PriceElectricPowerDynamic"]
+    client.initialize(21 * DAY_S, 0)
+    ahead = client.forecast(names, DAY_S, 300)
+    at = {second: i for i, second in enumerate(np.array(ahead["time"]) - 21 * DAY_S)}
+
+    def seen(hour, minute):
+        return tuple(ahead[name][at[hour * 3600 + minute * 60]] for name in names)
+
+    home, away = (5.0, 294.15, 297.15, 219.0), (0.0, 288.15, 303.15, 0.0)
+    for hour, minute, people, price in (
+        (6, 55, home, 0.2383), (7, 0, home, 0.2666), (7, 5, home, 0.2666), (7, 10, home, 0.2666),
+        (7, 15, away, 0.2666), (19, 55, away, 0.2666), (20, 0, home, 0.2666), (22, 10, home, 0.2666),
+        (22, 15, home, 0.2383),
+    ):  # fmt: skip
+        assert seen(hour, minute) == pytest.approx((*people, price)), (hour, minute)
+
+
 def test_values_out_of_their_limits_are_clipped_with_a_warning(client, caplog):
     with caplog.at_level(logging.WARNING):
         state = client.advance({"oveHeaPumY_u": 1.7, "oveHeaPumY_activate": 1})
