@@ -112,12 +112,26 @@ def test_all_four_inputs_act_and_stay_until_changed(client):
     assert client.advance({})["oveHeaPumY_u"] == 0.7
     client.advance({"oveHeaPumY_activate": 0})
     off = client.advance({"oveTSet_u": 278.15, "oveTSet_activate": 1})
-    assert off["reaTSetHea_y"] == 278.15
+    assert off["oveTSet_u"] == 278.15
     fan = client.advance({"oveFan_u": 1, "oveFan_activate": True, "ovePum_u": "1", "ovePum_activate": "1"})
     assert fan["reaPFan_y"] > 0
     assert fan["reaPPumEmi_y"] > 0
     assert client.initialize(20 * DAY_S, 0)["time"] == 20 * DAY_S
-    assert client.advance({})["reaTSetHea_y"] > 278.15, "initialising forgets what was overwritten"
+    assert client.advance({})["oveTSet_u"] > 278.15, "initialising forgets what was overwritten"
+
+
+def test_the_measured_set_points_are_the_schedule_whatever_acts(client):
+    client.initialize(21 * DAY_S + 6 * 3600, 0)
+    client.set_step(900)
+    for overwrites in ({}, {"oveTSet_u": 300.0, "oveTSet_activate": 1}):
+        for _ in range(32):
+            client.advance(overwrites)
+    record = client.results(["reaTSetHea_y", "reaTSetCoo_y"], 0, 1e9)
+    hour = np.array(record["time"]) % DAY_S / 3600
+    # By the clock, as the real plant's own records have it: 07:00 is empty, 20:00 is not.
+    at_home = (hour < 7) | (hour >= 20)
+    np.testing.assert_array_equal(record["reaTSetHea_y"], np.where(at_home, 294.15, 288.15))
+    np.testing.assert_array_equal(record["reaTSetCoo_y"], np.where(at_home, 297.15, 303.15))
 
 
 def test_the_record_tells_when_an_input_was_overwritten(client):

@@ -59,7 +59,8 @@ _MEASUREMENT_UNIT = {
     "reaTSetCoo_y": "K",
     "reaCO2RooAir_y": "ppm",
 }
-_EVAPORATOR, _COOLING = "reaQHeaPumEva_y", "reaTSetCoo_y"
+_EVAPORATOR = "reaQHeaPumEva_y"
+_SET_POINTS = ("reaTSetHea_y", "reaTSetCoo_y")
 _STATION = {measurement_name(signal): signal for signal in WEATHER_SIGNALS}
 
 MEASUREMENT_POINTS: dict[str, PointInfo] = dict(
@@ -88,8 +89,9 @@ def recorded_points(plant: EmbeddedPlant, names: list[str], record: Mapping[str,
             return WEATHER_SIGNALS[_STATION[name]].at(plant.weather, time_s)
         if name == _EVAPORATOR:
             return -record["Q_evaporator"]
-        # Left is the cooling set-point, which nothing follows in a house without cooling.
-        return schedule.bounds_C(time_s)[1] + _KELVIN
+        # Left are the schedule's set-points: heating's follows from them with an offset, or is overwritten, and nothing
+        # follows cooling's in a house without cooling.
+        return schedule.set_points_C(schedule.occupied(time_s))[_SET_POINTS.index(name)] + _KELVIN
 
     return {name: series(name) for name in names} | {"time": time_s}
 

@@ -46,7 +46,6 @@ MEASUREMENTS = {
     "reaTSup_y": "T_supply",
     "reaTRet_y": "T_return",
     "reaCOP_y": "COP",
-    "reaTSetHea_y": "T_setpoint",
     "reaCO2RooAir_y": "CO2",
     "weaSta_reaWeaTDryBul_y": "T_out",
     "weaSta_reaWeaHGloHor_y": "solar",
