@@ -37,6 +37,31 @@ def test_open_loop_replay(plant, shared, name, warmup_days, rmse_K):
         assert power.sum() == pytest.approx(electric.sum(), rel=0.001)
 
 
+def test_water_temperatures_are_what_the_real_sensors_show(plant, shared):
+    real = pd.read_csv(shared / "boptest_hp" / "excite_jan.csv.gz")
+    start = float(real.time.iloc[0]) - 900
+    plant.reset(start, 5 * DAY_S)
+    points = [plant.advance(float(u), 900).points for u in real.oveHeaPumY_u]
+    for name in ("reaTSup_y", "reaTRet_y"):
+        ours = np.array([point[name] for point in points]) - 273.15
+        assert np.sqrt(np.mean((ours - real[name]) ** 2)) < 0.05, f"{name}, running or not"
+
+
+def test_native_control_switches_at_the_sample_at_which_the_real_one_does(plant, shared):
+    """In the quarters that end at 07:00 and 20:00 of working days the last of 30 samples has the new set-point."""
+    real = pd.read_csv(shared / "boptest_hp" / "native_d7_28d.csv.gz")
+    plant.reset(7 * DAY_S, 7 * DAY_S)
+    plant.advance(None, 28 * DAY_S)
+    record = plant.recorded(7 * DAY_S + 30, 1e9)
+    ours = pd.DataFrame({name: record[name].reshape(-1, 30).mean(axis=1) for name in ("P_fan", "level")})
+    hour = real.time % DAY_S / 3600
+    edge = hour.isin([7.0, 20.0]) & ~(real.time // DAY_S % 7).isin([4, 5])
+    assert edge.sum() == 40
+    np.testing.assert_allclose(ours.level[edge], real.oveHeaPumY_u[edge], atol=0.005)
+    samples = (ours.P_fan - real.reaPFan_y)[edge] / 510.204 * 30
+    assert samples.abs().max() < 0.5, "as many of the thirty samples are on"
+
+
 def test_native_control_on_the_peak_window(plant):
     period = plant.period("peak_heat_day")
     assert period.start_s == 16 * DAY_S

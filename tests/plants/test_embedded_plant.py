@@ -273,6 +273,63 @@ def test_the_other_overwrites_act(plant):
     assert pumped.points["reaPFan_y"] == pytest.approx(510.204)
 
 
+def test_the_machine_runs_at_the_first_sample(plant):
+    """Operative 20 °C against a set-point of 21.2 °C: y = 0.6 · 1.2, as in the real test case."""
+    first = plant.reset(0.0, 0.0).points
+    assert plant.recorded(0.0, 0.0)["level"][0] == pytest.approx(0.72)
+    assert first["reaPHeaPum_y"] == pytest.approx(2444.4, abs=0.1)
+    assert first["reaPFan_y"] + first["reaPPumEmi_y"] == pytest.approx(530.7, abs=0.1)
+    second = plant.advance(0.0, 30).points
+    assert second["reaPHeaPum_y"] == 0.0
+    watts = 2444.4 + 530.7
+    assert plant.kpis()["pele_tot"] == pytest.approx(watts / 2 / 1e3 / AREA_M2, rel=1e-3), "trapezoid, first sample on"
+
+
+def test_native_control_follows_the_clock_at_the_very_sample(plant):
+    plant.reset(7 * DAY_S + 6.5 * 3600, DAY_S)  # day 7 of the year is a Tuesday
+    plant.advance(None, 15 * 3600)
+    samples = plant.recorded(7 * DAY_S, 1e9)
+    hour = (samples["time"] - 7 * DAY_S) / 3600
+    occupied = (hour < 7) | (hour >= 20)
+    np.testing.assert_allclose(samples["T_setpoint"], np.where(occupied, 294.35, 293.65))
+    jump = np.diff(samples["level"])
+    at_seven, at_eight = np.flatnonzero(np.isclose(hour[1:], 7)), np.flatnonzero(np.isclose(hour[1:], 20))
+    assert jump[at_seven] < -0.3
+    assert jump[at_eight] > 0.3
+
+
+def test_sensors_in_standing_water_show_the_mean_of_either_side(plant):
+    plant.reset(10 * DAY_S, DAY_S)
+    running = plant.advance(0.7, 3600).points
+    off = plant.advance_points({"oveHeaPumY": 0.0}, 30).points
+    vessel, condenser, floor = 293.15, running["reaTSup_y"], running["reaTRet_y"]
+    # The half minute after the last sample that ran moves the water by less than 0.1 K.
+    assert off["reaTSup_y"] == pytest.approx((condenser + vessel) / 2, abs=0.1)
+    assert off["reaTRet_y"] == pytest.approx((floor + condenser) / 2, abs=0.1)
+    assert plant.advance_points({"oveHeaPumY": 0.0}, 3600).points["reaTSup_y"] == off["reaTSup_y"], "it stands still"
+    flowing = plant.advance_points({"oveHeaPumY": 0.0, "ovePum": 1.0}, 600).points
+    assert flowing["reaTSup_y"] == pytest.approx(flowing["reaTRet_y"], abs=2.0), "water goes round again"
+
+
+def test_with_the_pump_overwritten_off_the_machine_heats_its_own_water_until_it_is_stopped(plant):
+    plant.reset(10 * DAY_S, DAY_S)
+    stuck = {"oveHeaPumY": 1.0, "ovePum": 0.0}
+    plant.advance_points(stuck, 3600)
+    samples = plant.recorded(10 * DAY_S + 30, 1e9)
+    condenser = 2 * samples["T_supply"] - 293.15
+    on = samples["P_heat_pump"] > 0
+    assert 5 * 60 < 30 * on.sum() < 15 * 60
+    assert not on[on.sum() :].any(), "standing water does not cool, so it does not start again"
+    assert (samples["Q_floor"] == 0).all()
+    warmed_J = 30 * 4184.0 * np.diff(condenser)
+    np.testing.assert_allclose(warmed_J, 30.0 * samples["Q_condenser"][:-1], rtol=1e-6, atol=1e-3)
+    # The refrigerant condenses above the standing water by its heat over the condenser's own conductance; at 340.25 K
+    # it is stopped.
+    refrigerant_K = condenser[1:] + samples["Q_condenser"][:-1] / 55_857.415
+    stopped = on.sum() - 1
+    assert refrigerant_K[stopped - 1] <= 340.25 < refrigerant_K[stopped]
+
+
 def test_the_record_between_any_two_times_is_the_part_of_the_whole_in_between(plant):
     plant.reset(20 * DAY_S, 3600)
     rng = np.random.default_rng(0)

@@ -142,13 +142,14 @@ class EmbeddedPlant:
         self._nodes = self._network.start_K.copy()
         self._scalars = np.zeros(kernel.N_SCALARS)
         self._scalars[[kernel.T_AIR, kernel.T_SUPPLY, kernel.T_RETURN, kernel.T_OPERATIVE]] = 293.15
+        self._scalars[kernel.LAST_T_PIPE] = self._nodes[self._network.pipe]
         self._scalars[kernel.T_EVAPORATOR] = 278.15
         self._scalars[kernel.CO2_PPM] = 400.0
         self._start_s = float(start_s)
         self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
         self._record: list[Array] = []
         self._times: list[Array] = []
-        self._first = self._still()
+        self._first = self._sample()
         if self._start_s > self._now_s:
             self._advance({}, self._start_s - self._now_s)
         return self._measurement(np.empty((0, len(kernel.RECORD))))
@@ -373,19 +374,13 @@ class EmbeddedPlant:
             points=points,
         )
 
-    def _still(self) -> Array:
-        """The record's row for the very first instant: everything off."""
-        row = np.zeros((1, len(kernel.RECORD)))
-        at = np.array([self._now_s])
-        row[0, _COLUMN["T_operative"]] = self._scalars[kernel.T_OPERATIVE]
-        row[0, _COLUMN["T_supply"]] = self._scalars[kernel.T_SUPPLY]
-        row[0, _COLUMN["T_return"]] = self._scalars[kernel.T_RETURN]
-        row[0, _COLUMN["T_setpoint"]] = schedule.LOWER_OCCUPIED_C + schedule.SETPOINT_OCCUPIED_K + _KELVIN
-        row[0, _COLUMN["COP"]] = 1.0
-        row[0, _COLUMN["CO2"]] = self._scalars[kernel.CO2_PPM]
-        row[0, _COLUMN["T_out"]] = self.weather.at("T_dry_C", at)[0] + _KELVIN
-        row[0, _COLUMN["solar"]] = self.weather.at("global_W_m2", at)[0]
-        return row
+    def _sample(self) -> Array:
+        """The record's row for the very first instant, (1, columns): native control is at work from the start."""
+        rows = np.empty((1, len(kernel.RECORD)))
+        native = np.full(len(OVERWRITES), math.nan)
+        kernel.sample(self._scalars, self._now_s, native, self._grid, rows[0])
+        rows.setflags(write=False)
+        return rows
 
 
 def _total_power(rows: Array) -> Array:

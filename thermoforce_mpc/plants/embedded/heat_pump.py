@@ -31,11 +31,14 @@ FAN_KG_S = 3.0
 PUMP_W = 20.4986
 PUMP_KG_S = 0.5
 
-# Heat exchangers of saturated effectiveness (0.999): the refrigerant couples to the leaving node through 999·C.
+# Heat exchangers of saturated effectiveness (0.999): the refrigerant couples to the leaving node through 999·C while
+# water or air flows, and through the exchanger's own conductance where it stands still.
 WATER_J_KG_K = 4184.0
 AIR_J_KG_K = 1014.54
 CONDENSER_W_K = 999.0 * PUMP_KG_S * WATER_J_KG_K
 EVAPORATOR_W_K = 999.0 * FAN_KG_S * AIR_J_KG_K
+STILL_CONDENSER_W_K = 55_857.415
+STILL_EVAPORATOR_W_K = 194_869.324
 
 # Protection limits, K.
 LEAST_EVAPORATING_K = 253.15

@@ -1,5 +1,8 @@
 """One step of the whole plant: native control, heat pump, water, air and walls. Compiled; no allocation per step.
 
+A sample shows the machine as it is at that instant: what control, refrigerant, pump and fan do follows from the state
+there and drives the step that begins.
+
 The envelope is stepped implicitly (first order, L-stable): film coefficients are taken from the step before, and the
 nodes of all constructions form one tridiagonal system in which only the air and the radiant node are shared. It is
 solved for three right-hand sides (own, per kelvin of air, per kelvin of the radiant node) and closed by two equations.
@@ -22,12 +25,14 @@ from thermoforce_mpc.plants.embedded.schedule import is_occupied
 # Length of a step where nothing asks for another, and least distance of samples but for shorter advances.
 STEP_S = 30.0
 
-# Scalars of the state, after the nodes.
-(T_AIR, T_SUPPLY, T_RETURN, T_EVAPORATOR, INTEGRAL, COMPRESSOR_ON, BLOCKED, CO2_PPM, Q_CONDENSER, Q_EVAPORATOR,
- T_OPERATIVE, LEVEL) = range(12)  # fmt: skip
-N_SCALARS = 12
+# Scalars of the state, after the nodes: the first twelve are carried from step to step (T_SUPPLY and T_RETURN are the
+# water of condenser and floor, the LAST ones of the step that ended), the others what the machine does in that state.
+(T_AIR, T_SUPPLY, T_RETURN, T_EVAPORATOR, INTEGRAL, COMPRESSOR_ON, BLOCKED, CO2_PPM, T_OPERATIVE,
+ LAST_Q_CONDENSER, LAST_Q_EVAPORATOR, LAST_T_PIPE,
+ SETPOINT, INTEGRAL_RATE, LEVEL, POWER, Q_CONDENSER, Q_EVAPORATOR, PUMP, FAN) = range(20)  # fmt: skip
+N_SCALARS = 20
 
-# Columns of the record, one row a step, values at its end (kelvin, W, ppm).
+# Columns of the record, one row a sample (kelvin, W, ppm); water temperatures are those that the sensors show.
 RECORD = (
     "T_operative", "P_heat_pump", "P_fan", "P_pump", "Q_condenser", "Q_floor", "T_supply", "T_return", "COP", "level",
     "T_setpoint", "CO2", "T_out", "solar", "fan", "pump", "Q_evaporator",
@@ -49,6 +54,8 @@ _CONDENSER_J_K = 30.0 * hp.WATER_J_KG_K
 _FLOOR_J_K = 168.9 * hp.WATER_J_KG_K
 _FLOOR_W_K = c.AREA_M2 / 0.10207009
 _EVAPORATOR_J_K = 180.0 * hp.AIR_J_KG_K
+# The expansion vessel is connected between supply sensor and pump.
+_VESSEL_K = 293.15
 
 # Native PI: gain 1/K, integral time s, anti-windup.
 _GAIN, _INTEGRAL_S, _ANTI_WINDUP = 0.6, 8000.0, 0.9
@@ -100,6 +107,101 @@ def soil_heat_W(time_s: float) -> float:
     return mean - outside + inside
 
 
+@njit(cache=True, inline="always")
+def _read_weather(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
+    """Put the columns of the exposure at `time_s` into `w`."""
+    at = (time_s % ((grid.shape[0] - 1) * x.GRID_S)) / x.GRID_S
+    row = int(at)
+    share = at - row
+    for j in range(x.N_COLUMNS):
+        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
+
+
+@njit(cache=True)
+def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
+    """Set what the machine does in the state at `time_s`. To do it twice changes nothing, whatever the step."""
+    # Native control. Its integral follows its own level while that is overwritten.
+    if math.isnan(overrides[1]):
+        occupied = is_occupied(time_s)
+        setpoint = _KELVIN + (
+            s.LOWER_OCCUPIED_C + s.SETPOINT_OCCUPIED_K if occupied else s.LOWER_EMPTY_C + s.SETPOINT_EMPTY_K
+        )
+    else:
+        setpoint = overrides[1]
+    error = setpoint - scalars[T_OPERATIVE]
+    wanted = _GAIN * (error + scalars[INTEGRAL])
+    level = min(max(wanted, 0.0), 1.0)
+    scalars[SETPOINT] = setpoint
+    scalars[INTEGRAL_RATE] = (error + (level - wanted) / (_GAIN * _ANTI_WINDUP)) / _INTEGRAL_S
+    if not math.isnan(overrides[0]):
+        level = overrides[0]
+
+    # Heat pump: protection, hysteresis, then quasi-static refrigerant with the heat flows of the step before.
+    condenser_W_K = hp.STILL_CONDENSER_W_K if overrides[2] < 0.5 else hp.CONDENSER_W_K
+    evaporator_W_K = hp.STILL_EVAPORATOR_W_K if overrides[3] < 0.5 else hp.EVAPORATOR_W_K
+    T_condensing = scalars[T_SUPPLY] + scalars[LAST_Q_CONDENSER] / condenser_W_K
+    T_evaporating = scalars[T_EVAPORATOR] - scalars[LAST_Q_EVAPORATOR] / evaporator_W_K
+    margin = hp.PROTECTION_HYSTERESIS_K if scalars[BLOCKED] > 0.5 else 0.0
+    scalars[BLOCKED] = (
+        1.0
+        if (
+            T_evaporating < hp.LEAST_EVAPORATING_K + margin
+            or T_condensing > hp.MOST_CONDENSING_K - margin
+            or T_condensing < T_evaporating + margin
+        )
+        else 0.0
+    )
+    speed = 0.0 if scalars[BLOCKED] > 0.5 else level
+    on = speed >= _SWITCH_OFF if scalars[COMPRESSOR_ON] > 0.5 else speed > _SWITCH_ON
+    scalars[COMPRESSOR_ON] = 1.0 if on else 0.0
+    scalars[LEVEL] = level if on else 0.0
+    power, to_water, from_air = 0.0, 0.0, 0.0
+    if on:
+        power, to_water, from_air = heat_pump(T_evaporating, T_condensing, speed)
+    scalars[POWER], scalars[Q_CONDENSER], scalars[Q_EVAPORATOR] = power, to_water, from_air
+    scalars[PUMP] = scalars[COMPRESSOR_ON] if math.isnan(overrides[2]) else math.floor(overrides[2] + 0.5)
+    scalars[FAN] = scalars[COMPRESSOR_ON] if math.isnan(overrides[3]) else math.floor(overrides[3] + 0.5)
+
+
+@njit(cache=True)
+def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
+    """Write the sample of this instant into `row` (17,)."""
+    T_supply, T_return, floor_W = scalars[T_SUPPLY], scalars[T_RETURN], 0.0
+    if scalars[PUMP] > 0.5:
+        floor_W = _FLOOR_W_K * (T_supply - scalars[LAST_T_PIPE])
+    else:
+        # A sensor in standing water shows the mean of what is on either side: between condenser and vessel, and
+        # between floor and condenser.
+        T_supply, T_return = 0.5 * (T_supply + _VESSEL_K), 0.5 * (T_return + T_supply)
+    power = scalars[POWER]
+    row[0] = scalars[T_OPERATIVE]
+    row[1] = power
+    row[2] = scalars[FAN] * hp.FAN_W
+    row[3] = scalars[PUMP] * hp.PUMP_W
+    row[4] = scalars[Q_CONDENSER]
+    row[5] = floor_W
+    row[6] = T_supply
+    row[7] = T_return
+    row[8] = scalars[Q_CONDENSER] / power if power > 0.0 else 1.0
+    row[9] = scalars[LEVEL]
+    row[10] = scalars[SETPOINT]
+    row[11] = scalars[CO2_PPM]
+    row[12] = w[x.T_OUT]
+    row[13] = w[x.GLOBAL]
+    row[14] = scalars[FAN]
+    row[15] = scalars[PUMP]
+    row[16] = scalars[Q_EVAPORATOR]
+
+
+@njit(cache=True)
+def sample(scalars: np.ndarray, time_s: float, overrides: np.ndarray, grid: np.ndarray, row: np.ndarray) -> None:
+    """Write the sample at `time_s` into `row` (17,), with what the machine does under `overrides`, see `advance`."""
+    w = np.empty(x.N_COLUMNS)
+    _read_weather(grid, time_s, w)
+    _operate(scalars, time_s, overrides)
+    _note(scalars, w, row)
+
+
 @njit(cache=True, nogil=True)  # without the interpreter's lock several plants step at once
 def advance(
     nodes: np.ndarray,
@@ -117,7 +219,7 @@ def advance(
     slab: int,
     record: np.ndarray,
 ) -> None:
-    """Advance `nodes` (n,) K and `scalars` (12,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
+    """Advance `nodes` (n,) K and `scalars` (20,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
 
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
     """
@@ -127,54 +229,17 @@ def advance(
     diagonal, right = np.empty(n), np.empty((n, 3))
     factor = np.empty(n)
     film, absorbed = np.empty(n_inside), np.empty(n_inside)
-    period = (grid.shape[0] - 1) * x.GRID_S
+    _operate(scalars, time_s, overrides)
     for step in range(n_steps):
         t = time_s + (step + 1) * dt
         # Weather at the end of the step.
-        at = (t % period) / x.GRID_S
-        row = int(at)
-        share = at - row
-        for j in range(x.N_COLUMNS):
-            w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
+        _read_weather(grid, t, w)
         occupied = is_occupied(t - 0.5 * dt)
-
-        # Native control on the state before the step.
-        if math.isnan(overrides[1]):
-            setpoint = _KELVIN + (
-                s.LOWER_OCCUPIED_C + s.SETPOINT_OCCUPIED_K if occupied else s.LOWER_EMPTY_C + s.SETPOINT_EMPTY_K
-            )
-        else:
-            setpoint = overrides[1]
-        error = setpoint - scalars[T_OPERATIVE]
-        wanted = _GAIN * (error + scalars[INTEGRAL])
-        level = min(max(wanted, 0.0), 1.0)
-        scalars[INTEGRAL] += dt * (error + (level - wanted) / (_GAIN * _ANTI_WINDUP)) / _INTEGRAL_S
-        if not math.isnan(overrides[0]):
-            level = overrides[0]
-
-        # Heat pump: protection, hysteresis, then quasi-static refrigerant with the heat flows of the step before.
-        T_condensing = scalars[T_SUPPLY] + scalars[Q_CONDENSER] / hp.CONDENSER_W_K
-        T_evaporating = scalars[T_EVAPORATOR] - scalars[Q_EVAPORATOR] / hp.EVAPORATOR_W_K
-        margin = hp.PROTECTION_HYSTERESIS_K if scalars[BLOCKED] > 0.5 else 0.0
-        scalars[BLOCKED] = (
-            1.0
-            if (
-                T_evaporating < hp.LEAST_EVAPORATING_K + margin
-                or T_condensing > hp.MOST_CONDENSING_K - margin
-                or T_condensing < T_evaporating + margin
-            )
-            else 0.0
-        )
-        speed = 0.0 if scalars[BLOCKED] > 0.5 else level
-        threshold = _SWITCH_OFF if scalars[COMPRESSOR_ON] > 0.5 else _SWITCH_ON
-        on = speed >= threshold if scalars[COMPRESSOR_ON] > 0.5 else speed > threshold
-        scalars[COMPRESSOR_ON] = 1.0 if on else 0.0
-        power, to_water, from_air = 0.0, 0.0, 0.0
-        if on:
-            power, to_water, from_air = heat_pump(T_evaporating, T_condensing, speed)
-        scalars[Q_CONDENSER], scalars[Q_EVAPORATOR] = to_water, from_air
-        pump = (1.0 if on else 0.0) if math.isnan(overrides[2]) else math.floor(overrides[2] + 0.5)
-        fan = (1.0 if on else 0.0) if math.isnan(overrides[3]) else math.floor(overrides[3] + 0.5)
+        scalars[INTEGRAL] += dt * scalars[INTEGRAL_RATE]
+        pump, fan = scalars[PUMP], scalars[FAN]
+        to_water, from_air = scalars[Q_CONDENSER], scalars[Q_EVAPORATOR]
+        scalars[LAST_Q_CONDENSER], scalars[LAST_Q_EVAPORATOR] = to_water, from_air
+        scalars[LAST_T_PIPE] = nodes[pipe]
 
         # Air through the evaporator: warmed by the fan, cooled by the refrigerant.
         air_flow = fan * hp.FAN_KG_S * hp.AIR_J_KG_K
@@ -277,26 +342,10 @@ def advance(
         for k in range(n_inside):
             radiant += _SHARE[k] * nodes[inside[k]]
         scalars[T_OPERATIVE] = 0.5 * (air + radiant)
-        scalars[LEVEL] = level
         people = float(s.PEOPLE) if occupied else 0.0
         exchange = dt * _INFILTRATION_KG_S / (1.2 * c.VOLUME_M3)
         source = dt * people * _CO2_KG_S_PERSON / (1.2 * c.VOLUME_M3) * _PPM_PER_KG_KG
         scalars[CO2_PPM] = (scalars[CO2_PPM] + exchange * _OUTDOOR_PPM + source) / (1.0 + exchange)
 
-        record[step, 0] = scalars[T_OPERATIVE]
-        record[step, 1] = power
-        record[step, 2] = fan * hp.FAN_W
-        record[step, 3] = pump * hp.PUMP_W
-        record[step, 4] = to_water
-        record[step, 5] = floor_W
-        record[step, 6] = scalars[T_SUPPLY]
-        record[step, 7] = scalars[T_RETURN]
-        record[step, 8] = to_water / power if power > 0.0 else 1.0
-        record[step, 9] = level if on else 0.0
-        record[step, 10] = setpoint
-        record[step, 11] = scalars[CO2_PPM]
-        record[step, 12] = w[x.T_OUT]
-        record[step, 13] = w[x.GLOBAL]
-        record[step, 14] = fan
-        record[step, 15] = pump
-        record[step, 16] = from_air
+        _operate(scalars, t, overrides)
+        _note(scalars, w, record[step])
