@@ -8,6 +8,7 @@ import os
 import socket
 from collections.abc import Callable
 
+import numpy as np
 from waitress.server import BaseWSGIServer, create_server  # type: ignore[import-untyped]
 
 from thermoforce_mpc.boundary.tariffs import Tariff
@@ -15,6 +16,7 @@ from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.app import create_app
+from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
 _MOST_BYTES = 1_000_000
@@ -92,6 +94,8 @@ def effective_port(server: BaseWSGIServer) -> int:
 def _plants(weather: Weather, highly_dynamic: Tariff | None) -> Callable[[], EmbeddedPlant]:
     """Plants that share what never changes: what the weather does to each surface takes a while to work out."""
     first = EmbeddedPlant(weather, highly_dynamic=highly_dynamic)
+    # The first wet bulb compiles psychrolib, which takes seconds that no client should wait for.
+    WEATHER_SIGNALS["TWetBul"].at(weather, np.zeros(1))
 
     def another() -> EmbeddedPlant:
         # A reset gives the copy a state, a record and a clock of its own.

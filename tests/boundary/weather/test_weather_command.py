@@ -18,7 +18,7 @@ TESTCASE = "bestest_hydronic_heat_pump"
 
 def weather_file(T: list[float | str]) -> str:
     header = ["#1", "double tab1(8760,30)", "#LOCATION,TOWN,-,BEL,IWEC,064510,50.90,4.53,1.0,58.0"]
-    rows = [f"{h * 3600.0} {value} 1 0 101300 0 0 0 0 0 0 0 0 0 0 200 4 0 5" for h, value in enumerate(T)]
+    rows = [f"{h * 3600.0} {value} 1 0 101300 0 0 0 0 0 0 0 0 0 0 200 4 0 5 10 22000" for h, value in enumerate(T)]
     return "\n".join([*header, *rows]) + "\n"
 
 

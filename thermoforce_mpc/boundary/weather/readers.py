@@ -17,24 +17,32 @@ _HOURS = 8760
 _MOS_COLUMNS = {
     "T_dry_C": 1,
     "T_dew_C": 2,
+    "relative_humidity": 3,
     "pressure_Pa": 4,
+    "infrared_W_m2": 7,
     "global_W_m2": 8,
     "normal_W_m2": 9,
     "diffuse_W_m2": 10,
     "wind_from_rad": 15,
     "wind_m_s": 16,
+    "total_cover": 17,
     "opaque_cover": 18,
+    "ceiling_m": 20,
 }
 _EPW_COLUMNS = {
     "T_dry_C": 6,
     "T_dew_C": 7,
+    "relative_humidity": 8,
     "pressure_Pa": 9,
+    "infrared_W_m2": 12,
     "global_W_m2": 13,
     "normal_W_m2": 14,
     "diffuse_W_m2": 15,
     "wind_from_rad": 20,
     "wind_m_s": 21,
+    "total_cover": 22,
     "opaque_cover": 23,
+    "ceiling_m": 25,
 }
 
 
@@ -97,7 +105,7 @@ def _table(path: Path, rows: list[list[str]], min_columns: int) -> Array:
 
 
 def _weather(path: Path, name: str, location: str, table: Array, columns: dict[str, int]) -> Weather:
-    """Pick the columns; angles to radians, cover from tenths, latitude, longitude and zone from the header."""
+    """Pick the columns: angles to radians, cover from tenths, humidity from per cent; the place from the header."""
     if table.shape[0] != _HOURS:
         raise WeatherError(f"{path}: {table.shape[0]} hourly rows, a year has {_HOURS}")
     cells = [cell.strip() for cell in location.split(",")]
@@ -108,4 +116,6 @@ def _weather(path: Path, name: str, location: str, table: Array, columns: dict[s
     data = {key: table[:, index].copy() for key, index in columns.items()}
     data["wind_from_rad"] = np.deg2rad(data["wind_from_rad"])
     data["opaque_cover"] /= 10.0
+    data["total_cover"] /= 10.0
+    data["relative_humidity"] /= 100.0
     return Weather(name=name, latitude_deg=latitude, longitude_deg=longitude, timezone_h=zone, **data)

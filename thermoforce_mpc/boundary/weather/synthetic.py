@@ -10,13 +10,17 @@ import numpy as np
 
 from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2
 from thermoforce_mpc.boundary.weather.solar import sun_position
-from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.boundary.weather.year import Weather, black_body_sky_C
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
 _HOURS = 8760
 # Share of Haurwitz' clear sky that a hazy maritime sky lets through.
 _TURBIDITY = 0.86
 _LATITUDE, _LONGITUDE, _ZONE = 51.0, 4.5, 1.0
+_KELVIN = 273.15
+_STEFAN_BOLTZMANN = 5.670374419e-8
+# What IWEC files say where no cloud limits the view.
+_UNLIMITED_CEILING_M = 22_000.0
 
 
 def synthetic_weather(seed: int = 0) -> Weather:
@@ -39,21 +43,31 @@ def synthetic_weather(seed: int = 0) -> Weather:
     wind_from = np.mod(np.deg2rad(235.0) + 1.0 * _periodic_noise(rng, 40.0), 2.0 * np.pi)
     pressure = 101_300.0 + 900.0 * _periodic_noise(rng, 70.0)
     global_, normal, diffuse = _radiation(hour, cover)
+    T_dry, T_dew, cover = np.round(T_dry, 1), np.round(T_dry - depression, 1), np.round(cover, 1)
     return Weather(
         name=f"synthetic temperate-maritime year (seed {seed})",
         latitude_deg=_LATITUDE,
         longitude_deg=_LONGITUDE,
         timezone_h=_ZONE,
-        T_dry_C=np.round(T_dry, 1),
-        T_dew_C=np.round(T_dry - depression, 1),
+        T_dry_C=T_dry,
+        T_dew_C=T_dew,
         global_W_m2=np.round(global_),
         normal_W_m2=np.round(normal),
         diffuse_W_m2=np.round(diffuse),
         wind_m_s=np.round(wind, 1),
         wind_from_rad=wind_from,
-        opaque_cover=np.round(cover, 1),
+        opaque_cover=cover,
         pressure_Pa=np.round(pressure, -2),
+        relative_humidity=_vapour_pressure_Pa(T_dew) / _vapour_pressure_Pa(T_dry),
+        infrared_W_m2=_STEFAN_BOLTZMANN * (black_body_sky_C(T_dry, T_dew, cover) + _KELVIN) ** 4,
+        total_cover=cover,
+        ceiling_m=np.full(_HOURS, _UNLIMITED_CEILING_M),
     )
+
+
+def _vapour_pressure_Pa(T_C: Array) -> Array:
+    """Saturation over water, of supercooled water below freezing (Magnus formula, coefficients of Alduchov 1996)."""
+    return np.asarray(610.94 * np.exp(17.625 * T_C / (T_C + 243.04)))
 
 
 def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:

@@ -31,6 +31,14 @@ _LIMITS = {
     "opaque_cover": (0.0, 1.0),
     "pressure_Pa": (50_000.0, 110_000.0),
 }
+# What a row says besides, on which nothing in a building depends. Limited as the test case's reader limits it, so that
+# a gap there (a ceiling of 99999 m, a cover of 99) keeps no one from using the year.
+_REPORTED = {
+    "relative_humidity": (0.0, 1.0),
+    "infrared_W_m2": (0.0, np.inf),
+    "total_cover": (0.0, 1.0),
+    "ceiling_m": (0.0, np.inf),
+}
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,7 @@ class Weather:
 
     `T_dry_C`, `T_dew_C` °C; global horizontal, direct normal and diffuse horizontal irradiance W/m² (means over the
     hour that ends at the row); `wind_m_s`; `wind_from_rad` clockwise from north; `opaque_cover` 0 to 1; `pressure_Pa`.
+    Reported only: `relative_humidity` and `total_cover` 0 to 1, horizontal `infrared_W_m2`, cloud `ceiling_m`.
 
     Raises:
         WeatherError: a column has the wrong length, a value that is not finite, or one out of its physical range.
@@ -57,16 +66,22 @@ class Weather:
     wind_from_rad: Array
     opaque_cover: Array
     pressure_Pa: Array
+    relative_humidity: Array
+    infrared_W_m2: Array
+    total_cover: Array
+    ceiling_m: Array
     _splines: dict[str, Akima1DInterpolator] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            if item.name not in _LIMITS:
+            if item.name not in _LIMITS and item.name not in _REPORTED:
                 continue
             column = np.array(getattr(self, item.name), dtype=np.float64)
             if column.shape != (_HOURS,):
                 raise WeatherError(f"{self.name}: {item.name} has {column.size} rows, a year has {_HOURS}")
-            low, high = _LIMITS[item.name]
+            if item.name in _REPORTED:
+                column = np.clip(column, *_REPORTED[item.name])
+            low, high = (_LIMITS | _REPORTED)[item.name]
             bad = np.flatnonzero(~((column >= low) & (column <= high)))
             if bad.size:
                 hour = int(bad[0])
@@ -79,7 +94,10 @@ class Weather:
 
     @property
     def fingerprint(self) -> str:
-        """Twelve hexadecimal digits that tell these values and this place from any other, whatever the file's form."""
+        """Twelve hexadecimal digits that tell these values and this place from any other, whatever the file's form.
+
+        Columns that are reported only do not count.
+        """
         digest = hashlib.sha256()
         place = np.array([self.latitude_deg, self.longitude_deg, self.timezone_h])
         for values in (place, *(getattr(self, name) for name in _LIMITS)):
@@ -93,7 +111,7 @@ class Weather:
         """
         shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
         values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
-        low, high = _LIMITS[column]
+        low, high = (_LIMITS | _REPORTED)[column]
         return np.asarray(np.clip(values, low, high))
 
     def _spline(self, column: str) -> Akima1DInterpolator:
@@ -111,9 +129,13 @@ class Weather:
         Clear-sky emissivity and cover factor after Clark and Allen (1978) and Walton (1983), as in EnergyPlus'
         engineering reference and the IBPSA Modelica library.
         """
-        dew_K = self.at("T_dew_C", time_s) + _KELVIN
-        tenths = 10.0 * self.at("opaque_cover", time_s)
-        clear = 0.787 + 0.764 * np.log(dew_K / _KELVIN)
-        emissivity = clear * (1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3)
-        dry_K = self.at("T_dry_C", time_s) + _KELVIN
-        return np.asarray(dry_K * emissivity**0.25 - _KELVIN)
+        dry_C, dew_C = self.at("T_dry_C", time_s), self.at("T_dew_C", time_s)
+        return black_body_sky_C(dry_C, dew_C, self.at("opaque_cover", time_s))
+
+
+def black_body_sky_C(T_dry_C: Array, T_dew_C: Array, opaque_cover: Array) -> Array:
+    """See `Weather.sky_temperature_C`."""
+    tenths = 10.0 * opaque_cover
+    clear = 0.787 + 0.764 * np.log((T_dew_C + _KELVIN) / _KELVIN)
+    emissivity = clear * (1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3)
+    return np.asarray((T_dry_C + _KELVIN) * emissivity**0.25 - _KELVIN)
