@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import Field
 
-from thermoforce_mpc.data import HOUR_S, Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Array, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -20,42 +21,51 @@ class FallbackConfig(StrictModel):
     look_ahead_h: float = Field(3.0, ge=0, description="rule: how far ahead the highest lower bound is looked for, h")
 
 
+@dataclass(frozen=True)
+class GoodPlan:
+    """The last plan that was solved: when, its levels `u` (N,), the zone temperatures `T_zone_C` (N,) it foresaw."""
+
+    time_s: float
+    u: Array
+    T_zone_C: Array
+
+    def age(self, time_s: float, step_s: float) -> int:
+        """How many steps ago it was made."""
+        return round((time_s - self.time_s) / step_s)
+
+
 class FallbackPolicy:
-    """Remembers the last good plan and says what to do when there is no new one."""
+    """Says what to do when there is no new plan."""
 
     def __init__(self, config: FallbackConfig, step_s: float, level: float, mode: str) -> None:
         self.config, self.step_s, self.level, self.mode = config, step_s, level, mode
-        self._plan: Plan | None = None
-        self._made_at_s = -math.inf
 
-    def remember(self, plan: Plan, time_s: float) -> None:
-        """Keep a good plan as the first level."""
-        self._plan, self._made_at_s = plan, time_s
-
-    def level_to_follow(self, observation: Observation) -> float | None:
+    def level_to_follow(self, good: GoodPlan | None, observation: Observation) -> float | None:
         """The level the last good plan intended for now, or None when it is too old or its prediction was far off."""
-        if self._plan is None:
+        if good is None:
             return None
-        age = round((observation.time_s - self._made_at_s) / self.step_s)
-        if not 1 <= age <= min(self.config.follow_steps, self._plan.u.size - 1):
+        age = good.age(observation.time_s, self.step_s)
+        if not 1 <= age <= min(self.config.follow_steps, good.u.size - 1):
             return None
         # A silent sensor says nothing about the plan; a wrong prediction does.
-        off_by = abs(observation.T_zone_C - self._plan.T_zone_C[age - 1])
+        off_by = abs(observation.T_zone_C - good.T_zone_C[age - 1])
         if math.isfinite(off_by) and off_by > self.config.trust_K:
             return None
-        return float(self._plan.u[age])
+        return min(max(float(good.u[age]), 0.0), self.level)
 
-    def rule(self, observation: Observation, reason: str) -> Plan:
-        """An on/off rule around the comfort bounds of the next hours; native control while the sensor is silent."""
+    def rule(self, observation: Observation) -> tuple[float | None, str]:
+        """Level of an on/off rule around the comfort bounds of the next hours, and why.
+
+        None, native control, while the sensor is silent.
+        """
         ahead = observation.boundary.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
         if self.mode == "heating":
             setpoint = float(np.max(observation.boundary.lower_C[ahead])) + self.config.setpoint_above_bound_K
         else:
             setpoint = float(np.min(observation.boundary.upper_C[ahead])) - self.config.setpoint_above_bound_K
         if not (math.isfinite(setpoint) and math.isfinite(observation.T_zone_C)):
-            why = f"{reason}; zone temperature or bounds missing: native control"
-            return Plan((Block(None, self.step_s),), PlanStatus.THERMOSTAT, why)
+            return None, "zone temperature or bounds missing: native control"
         need_K = (setpoint - observation.T_zone_C) * (1.0 if self.mode == "heating" else -1.0)
         on = need_K > 0
-        why = f"{reason}; {observation.T_zone_C:.2f} °C against {setpoint:.2f} °C: {'on' if on else 'off'}"
-        return Plan((Block(self.level if on else 0.0, self.step_s),), PlanStatus.THERMOSTAT, why)
+        why = f"{observation.T_zone_C:.2f} °C against {setpoint:.2f} °C: {'on' if on else 'off'}"
+        return self.level if on else 0.0, why

@@ -30,7 +30,7 @@ class IpoptConfig(StrictModel):
 
 
 class IpoptSolver:
-    """Solves `MPCProblem`s of one operator and shape; keeps the last solution as the next first guess."""
+    """Solves `MPCProblem`s of one operator and shape."""
 
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: IpoptConfig) -> None:
         """Build the NLP once."""
@@ -91,22 +91,18 @@ class IpoptSolver:
         on_off = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
         straight = replace(shape, lowest_level=shape.u_max)
         self._relaxed = None if linear else IpoptSolver(on_off, straight, config)
-        self._guess: Array | None = None
 
-    def solve(self, problem: MPCProblem) -> Solution:
-        """Solve one instance. A failure is a value: `ok` is False and `problem` says why."""
-        guesses = [np.full(problem.n_steps, 0.3 * problem.u_max) if self._guess is None else self._guess]
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """Solve one instance from `guess` (N,). A failure is a value: `ok` is False and `problem` says why."""
+        guesses = [np.full(problem.n_steps, 0.3 * problem.u_max) if guess is None else guess]
         if self._relaxed:
-            relaxed = self._relaxed.solve(straightened(problem))
+            relaxed = self._relaxed.solve(straightened(problem), guess)
             guesses += [relaxed.u] if relaxed.ok else []
         solutions = [self._solve_from(problem, guess) for guess in guesses]
         good = [solution for solution in solutions if solution.ok]
         if not good:
-            self._guess = None
             return solutions[0]
-        best = min(good, key=lambda solution: float(problem.cost(self.operator, solution.u)))
-        self._guess = np.append(best.u[1:], best.u[-1])
-        return best
+        return min(good, key=lambda solution: float(problem.cost(self.operator, solution.u)))
 
     def _solve_from(self, problem: MPCProblem, u_guess: Array) -> Solution:
         p = problem

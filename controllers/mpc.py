@@ -3,31 +3,61 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from controllers.actuation import Actuation
+from controllers.actuation import Actuation, ActuationState
 from controllers.backoff import backoff_K
 from controllers.errors import ControllerConfigError
-from controllers.fallback import FallbackPolicy
+from controllers.fallback import FallbackPolicy, GoodPlan
+from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.problem import MPCProblem, Solution, Weights
-from controllers.solvers import build_solver
+from controllers.solvers import Solver, build_solver
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus, Record
-from thermoforce_mpc.errors import DataError, ThermoForceError
-from thermoforce_mpc.identification.adaptation import OnlineAdaptation
+from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.operator.features import ZONE
-from thermoforce_mpc.model.predictor import PredictionContext, Predictor
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.predictor import PredictionContext, Predictor, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 # A bound nearer than this shapes the plan, K.
 _BINDING_K = 0.02
 
-# What a forecast or a solve may raise on data nobody foresaw; anything else is a bug and must surface.
-_SURVIVABLE = (ThermoForceError, ValueError, ArithmeticError, RuntimeError)
+# Planners kept for the models that online adaptation comes to; one that is needed again is built again.
+_PLANNERS_KEPT = 4
+
+
+@dataclass(frozen=True)
+class MPCState:
+    """What the MPC knows of a run at its next plan.
+
+    `first_s` is when it took over, `peak_W` the highest mean power of a step since; `actuation` what the machine does;
+    `good` the last plan that was solved; `predictor` what the predictor and `adaptation` what online adaptation has
+    learned.
+    """
+
+    first_s: float
+    peak_W: float = 0.0
+    actuation: ActuationState = field(default_factory=ActuationState)
+    good: GoodPlan | None = None
+    predictor: PredictorState | None = None
+    adaptation: AdaptationState | None = None
+
+
+@dataclass(frozen=True)
+class Planner:
+    """What predicts and plans with one thermal model; `operator` is the model's as the machine is actuated."""
+
+    model: ThermalModel
+    predictor: Predictor
+    operator: OperatorParameters
+    solver: Solver
 
 
 class ThermoForceMPC:
@@ -39,6 +69,7 @@ class ThermoForceMPC:
 
     controller = ThermoForceMPC(load_model("my_model"))
     plan = controller.plan(observation)
+    later = controller.plan(next_observation, plan.state)
     ```
     """
 
@@ -72,21 +103,27 @@ class ThermoForceMPC:
                 f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one control step"
                 f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
             )
-        if c.actuation.mode == "duty" and step_s < 2 * c.actuation.block_s:
-            raise ControllerConfigError(
-                f"controller.options.actuation.block_s: blocks of {c.actuation.block_s:g} s cannot share a step of"
-                f" {step_s:g} s; use shorter blocks or mode: modulating"
-            )
         if model.power is None:
             raise ControllerConfigError("the model was identified without measured power: energy cannot be planned")
         self._actuation = Actuation(c.actuation)
+        self._actuation.check_step(step_s)
         self._power = model.power.at_lowest_level(self._actuation.lowest_level)
         self._adaptation = OnlineAdaptation(model, c.adaptation)
-        self._use(model, free_response or _build_free_response(c.free_response, model))
-        self._peak_W = 0.0
-        self._first_s: float | None = None
+        self._free_response = free_response or _build_free_response(c.free_response, model)
+        self._base = self._build_planner(model)
+        self._adapted: list[Planner] = []
         mode = "heating" if model.operator.sign > 0 else "cooling"
-        self._fallback = FallbackPolicy(c.fallback, self.step_s, self._actuation.highest, mode)
+        self._fallback = FallbackPolicy(c.fallback, step_s, self._actuation.highest, mode)
+
+    @property
+    def model(self) -> ThermalModel:
+        """The model as identified, at the control step."""
+        return self._base.model
+
+    @property
+    def predictor(self) -> Predictor:
+        """The predictor of `model`."""
+        return self._base.predictor
 
     @property
     def name(self) -> str:
@@ -103,58 +140,80 @@ class ThermoForceMPC:
         """How far ahead the boundary forecast is needed, s."""
         return self._n_steps * self.step_s
 
-    def plan(self, observation: Observation) -> Plan:
-        """Decide for the next step. A failed forecast or solve does not raise: the fallback policy acts."""
-        self._observe_peak(observation)
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """Decide for the next step.
+
+        What fails on the way (forecast, estimate, solver, whatever they raise) does not raise here: the fallback policy
+        acts and says why.
+
+        Raises:
+            DataError: a mistake of the caller: the boundary forecast is too short, it or the history has another step
+                than the controller, or `state` is not from a plan of this controller.
+        """
+        before = checked_state(state, MPCState) or MPCState(first_s=observation.time_s)
+        check_observation(observation, self.step_s, self._n_steps)
+        history = observation.history
+        now = replace(
+            before,
+            peak_W=self._peak_W(before, observation),
+            actuation=self._actuation.now(before.actuation if state is not None else None, history),
+        )
         try:
-            adapted = self._adaptation.update(observation.history)
-            if adapted is not self.model:
-                self._use(adapted, self.predictor.free_response)
-            context = self._context(observation)
-            problem = self._problem(context, observation.history)
-        except _SURVIVABLE as error:
-            return self._fall_back(observation, f"no prediction ({error})", "not started", {})
+            adaptation = self._adaptation.update(now.adaptation, history)
+            planner = self._planner(adaptation.model)
+            predictor = now.predictor
+            if predictor and now.adaptation and adaptation.model is not now.adaptation.model:
+                predictor = replace(predictor, forced=None)  # another operator says something else of the past, too
+            context = planner.predictor.context(
+                Observation(history, observation.boundary.head(self._n_steps)), predictor
+            )
+            problem = self._problem(planner.operator, context, history, now.peak_W)
+        except Exception as error:  # whatever a forecaster raises: the building must be kept
+            return self._fall_back(observation, now, f"no prediction ({_said(error)})", "not started", {})
+        now = replace(now, adaptation=adaptation, predictor=context.state)
         began = time.perf_counter()
-        solution = self._solver.solve(problem)
+        try:
+            solution = planner.solver.solve(problem, self._guess(now.good, observation))
+        except Exception as error:  # the same for solvers
+            return self._fall_back(observation, now, f"the solver failed ({_said(error)})", "raised", context.seconds)
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
-            return self._fall_back(observation, solution.problem, solution.status, seconds)
-        return self._accept(observation, problem, context.free, solution, seconds)
+            return self._fall_back(observation, now, solution.problem, solution.status, seconds)
+        return self._accept(observation, now, planner.operator, problem, context.free, solution, seconds)
 
-    @property
-    def adaptation(self) -> OnlineAdaptation:
-        """What online adaptation has done so far; nothing where it is off."""
-        return self._adaptation
+    def _planner(self, model: ThermalModel) -> Planner:
+        """The planner of `model`, from memory where it was built before."""
+        for planner in (self._base, *self._adapted):
+            if planner.model is model:
+                return planner
+        planner = self._build_planner(model)
+        self._adapted = [*self._adapted, planner][-_PLANNERS_KEPT:]
+        return planner
 
-    def _use(self, model: ThermalModel, free_response: FreeResponse) -> None:
-        """Predict and plan with `model` from now on."""
-        self.model = model
+    def _build_planner(self, model: ThermalModel) -> Planner:
         # The plan's model has to match the actuation: in both, the machine switches below its lowest level.
         lowest = self._actuation.lowest_level
-        self._operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
+        operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
-        self.predictor = Predictor(model, free_response, estimator=estimator)
-        self._solver = build_solver(self.config, self._operator, self._actuation)
+        predictor = Predictor(model, self._free_response, estimator=estimator)
+        return Planner(model, predictor, operator, build_solver(self.config, operator, self._actuation))
 
-    def _context(self, observation: Observation) -> PredictionContext:
-        """Forecast the free response over the horizon."""
-        boundary = observation.boundary
-        if boundary.n_steps < self._n_steps:
-            raise DataError(f"boundary forecast has {boundary.n_steps} steps, the horizon needs {self._n_steps}")
-        context = self.predictor.context(Observation(observation.history, boundary.head(self._n_steps)))
-        T_free = context.free.median_C
-        if T_free.shape != (self._n_steps,) or not np.isfinite(T_free).all():
-            raise DataError(f"free response '{self.predictor.free_response.name}' is not {self._n_steps} finite values")
-        return context
+    def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
+        """The plan of the step before, one step on."""
+        if good is None or good.age(observation.time_s, self.step_s) != 1:
+            return None
+        return np.append(good.u[1:], good.u[-1])
 
-    def _problem(self, context: PredictionContext, history: Record) -> MPCProblem:
+    def _problem(
+        self, operator: OperatorParameters, context: PredictionContext, history: Record, peak_W: float
+    ) -> MPCProblem:
         """Put all numbers of this instance together."""
         c, boundary, T_free = self.config, context.boundary, context.free.median_C
         aims = c.objective
         price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(context, history))
         low, high = c.backoff_level, c.backoff_level_other
-        if self._operator.sign < 0:
+        if operator.sign < 0:
             low, high = high, low
         below, above = (
             np.minimum(
@@ -177,8 +236,10 @@ class ThermoForceMPC:
             u_max=self._actuation.highest,
             lowest_level=self._actuation.lowest_level,
             weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
-            terminal_price_per_K=self._terminal_price(context.features[-1], price[-1] * (fixed_W + per_u_W)[-1]),
-            peak_so_far_W=self._peak_W,
+            terminal_price_per_K=self._terminal_price(
+                operator, context.features[-1], price[-1] * (fixed_W + per_u_W)[-1]
+            ),
+            peak_so_far_W=peak_W,
         )
 
     def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
@@ -193,41 +254,43 @@ class ThermoForceMPC:
         held_C = np.clip(T_free_C, boundary.lower_C[1:], boundary.upper_C[1:])
         return self._power.water.expected_C(history, held_C)
 
-    def _terminal_price(self, features: Array, cost_per_kW_h: float) -> Array:
+    def _terminal_price(self, operator: OperatorParameters, features: Array, cost_per_kW_h: float) -> Array:
         """What a kelvin of each mode is worth at the end, (r,): only the slowest keeps its heat beyond the horizon.
 
         At a terminal value of 1 a kelvin there is worth what it costs to make it in the last step.
         """
-        operator = self._operator
         price = np.zeros(operator.order)
         drive = float(operator.drive(np.array([self._actuation.highest]), features[None])[0])
         per_step = cost_per_kW_h / 1000.0 * self.step_s / HOUR_S
         price[-1] = self.config.objective.terminal_value * per_step / (operator.gains[-1] * drive)
         return price
 
-    def _observe_peak(self, observation: Observation) -> None:
-        """Keep the highest mean power of a step since this controller took over."""
-        if self._first_s is None:
-            self._first_s = observation.time_s
+    def _peak_W(self, before: MPCState, observation: Observation) -> float:
+        """The highest mean power of a step since this controller took over, W."""
         power = observation.history.power_W[-1:]
-        if power.size and observation.time_s > self._first_s and np.isfinite(power[0]):
-            self._peak_W = max(self._peak_W, float(power[0]))
+        if power.size and observation.time_s > before.first_s and np.isfinite(power[0]):
+            return max(before.peak_W, float(power[0]))
+        return before.peak_W
 
     def _accept(
         self,
         observation: Observation,
+        now: MPCState,
+        operator: OperatorParameters,
         problem: MPCProblem,
         forecast: FreeForecast,
         solution: Solution,
-        seconds: dict[str, float],
+        seconds: Mapping[str, float],
     ) -> Plan:
         u = solution.u
-        forced_K = problem.forced_K(self._operator, u)
-        slack_K = problem.slack_K(problem.T_free_C + forced_K)
-        plan = Plan(
-            blocks=self._actuation.realise(float(u[0]), self.step_s),
+        forced_K = problem.forced_K(operator, u)
+        T_zone_C = problem.T_free_C + forced_K
+        slack_K = problem.slack_K(T_zone_C)
+        blocks, actuation = self._actuation.realise(float(u[0]), self.step_s, now.actuation)
+        return Plan(
+            blocks=blocks,
             status=PlanStatus.SOLVED,
-            why=_reason(problem, problem.T_free_C + forced_K, slack_K, forecast),
+            why=_reason(problem, T_zone_C, slack_K, forecast),
             u=u,
             T_free_now_C=float(problem.features[0, ZONE]),
             T_free_C=problem.T_free_C,
@@ -239,18 +302,32 @@ class ThermoForceMPC:
             solver_status=solution.status,
             iterations=solution.iterations,
             seconds=seconds,
+            state=replace(now, actuation=actuation, good=GoodPlan(observation.time_s, u, T_zone_C)),
         )
-        self._fallback.remember(plan, observation.time_s)
-        return plan
 
-    def _fall_back(self, observation: Observation, reason: str, solver_status: str, seconds: dict[str, float]) -> Plan:
-        u = self._fallback.level_to_follow(observation)
-        if u is None:
-            plan = self._fallback.rule(observation, reason)
+    def _fall_back(
+        self, observation: Observation, now: MPCState, reason: str, solver_status: str, seconds: Mapping[str, float]
+    ) -> Plan:
+        u = self._fallback.level_to_follow(now.good, observation)
+        if u is not None:
+            status, why = PlanStatus.SHIFTED, f"following the previous plan (u = {u:.2f})"
         else:
-            blocks = self._actuation.realise(min(max(u, 0.0), self._actuation.highest), self.step_s)
-            plan = Plan(blocks, PlanStatus.SHIFTED, f"{reason}; following the previous plan (u = {u:.2f})")
-        return replace(plan, solver_status=solver_status, seconds=seconds)
+            status = PlanStatus.THERMOSTAT
+            u, why = self._fallback.rule(observation)
+        blocks, actuation = self._actuation.realise(u, self.step_s, now.actuation)
+        return Plan(
+            blocks,
+            status,
+            f"{reason}; {why}",
+            solver_status=solver_status,
+            seconds=seconds,
+            state=replace(now, actuation=actuation),
+        )
+
+
+def _said(error: Exception) -> str:
+    """What an error says of itself: its name, too, where it is not one of ours."""
+    return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
 
 
 def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> FreeResponse:

@@ -49,9 +49,7 @@ class MoveBlockingConfig(StrictModel):
 class MPCConfig(StrictModel):
     """Options of the MPC."""
 
-    step_s: float | None = Field(
-        None, ge=300, le=14400, description="control step, s; by default the step of the model"
-    )
+    step_s: float | None = Field(900.0, ge=300, le=14400, description="control step, s; null: the step of the model")
     horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
     comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
     backoff_level: float = Field(

@@ -32,6 +32,6 @@ class NativeController:
         """One step: no foresight is used."""
         return self.config.step_s
 
-    def plan(self, observation: Observation) -> Plan:
-        """One block of native control."""
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """One block of native control; there is no state."""
         return Plan((Block(None, self.step_s),), PlanStatus.RULE, "the plant's own controller acts")

@@ -9,12 +9,15 @@ PID Control, 2006, section 3.5).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from thermoforce_mpc.data import HOUR_S, Block, Observation, Plan, PlanStatus
+from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.inputs import checked_state
+from thermoforce_mpc.data import HOUR_S, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -28,30 +31,33 @@ class PIConfig(StrictModel):
     )
     lead_h: float = Field(2.0, ge=0, le=24, description="a tighter bound is followed this long before it comes, h")
     off_below: float = Field(0.15, ge=0, lt=1, description="output below this share switches the machine off")
-    lowest_level: float = Field(0.0, ge=0, le=1, description="modulating: a running machine is at least at this level")
-    actuation: Literal["modulating", "duty"] = Field(
-        "duty", description="modulating: the level is held; duty: on at `level` for the asked share of a step"
-    )
-    level: float = Field(1.0, gt=0, le=1, description="highest level; in duty the level while on")
+    actuation: ActuationConfig = ActuationConfig()
     step_s: float = Field(900.0, ge=300, le=86400, description="how often the controller looks, s")
     mode: Literal["heating", "cooling"] = Field("heating", description="which bound is followed")
 
-    @model_validator(mode="after")
-    def _levels_in_order(self) -> PIConfig:
-        if self.lowest_level > self.level:
-            raise ValueError(f"lowest_level {self.lowest_level:g} is above level {self.level:g}")
-        return self
+
+@dataclass(frozen=True)
+class PIState:
+    """The integral, as a share of full, and when it was last updated, s; what the machine does."""
+
+    integral: float = 0.0
+    time_s: float | None = None
+    actuation: ActuationState | None = None
 
 
 class PIController:
-    """Follows the comfort bound with a PI law; keeps the integral between calls."""
+    """Follows the comfort bound with a PI law.
+
+    Raises:
+        ControllerConfigError: the actuation does not fit the step.
+    """
 
     name = "pi"
 
     def __init__(self, config: PIConfig | None = None) -> None:
         self.config = config or PIConfig()
-        self._integral = 0.0
-        self._last_s: float | None = None
+        self._actuation = Actuation(self.config.actuation)
+        self._actuation.check_step(self.config.step_s)
 
     @property
     def step_s(self) -> float:
@@ -64,25 +70,32 @@ class PIController:
         steps = max(1, math.ceil(self.config.lead_h * HOUR_S / self.step_s))
         return steps * self.step_s
 
-    def plan(self, observation: Observation) -> Plan:
-        """One step of the PI law; native control while the sensor is silent."""
-        c = self.config
-        T = observation.T_zone_C
-        if not math.isfinite(T):
-            return Plan((Block(None, self.step_s),), PlanStatus.RULE, "zone temperature missing: native control")
-        target = self._target_C(observation)
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """One step of the PI law; native control while the sensor is silent or the bounds are not known.
+
+        Raises:
+            DataError: `state` is not from a plan of a PI controller.
+        """
+        c, last = self.config, checked_state(state, PIState) or PIState()
+        machine = self._actuation.now(last.actuation, observation.history)
+        T, target = observation.T_zone_C, self._target_C(observation)
+        if not (math.isfinite(T) and math.isfinite(target)):
+            what = "comfort bound" if math.isfinite(T) else "zone temperature"
+            blocks, machine = self._actuation.realise(None, self.step_s, machine)
+            why = f"{what} missing: native control"
+            return Plan(blocks, PlanStatus.RULE, why, state=replace(last, actuation=machine))
         error_K = (target - T) * (1.0 if c.mode == "heating" else -1.0)
-        elapsed_s = 0.0 if self._last_s is None else min(observation.time_s - self._last_s, 2 * self.step_s)
-        self._last_s = observation.time_s
-        integral = self._integral + c.kp * error_K * elapsed_s / c.ti_s
+        elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
+        integral = last.integral + c.kp * error_K * elapsed_s / c.ti_s
         asked = c.kp * error_K + integral
         # Anti-windup: what would only deepen saturation is not integrated.
-        if (0.0 < asked < 1.0) or (asked >= 1.0 and error_K < 0) or (asked <= 0.0 and error_K > 0):
-            self._integral = integral
-        share = min(max(c.kp * error_K + self._integral, 0.0), 1.0)
+        if not ((0.0 < asked < 1.0) or (asked >= 1.0 and error_K < 0) or (asked <= 0.0 and error_K > 0)):
+            integral = last.integral
+        share = min(max(c.kp * error_K + integral, 0.0), 1.0)
         share = 0.0 if share < c.off_below else share
-        why = f"{error_K:+.2f} K from {target:.2f} °C, integral {self._integral:.2f}: {share:.2f} of full"
-        return Plan(self._blocks(share), PlanStatus.RULE, why)
+        blocks, machine = self._actuation.realise(share * self._actuation.highest, self.step_s, machine)
+        why = f"{error_K:+.2f} K from {target:.2f} °C, integral {integral:.2f}: {share:.2f} of full"
+        return Plan(blocks, PlanStatus.RULE, why, state=PIState(integral, observation.time_s, machine))
 
     def _target_C(self, observation: Observation) -> float:
         """The tightest bound from now until the lead time is over, with the offset, °C."""
@@ -91,14 +104,3 @@ class PIController:
         if c.mode == "heating":
             return float(np.max(boundary.lower_C[: ahead + 1])) + c.offset_K
         return float(np.min(boundary.upper_C[: ahead + 1])) - c.offset_K
-
-    def _blocks(self, share: float) -> tuple[Block, ...]:
-        c = self.config
-        if share == 0.0:
-            return (Block(0.0, self.step_s),)
-        if c.actuation == "modulating":
-            return (Block(max(share * c.level, c.lowest_level), self.step_s),)
-        # Whole minutes: on first, so that the heat comes before the next look.
-        on_s = min(max(round(share * self.step_s / 60.0) * 60.0, 60.0), self.step_s)
-        on = Block(c.level, on_s)
-        return (on,) if on_s >= self.step_s else (on, Block(0.0, self.step_s - on_s))

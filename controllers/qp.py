@@ -101,8 +101,8 @@ class QPSolver:
             "clarabel": Clarabel(config),
         }
 
-    def solve(self, problem: MPCProblem) -> Solution:
-        """Solve one instance. A failure is a value: `ok` is False and `problem` says what each solver did."""
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """Solve one instance, without a guess. A failure is a value: `problem` says what each solver did."""
         if not problem.finite():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         drive = self.operator.drive(np.full(self.shape.n_steps, problem.u_max), problem.features) / problem.u_max

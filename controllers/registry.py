@@ -49,6 +49,7 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
 
 # The paper plans a day ahead on the median of one resolution of the forecaster, right to the comfort bound.
 _AS_PRINTED: dict[str, Any] = {
+    "step_s": None,
     "horizon_h": 24.0,
     "comfort_margin_K": 0.0,
     "backoff_level": 0.5,
@@ -61,7 +62,6 @@ _AS_PRINTED: dict[str, Any] = {
 REGISTRY: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
         "weather-aware free response with a frozen forecaster, forced-response operator, on/off duty blocks, 15 min",
-        step_s=900.0,
     ),
     "thermoforce_hourly": _mpc_entry(
         "the same with a level held over an hour, off or at least 0.7 (below that a heat pump loses most)",
@@ -79,7 +79,6 @@ REGISTRY: dict[str, Entry] = {
     ),
     "rc_mpc": _mpc_entry(
         "the same as thermoforce_mpc with the free response of a linear RC model",
-        step_s=900.0,
         free_response={"name": "rc"},
     ),
     "candidate_search": _mpc_entry(
@@ -128,7 +127,7 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
         defaults["step_s"] = testcase.step_s
     if name in ("thermostat", "pi"):
         defaults["mode"] = testcase.mode
-    if entry.needs_model and testcase.defaults.actuation and "actuation" not in entry.defaults:
+    if "actuation" in entry.config().model_fields and testcase.defaults.actuation and "actuation" not in entry.defaults:
         defaults["actuation"] = testcase.defaults.actuation
     if name == "thermostat" and testcase.thermostat_C is not None:
         defaults["setpoint_C"] = testcase.thermostat_C

@@ -23,24 +23,21 @@ class SearchConfig(StrictModel):
 
 
 class CandidateSearch:
-    """Evaluates all candidates of the configuration, and the previous answer one step on, in one vectorised rollout."""
+    """Evaluates all candidates of the configuration, and the guess it is given, in one vectorised rollout."""
 
     def __init__(self, operator: OperatorParameters, n_steps: int, config: SearchConfig) -> None:
         self.operator = operator
         self._candidates = _two_level_trajectories(config, n_steps)
-        self._previous: Array | None = None
 
-    def solve(self, problem: MPCProblem) -> Solution:
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """The cheapest candidate. A failure is a value: `ok` is False and `problem` says why."""
         candidates = np.unique(np.minimum(self._candidates, problem.u_max), axis=0)
-        if self._previous is not None:
-            candidates = np.vstack([candidates, self._previous])
+        if guess is not None:
+            candidates = np.vstack([candidates, guess])
         costs = problem.cost(self.operator, candidates)
         if not np.isfinite(costs).any():
-            self._previous = None
             return Solution(False, np.empty(0), "no candidate", len(costs), "no candidate has a finite cost")
         best = candidates[int(np.nanargmin(costs))]
-        self._previous = np.append(best[1:], best[-1])
         return Solution(True, best, "best_candidate", len(costs))
 
 

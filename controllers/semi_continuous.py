@@ -44,8 +44,8 @@ class SemiContinuousSolver:
         later = shape.move_of_step[1:] - shape.move_of_step[1]
         self._later = QPSolver(switching, replace(shape, move_of_step=later, lowest_level=shape.u_max), qp)
 
-    def solve(self, problem: MPCProblem) -> Solution:
-        """The cheapest first level with the best continuation. A failure is a value, as in every solver."""
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """The cheapest first level with the best continuation, without a guess. A failure is a value."""
         if not problem.finite():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         best, least, failures, iterations = None, np.inf, [], 0

@@ -12,14 +12,19 @@ from controllers.problem import MPCProblem, ProblemShape, Solution, blocked_move
 from controllers.qp import QPSolver
 from controllers.search import CandidateSearch
 from controllers.semi_continuous import SemiContinuousSolver
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
 class Solver(Protocol):
     """Anything that solves `MPCProblem`s of one operator and horizon."""
 
-    def solve(self, problem: MPCProblem) -> Solution:
-        """Solve one instance; a failure is a value."""
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """Solve one instance; a failure is a value.
+
+        `guess` (N,) are levels near the best ones, for those that begin somewhere. The same arguments give the same
+        answer, whatever was solved before.
+        """
         ...
 
 

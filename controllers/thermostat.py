@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import Field
 
+from controllers.inputs import checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -39,6 +41,13 @@ class ThermostatConfig(StrictModel):
     setback: Setback | None = Field(None, description="weekday hours during which the machine stays off")
 
 
+@dataclass(frozen=True)
+class ThermostatState:
+    """Whether the machine is on."""
+
+    on: bool = False
+
+
 class Thermostat:
     """Hysteresis on the zone temperature; heats (or cools) at one level."""
 
@@ -46,7 +55,6 @@ class Thermostat:
 
     def __init__(self, config: ThermostatConfig | None = None) -> None:
         self.config = config or ThermostatConfig()
-        self._on = False
 
     @property
     def step_s(self) -> float:
@@ -58,20 +66,26 @@ class Thermostat:
         """One step: no foresight is used."""
         return self.config.step_s
 
-    def plan(self, observation: Observation) -> Plan:
-        """On below the dead band, off above it, unchanged inside; native control while the sensor is silent."""
-        c = self.config
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """On below the dead band, off above it, unchanged inside; native control while the sensor is silent.
+
+        Raises:
+            DataError: `state` is not from a plan of a thermostat.
+        """
+        c, last = self.config, checked_state(state, ThermostatState) or ThermostatState()
         T = observation.T_zone_C
         if not math.isfinite(T):
-            return Plan((Block(None, self.step_s),), PlanStatus.RULE, "zone temperature missing: native control")
+            why = "zone temperature missing: native control"
+            return Plan((Block(None, self.step_s),), PlanStatus.RULE, why, state=last)
         # How far the zone is on the side that needs the machine: below the set-point heating, above it cooling.
         need_K = (c.setpoint_C - T) * (1.0 if c.mode == "heating" else -1.0)
         if c.setback and c.setback.active(observation.time_s):
-            self._on, why = False, "setback"
+            on, why = False, "setback"
         elif need_K > c.deadband_K:
-            self._on, why = True, f"{T:.2f} °C is beyond the dead band: on"
+            on, why = True, f"{T:.2f} °C is beyond the dead band: on"
         elif need_K < -c.deadband_K:
-            self._on, why = False, f"{T:.2f} °C is beyond the dead band: off"
+            on, why = False, f"{T:.2f} °C is beyond the dead band: off"
         else:
-            why = f"{T:.2f} °C is inside the dead band: unchanged"
-        return Plan((Block(c.level if self._on else 0.0, self.step_s),), PlanStatus.RULE, why)
+            on, why = last.on, f"{T:.2f} °C is inside the dead band: unchanged"
+        block = Block(c.level if on else 0.0, self.step_s)
+        return Plan((block,), PlanStatus.RULE, why, state=ThermostatState(on))

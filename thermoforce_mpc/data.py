@@ -251,7 +251,8 @@ class Plan:
     `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`,
     predicted `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
     predicted `power_W`; they are empty for rules. `T_free_now_C` is the control-free temperature the plan starts from.
-    `why` is one sentence a person can read; `solver_status` is the solver's own word.
+    `why` is one sentence a person can read; `solver_status` is the solver's own word. `state` is what the controller
+    needs to know at its next plan of this run; nobody else looks into it.
     """
 
     blocks: tuple[Block, ...]
@@ -268,6 +269,7 @@ class Plan:
     solver_status: str = ""
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
+    state: object = field(default=None, repr=False)
 
     @property
     def T_zone_C(self) -> Array:

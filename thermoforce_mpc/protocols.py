@@ -75,8 +75,20 @@ class FreeResponse(Protocol):
 
 
 @runtime_checkable
+class FollowingFreeResponse(FreeResponse, Protocol):
+    """A free response that learns from the forecasts of a run: what it learned is a value that the run carries along.
+
+    Its `forecast` is that of a run which begins.
+    """
+
+    def follow(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> tuple[FreeForecast, object]:
+        """As `forecast`, with what the last call of this run gave (None begins a run); and what to give to the next."""
+        ...
+
+
+@runtime_checkable
 class Controller(Protocol):
-    """Everything that decides an action."""
+    """Everything that decides an action. It holds no state of a run: that travels in the plans."""
 
     @property
     def name(self) -> str:
@@ -93,6 +105,10 @@ class Controller(Protocol):
         """How far ahead the controller wants its boundary forecast, s (at least one step)."""
         ...
 
-    def plan(self, observation: Observation) -> Plan:
-        """Decide. Never raises for a failed solve: the plan's status says which fallback level acted, and why."""
+    def plan(self, observation: Observation, state: object = None) -> Plan:
+        """Decide. Never raises for a failed solve: the plan's status says which fallback level acted, and why.
+
+        `state` is the `Plan.state` of the last plan of this run, None begins a run. The same observation and state give
+        the same plan.
+        """
         ...

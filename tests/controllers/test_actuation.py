@@ -7,9 +7,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from controllers.actuation import Actuation, ActuationConfig
+from controllers.actuation import Actuation, ActuationConfig, ActuationState
 
 HOUR = 3600.0
+
+
+class Machine:
+    """An actuation with the state it is in."""
+
+    def __init__(self, **options) -> None:
+        self.actuation, self.state = Actuation(ActuationConfig(**options)), ActuationState()
+
+    def realise(self, u: float | None, step_s: float):
+        blocks, self.state = self.actuation.realise(u, step_s, self.state)
+        return blocks
 
 
 def mean_level(blocks) -> float:
@@ -20,7 +31,7 @@ def mean_level(blocks) -> float:
     st.lists(st.floats(0, 1), min_size=1, max_size=40), st.sampled_from([300.0, 900.0]), st.sampled_from([900.0, HOUR])
 )
 def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, step_s):
-    actuation = Actuation(ActuationConfig(block_s=block_s, min_on_s=900.0, min_off_s=900.0))
+    actuation = Machine(block_s=block_s, min_on_s=900.0, min_off_s=900.0)
     states = []
     for u in levels:
         blocks = actuation.realise(u, step_s)
@@ -41,39 +52,39 @@ def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, st
 
 
 def test_shares_too_small_to_realise_are_owed_until_they_are_large_enough():
-    actuation = Actuation(ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0))
+    actuation = Machine(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
     given_s = [sum(b.duration_s for b in actuation.realise(0.03, HOUR) if b.u) for _ in range(40)]
     assert given_s[0] == 0.0
     assert sum(given_s) == pytest.approx(40 * 0.03 * HOUR, abs=600.0)
 
 
 def test_nothing_is_owed_to_a_plan_that_wants_the_machine_off():
-    actuation = Actuation(ActuationConfig(block_s=900.0, min_on_s=900.0, min_off_s=900.0))
+    actuation = Machine(block_s=900.0, min_on_s=900.0, min_off_s=900.0)
     actuation.realise(0.1, HOUR)
     assert all(mean_level(actuation.realise(0.0, HOUR)) == 0.0 for _ in range(5))
 
 
 def test_a_running_machine_keeps_running_at_the_start_of_the_next_step():
-    actuation = Actuation(ActuationConfig(block_s=300.0))
+    actuation = Machine(block_s=300.0)
     first, second = actuation.realise(0.5, HOUR), actuation.realise(0.5, HOUR)
     assert [b.u for b in first + second] == [0.0, 1.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize(("u", "held"), [(0.0, 0.0), (0.1, 0.0), (0.2, 0.3), (0.3, 0.3), (0.77, 0.77), (1.0, 1.0)])
 def test_modulating_is_off_or_at_least_the_lowest_level(u, held):
-    (block,) = Actuation(ActuationConfig(mode="modulating", lowest_level=0.3)).realise(u, HOUR)
+    (block,) = Machine(mode="modulating", lowest_level=0.3).realise(u, HOUR)
     assert (block.u, block.duration_s) == (held, HOUR)
 
 
 def test_blocks_shorter_than_the_minimum_are_finished_in_the_next_step():
-    actuation = Actuation(ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0))
+    actuation = Machine(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
     first, second = actuation.realise(1 / 3, 900.0), actuation.realise(0.0, 900.0)
     assert [(b.u, b.duration_s) for b in first] == [(0.0, 600.0), (1.0, 300.0)]
     assert [(b.u, b.duration_s) for b in second] == [(1.0, 300.0), (0.0, 600.0)], "on for its minimum, then off"
 
 
 def test_duty_at_a_partial_level_scales_the_share():
-    actuation = Actuation(ActuationConfig(level=0.8, block_s=300.0))
+    actuation = Machine(level=0.8, block_s=300.0)
     assert mean_level(actuation.realise(0.4, HOUR)) == pytest.approx(0.4)
 
 

@@ -39,14 +39,14 @@ def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
     house = SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     observation = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
-    mpc = ThermoForceMPC(model, MPCConfig(horizon_h=24.0), free_response=OutdoorResponse())
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
     plan = mpc.plan(observation)
     assert plan.status is PlanStatus.SOLVED
     context = mpc.predictor.context(observation)
     np.testing.assert_allclose(plan.T_forced_K, context.predict(plan.u).forced_K, atol=1e-4)
     blind = ThermoForceMPC(
         replace(model, operator=replace(model.operator, feedback=False)),
-        MPCConfig(horizon_h=24.0),
+        MPCConfig(step_s=None, horizon_h=24.0),
         free_response=OutdoorResponse(),
     ).plan(observation)
     assert np.abs(blind.T_forced_K - plan.T_forced_K).max() > 0.01, "what the gain sees must matter"

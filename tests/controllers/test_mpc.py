@@ -20,7 +20,7 @@ from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 def controller(free=None, **options) -> ThermoForceMPC:
-    config = MPCConfig(**{"horizon_h": 24.0, **options})
+    config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
     return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse())
 
 
@@ -57,7 +57,7 @@ def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
         load = replace(model.power.load, lowest_level=0.3)
         mpc = ThermoForceMPC(
             replace(model, power=replace(model.power, load=load)),
-            MPCConfig(solver=solver, actuation={"mode": mode}, horizon_h=24),
+            MPCConfig(step_s=None, solver=solver, actuation={"mode": mode}, horizon_h=24),
             free_response=OutdoorResponse(),
         )
     else:
@@ -74,16 +74,20 @@ class FailingSolver:
     def __init__(self, inner, failing: set[int]) -> None:
         self.inner, self.failing, self.calls = inner, failing, 0
 
-    def solve(self, problem) -> Solution:
+    def solve(self, problem, guess=None) -> Solution:
         self.calls += 1
         if self.calls - 1 in self.failing:
             return Solution(False, np.empty(0), "Restoration_Failed", 7, "Ipopt ended with Restoration_Failed")
-        return self.inner.solve(problem)
+        return self.inner.solve(problem, guess)
+
+
+def failing(mpc: ThermoForceMPC, steps: set[int]) -> ThermoForceMPC:
+    mpc._base = replace(mpc._base, solver=FailingSolver(mpc._base.solver, steps))
+    return mpc
 
 
 def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
-    house, mpc = SimpleHouse(), controller()
-    mpc._solver = FailingSolver(mpc._solver, failing=set(range(10, 16)))
+    house, mpc = SimpleHouse(), failing(controller(), set(range(10, 16)))
     result = run_closed_loop(house, mpc, house.period("x"))
     status = [step.plan.status for step in result.steps]
     assert status[10:16] == [PlanStatus.SHIFTED] * 3 + [PlanStatus.THERMOSTAT] * 3
@@ -94,16 +98,14 @@ def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
 
 
 def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted():
-    mpc = controller()
-    first = observation()
-    mpc.plan(first)
+    mpc = failing(controller(), {1})
+    state = mpc.plan(observation()).state
     later = observation(SimpleHouse(T_start_C=12.0))
     later = Observation(
         replace(later.history, time_s=later.history.time_s + HOUR_S),
         replace(later.boundary, time_s=later.boundary.time_s + HOUR_S),
     )
-    mpc._solver = FailingSolver(None, failing={0})
-    plan = mpc.plan(later)
+    plan = mpc.plan(later, state)
     assert plan.status is PlanStatus.THERMOSTAT
     assert [block.u for block in plan.blocks] == [1.0], "the zone is cold"
 
@@ -168,10 +170,12 @@ def test_same_observation_same_plan():
 def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its_own(sign, inside):
     model = simple_model()
     operator = replace(model.operator, gains=sign * model.operator.gains, sign=sign)
-    config = MPCConfig(horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3, backoff_violation_K=None)
+    config = MPCConfig(
+        step_s=None, horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3, backoff_violation_K=None
+    )
     mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
     seen = observation()
-    problem = mpc._problem(mpc._context(seen), seen.history)
+    problem = mpc._problem(operator, mpc.predictor.context(seen), seen.history, peak_W=0.0)
     np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside[0], atol=1e-9)
     np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside[1], atol=1e-9)
 
@@ -183,9 +187,9 @@ def test_planned_power_follows_the_return_water_expected_over_the_zone():
     seen = observation()
     history = replace(seen.history, T_return_C=seen.history.T_zone_C[:-1] + 5.0)
     plain = controller().plan(seen)
-    mpc = ThermoForceMPC(powered, MPCConfig(horizon_h=24.0), free_response=OutdoorResponse())
-    context = mpc._context(seen)
-    problem = mpc._problem(context, history)
+    mpc = ThermoForceMPC(powered, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    context = mpc.predictor.context(seen)
+    problem = mpc._problem(mpc.model.operator, context, history, peak_W=0.0)
     zone = np.clip(context.free.median_C, seen.boundary.lower_C[1:], seen.boundary.upper_C[1:])
     above = 5.0 if (history.u > 0.02).any() else 9.0
     expected = model.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))

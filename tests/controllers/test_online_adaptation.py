@@ -26,7 +26,7 @@ def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
     found = {}
     for enabled in (False, True):
         house = WeakHouse()
-        config = MPCConfig(horizon_h=24.0, adaptation={"enabled": enabled, "gain_sd": 0.3})
+        config = MPCConfig(step_s=None, horizon_h=24.0, adaptation={"enabled": enabled, "gain_sd": 0.3})
         mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
         period = replace(house.period("x"), scored_s=8 * 86400.0)
         result = run_closed_loop(house, mpc, period)
@@ -34,7 +34,8 @@ def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
         actual = np.array([step.T_zone_C for step in result.steps[1:]])
         predicted = np.array([step.plan.T_zone_C[0] for step in result.steps[:-1]])
         errors = (actual - predicted)[-72:]
-        found[enabled] = float(mpc.model.operator.gains[0]), float(np.sqrt(np.mean(errors**2))), mpc.adaptation.steps
+        learned = result.state.adaptation
+        found[enabled] = float(learned.model.operator.gains[0]), float(np.sqrt(np.mean(errors**2))), learned.steps
     gain = simple_model().operator.gains[0]
     assert found[False][0] == gain
     assert found[False][2] == ()

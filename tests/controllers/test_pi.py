@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from simple_house import SimpleHouse
 
+from controllers.errors import ControllerConfigError
 from controllers.pi import PIConfig, PIController
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -20,46 +20,63 @@ def observation(T: float, time_s: float, lower_C: float | list[float] = 21.0) ->
     return Observation(history, Boundary(times, 0 * line, 0 * line, line, lower, 24 * line, line, line))
 
 
-def share(controller: PIController, T: float, time_s: float, **kind) -> float:
-    blocks = controller.plan(observation(T, time_s, **kind)).blocks
+# Any level is held: what is asked for shows as it is.
+HELD = {"mode": "modulating", "lowest_level": 0.0}
+
+
+class Run:
+    """A controller in one run."""
+
+    def __init__(self, **options) -> None:
+        self.controller, self.state = PIController(PIConfig(**options)), None
+
+    def plan(self, seen: Observation):
+        plan = self.controller.plan(seen, self.state)
+        self.state = plan.state
+        return plan
+
+
+def share(run: Run, T: float, time_s: float, **kind) -> float:
+    blocks = run.plan(observation(T, time_s, **kind)).blocks
     return sum((block.u or 0.0) * block.duration_s for block in blocks) / sum(block.duration_s for block in blocks)
 
 
 def test_the_law_by_hand():
-    pi = PIController(PIConfig(kp=0.5, ti_s=3600.0, offset_K=0.0, lead_h=0.0, actuation="modulating", off_below=0.0))
+    pi = Run(kp=0.5, ti_s=3600.0, offset_K=0.0, lead_h=0.0, actuation=HELD, off_below=0.0)
     assert share(pi, 20.6, 0.0) == pytest.approx(0.2)  # 0.5 · 0.4 K, nothing integrated yet
     assert share(pi, 20.6, 900.0) == pytest.approx(0.2 + 0.5 * 0.4 * 900 / 3600)
     assert share(pi, 20.8, 1800.0) == pytest.approx(0.1 + 0.05 + 0.5 * 0.2 * 900 / 3600)
 
 
 def test_a_long_cold_spell_does_not_wind_up():
-    pi = PIController(PIConfig(offset_K=0.0, lead_h=0.0))
+    pi = Run(offset_K=0.0, lead_h=0.0)
     for k in range(200):
         assert share(pi, 15.0, 900.0 * k) == 1.0
     assert share(pi, 21.2, 900.0 * 200) == 0.0
 
 
 def test_a_rising_bound_is_met_before_it_comes():
-    config = PIConfig(kp=1.0, offset_K=0.0, lead_h=0.5)
+    config = {"kp": 1.0, "offset_K": 0.0, "lead_h": 0.5}
     rising = [15.0, 15.0, 21.0, 21.0]
-    assert share(PIController(config), 20.0, 0.0, lower_C=rising) == 1.0
-    assert share(PIController(config), 20.0, 0.0, lower_C=[15.0, 15.0, 15.0, 21.0]) == 0.0
+    assert share(Run(**config), 20.0, 0.0, lower_C=rising) == 1.0
+    assert share(Run(**config), 20.0, 0.0, lower_C=[15.0, 15.0, 15.0, 21.0]) == 0.0
 
 
-def test_duty_switches_in_whole_minutes_and_off_below_its_threshold():
-    pi = PIController(PIConfig(kp=0.5, offset_K=0.0, lead_h=0.0, off_below=0.15))
-    blocks = pi.plan(observation(20.2, 0.0)).blocks
-    assert [(block.u, block.duration_s) for block in blocks] == [(1.0, 360.0), (0.0, 540.0)]
-    assert share(PIController(PIConfig(kp=0.5, offset_K=0.0, lead_h=0.0, off_below=0.15)), 20.8, 0.0) == 0.0
+def test_duty_switches_in_blocks_keeps_minimum_times_and_is_off_below_its_threshold():
+    pi = Run(kp=0.5, offset_K=0.0, lead_h=0.0, off_below=0.15)
+    first, second = (pi.plan(observation(T, t)).blocks for T, t in ((20.2, 0.0), (21.5, 900.0)))
+    assert [(block.u, block.duration_s) for block in first] == [(0.0, 600.0), (1.0, 300.0)]
+    assert [(block.u, block.duration_s) for block in second] == [(1.0, 300.0), (0.0, 600.0)], "on for its minimum"
+    assert share(Run(kp=0.5, offset_K=0.0, lead_h=0.0, off_below=0.15), 20.8, 0.0) == 0.0
 
 
 def test_a_modulating_machine_runs_at_least_at_its_lowest_level():
-    config = PIConfig(kp=0.5, offset_K=0.0, lead_h=0.0, actuation="modulating", lowest_level=0.7)
-    assert share(PIController(config), 20.2, 0.0) == 0.7
+    held = {"mode": "modulating", "lowest_level": 0.7}
+    assert share(Run(kp=0.5, offset_K=0.0, lead_h=0.0, actuation=held), 20.2, 0.0) == 0.7
 
 
 def test_cooling_follows_the_upper_bound():
-    pi = PIController(PIConfig(mode="cooling", offset_K=0.0, lead_h=0.0))
+    pi = Run(mode="cooling", offset_K=0.0, lead_h=0.0)
     assert share(pi, 25.0, 0.0) == 1.0
     assert share(pi, 23.5, 900.0) == 0.0
 
@@ -70,9 +87,22 @@ def test_a_silent_sensor_hands_over_to_native_control():
     assert plan.status is PlanStatus.RULE
 
 
-def test_levels_out_of_order_are_refused():
-    with pytest.raises(ValidationError, match=r"lowest_level 0.8 is above level 0.5"):
-        PIConfig(level=0.5, lowest_level=0.8)
+def test_a_bound_that_is_not_known_hands_over_to_native_control():
+    plan = PIController(PIConfig(lead_h=0.0)).plan(observation(20.0, 0.0, lower_C=[float("nan"), 21.0]))
+    assert plan.blocks[0].u is None
+    assert "comfort bound missing" in plan.why
+
+
+def test_a_step_too_short_for_blocks_is_refused():
+    with pytest.raises(ControllerConfigError, match=r"blocks of 300 s cannot share a step of 300 s"):
+        PIController(PIConfig(step_s=300.0))
+
+
+def test_twice_on_the_same_window_is_twice_the_same():
+    period = Period("winter", 10 * DAY_S, 2 * DAY_S, DAY_S)
+    pi = PIController()
+    first, second = (run_closed_loop(SimpleHouse(), pi, period).kpis for _ in range(2))
+    assert (first["tdis_tot"], first["cost_tot"]) == (second["tdis_tot"], second["cost_tot"])
 
 
 def test_it_holds_a_house_near_its_set_point():

@@ -18,7 +18,12 @@ def observation(T: float, time_s: float = 0.0) -> Observation:
 
 
 def levels(thermostat: Thermostat, temperatures: list[float]) -> list[float | None]:
-    return [thermostat.plan(observation(T)).blocks[0].u for T in temperatures]
+    found, state = [], None
+    for T in temperatures:
+        plan = thermostat.plan(observation(T), state)
+        state = plan.state
+        found.append(plan.blocks[0].u)
+    return found
 
 
 def test_hysteresis_keeps_its_state_inside_the_dead_band():

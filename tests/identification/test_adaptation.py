@@ -49,44 +49,42 @@ def _effect(operator) -> float:
 
 def test_a_machine_that_weakens_by_a_fifth_is_noticed(model, measured):
     run = _degrading(measured)
-    adaptation = OnlineAdaptation(model, ON)
-    before = adaptation.update(run.last(run.n_steps))  # all of it at once
-    fixed, adapted = _effect(model.operator), _effect(before.operator)
+    found = OnlineAdaptation(model, ON).update(None, run.last(run.n_steps))  # all of it at once
+    fixed, adapted = _effect(model.operator), _effect(found.model.operator)
     assert adapted / fixed == pytest.approx(0.8, abs=0.06)
-    third = [s for s in adaptation.steps if s.time_s <= run.time_s[run.n_steps // 3]]
+    third = [s for s in found.steps if s.time_s <= run.time_s[run.n_steps // 3]]
     assert third[-1].gain * third[-1].heat == pytest.approx(1.0, abs=0.06), "nothing had changed by then"
-    last = adaptation.steps[-1]
+    last = found.steps[-1]
     if measured:
         assert last.heat == pytest.approx(0.8, abs=0.05)
         assert last.gain == pytest.approx(1.0, abs=0.06), "the building is as it was"
     else:
         assert last.heat == 1.0
-    assert certificate(before.operator).certified
-    assert {s.outcome for s in adaptation.steps} == {"updated", "not informative"}
+    assert certificate(found.model.operator).certified
+    assert {s.outcome for s in found.steps} == {"updated", "not informative"}
 
 
 def test_step_by_step_is_the_same_as_at_once(model, measured):
     run = _degrading(measured, days=3.0)
-    whole, piecewise = OnlineAdaptation(model, ON), OnlineAdaptation(model, ON)
-    whole.update(run)
+    adaptation, piecewise = OnlineAdaptation(model, ON), None
+    whole = adaptation.update(None, run)
     for n in range(1, run.n_steps + 1):
-        part = run.slice(0, n)
-        piecewise.update(part)
+        piecewise = adaptation.update(piecewise, run.slice(0, n))
     assert [s.time_s for s in piecewise.steps] == [s.time_s for s in whole.steps]
     for a, b in zip(piecewise.steps, whole.steps, strict=True):
         assert (a.outcome, a.gain, a.heat) == (b.outcome, pytest.approx(b.gain, abs=0.01), pytest.approx(b.heat))
 
 
 def test_off_by_default(model, measured):
-    adaptation = OnlineAdaptation(model)
-    assert adaptation.update(_degrading(measured)) is model
-    assert adaptation.steps == ()
+    state = OnlineAdaptation(model).update(None, _degrading(measured))
+    assert state.model is model
+    assert state.steps == ()
 
 
 def test_weeks_without_excitation_leave_everything_as_it_is(model, measured):
     run = _degrading(measured, u=np.full(24 * 24, 0.35))
-    adaptation = OnlineAdaptation(model, ON)
-    operator = adaptation.update(run).operator
+    adaptation = OnlineAdaptation(model, ON).update(None, run)
+    operator = adaptation.model.operator
     assert {s.outcome for s in adaptation.steps} == {"not informative"}
     assert len({s.gain_sd for s in adaptation.steps}) == 1, "nothing is forgotten for want of data"
     np.testing.assert_allclose(operator.poles, model.operator.poles, rtol=1e-12)
@@ -96,8 +94,8 @@ def test_weeks_without_excitation_leave_everything_as_it_is(model, measured):
 
 def test_bounds_are_kept_whatever_happens(model, measured):
     config = AdaptationConfig(enabled=True, gain_bounds=(0.9, 1.1), forgetting_days=2.0, time_constant_sd=1.0)
-    adaptation = OnlineAdaptation(model, config)
-    operator = adaptation.update(_degrading(measured, to=0.1)).operator
+    adaptation = OnlineAdaptation(model, config).update(None, _degrading(measured, to=0.1))
+    operator = adaptation.model.operator
     assert min(s.gain for s in adaptation.steps) >= 0.9 - 1e-12
     assert min(s.heat for s in adaptation.steps) >= 0.9 - 1e-12
     low, high = model.operator.pole_bounds.T
@@ -107,10 +105,9 @@ def test_bounds_are_kept_whatever_happens(model, measured):
 
 def test_a_silent_sensor_is_not_learned_from(model, measured):
     run = _degrading(measured, days=2.0)
-    adaptation = OnlineAdaptation(model, ON)
     T = np.array(run.T_zone_C)
     T[1:] = np.nan
-    adaptation.update(replace(run, T_zone_C=T))
+    adaptation = OnlineAdaptation(model, ON).update(None, replace(run, T_zone_C=T))
     assert {s.outcome for s in adaptation.steps} == {"not measured"}
     np.testing.assert_array_equal(adaptation.model.operator.gains, model.operator.gains)
 

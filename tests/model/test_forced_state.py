@@ -40,31 +40,44 @@ def expectation(free_C: float, spread_K: float = 0.1) -> FreeForecast:
 def test_step_by_step_is_the_rollout_of_the_whole_history():
     operator, history = simple_model().operator, some_history()
     estimator = ForcedStateEstimator(operator)
+    followed = None
     for n in (0, 1, 2, 3, 30, 31, 60):
-        followed = estimator.update(history.slice(0, n))
+        followed = estimator.update(followed, history.slice(0, n))
+    assert followed.forced_K.shape == (61, operator.order)
     # The first day sets the steady start, so the start is known from the first whole rollout on.
-    again = ForcedStateEstimator(operator)
-    again.update(history.slice(0, 30))
-    np.testing.assert_allclose(again.update(history), forced_history(operator, history), atol=1e-12)
-    assert followed.shape == (61, operator.order)
+    begun = estimator.update(None, history.slice(0, 30))
+    np.testing.assert_allclose(estimator.update(begun, history).forced_K, forced_history(operator, history), atol=1e-12)
+
+
+def test_following_changes_no_state_that_was_given():
+    history = some_history()
+    estimator = ForcedStateEstimator(simple_model().operator, config=EstimatorConfig(correct=True))
+    begun = estimator.update(None, history.slice(0, 30))
+    begun = estimator.expect(begun, float(history.time_s[31]), expectation(18.0))
+    kept = begun.forced_K.copy(), begun.covariance.copy()
+    a, b = estimator.update(begun, history), estimator.update(begun, history)
+    np.testing.assert_array_equal(a.forced_K, b.forced_K)
+    np.testing.assert_array_equal(begun.forced_K, kept[0])
+    np.testing.assert_array_equal(begun.covariance, kept[1])
+    assert estimator.update(a, history) is a
 
 
 def test_another_run_starts_anew():
     operator = simple_model().operator
     estimator = ForcedStateEstimator(operator)
-    estimator.update(some_history(40))
+    before = estimator.update(None, some_history(40))
     other = some_history(50, seed=3)
     other = replace(other, time_s=other.time_s + 5 * 86400.0)
-    np.testing.assert_allclose(estimator.update(other), forced_history(operator, other), atol=1e-12)
+    np.testing.assert_allclose(estimator.update(before, other).forced_K, forced_history(operator, other), atol=1e-12)
 
 
 def test_a_gap_in_a_new_step_is_refused_with_its_place():
     history = some_history(10)
     estimator = ForcedStateEstimator(simple_model().operator)
-    estimator.update(history.slice(0, 9))
+    state = estimator.update(None, history.slice(0, 9))
     broken = replace(history, T_out_C=np.append(history.T_out_C[:-1], np.nan))
     with pytest.raises(DataError, match="T_out_C is not finite at step 10 of 10"):
-        estimator.update(broken)
+        estimator.update(state, broken)
 
 
 def surprised(config: EstimatorConfig, spread_K: float) -> float:
@@ -73,10 +86,10 @@ def surprised(config: EstimatorConfig, spread_K: float) -> float:
     history = replace(history, u=np.append(history.u[:-1], 1.0))
     plain = forced_history(simple_model().operator, history)[-1].sum()
     estimator = ForcedStateEstimator(simple_model().operator, config=config)
-    estimator.update(history.slice(0, 29))
+    state = estimator.update(None, history.slice(0, 29))
     free_C = history.T_zone_C[-1] - 0.5 - plain
-    estimator.expect(float(history.time_s[-1]), expectation(free_C, spread_K))
-    return float(estimator.update(history)[-1].sum() - plain)
+    state = estimator.expect(state, float(history.time_s[-1]), expectation(free_C, spread_K))
+    return float(estimator.update(state, history).forced_K[-1].sum() - plain)
 
 
 def test_a_surprise_is_divided_by_who_was_surer():
@@ -129,6 +142,7 @@ def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> flo
     load = replace(model.power.load, lowest_level=0.01)
     model = replace(model, power=replace(model.power, load=load))
     config = MPCConfig(
+        step_s=None,
         horizon_h=24,
         actuation={"mode": "modulating", "lowest_level": 0.01},
         estimator=EstimatorConfig(correct=correct),

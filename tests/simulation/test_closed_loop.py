@@ -19,7 +19,7 @@ class Fixed:
     def __init__(self, *blocks: Block) -> None:
         self.blocks, self.seen = blocks, []
 
-    def plan(self, observation):
+    def plan(self, observation, state=None):
         self.seen.append(observation)
         return plan(*self.blocks)
 

@@ -66,6 +66,9 @@ class AdaptationConfig(StrictModel):
         return self
 
 
+Outcome = Literal["updated", "not informative", "not measured", "refused"]
+
+
 @dataclass(frozen=True)
 class AdaptationStep:
     """What one block did: end `time_s`; `outcome`; `information` the share of the gain's variance it could remove;
@@ -73,7 +76,7 @@ class AdaptationStep:
     """
 
     time_s: float
-    outcome: Literal["updated", "not informative", "not measured", "refused"]
+    outcome: Outcome
     information: float
     gain: float
     time_constants: float
@@ -81,8 +84,43 @@ class AdaptationStep:
     gain_sd: float
 
 
+@dataclass(frozen=True)
+class AdaptationState:
+    """What is known in a run so far: the `model` to use from now on, and what every block did (`steps`).
+
+    `log_factors` (2,) are the logarithms of the factors on the identified gain and time constants, `covariance` (2, 2)
+    theirs; `log_heat` and `heat_variance` the same of the delivered heat. `done_s` is where the next block begins, s.
+    """
+
+    model: ThermalModel
+    log_factors: Array
+    covariance: Array
+    log_heat: float
+    heat_variance: float
+    done_s: float | None = None
+    steps: tuple[AdaptationStep, ...] = ()
+
+    def __post_init__(self) -> None:
+        for array in (self.log_factors, self.covariance):
+            array.setflags(write=False)
+
+    def noted(self, time_s: float, outcome: Outcome, information: float) -> AdaptationState:
+        """This state after a block that ended at `time_s`."""
+        gain, slower = np.exp(self.log_factors)
+        step = AdaptationStep(
+            time_s=time_s,
+            outcome=outcome,
+            information=information,
+            gain=float(gain),
+            time_constants=float(slower),
+            heat=float(np.exp(self.log_heat)),
+            gain_sd=float(np.sqrt(self.covariance[0, 0])),
+        )
+        return replace(self, steps=(*self.steps, step))
+
+
 class OnlineAdaptation:
-    """Follows one run. Call `update` with the history at every step; work is done when a block is complete."""
+    """Follows runs: give the state of a run and its history at every step; work is done when a block is complete."""
 
     def __init__(
         self,
@@ -103,75 +141,60 @@ class OnlineAdaptation:
         self._assumed = assumed.model_copy(
             update={"disturbance_sd_K": tuple(c.disturbance_scale * sd for sd in assumed.disturbance_sd_K)}
         )
-        self._identified = self._model = model
+        self._identified = model
         self._least = np.diag([c.gain_sd**2, c.time_constant_sd**2])
-        self._state, self._covariance = np.zeros(2), self._least.copy()
-        self._log_heat, self._heat_variance = 0.0, c.gain_sd**2
-        self._done_s: float | None = None
-        self._steps: list[AdaptationStep] = []
 
-    @property
-    def model(self) -> ThermalModel:
-        """The model as adapted so far."""
-        return self._model
-
-    @property
-    def steps(self) -> tuple[AdaptationStep, ...]:
-        """What every block so far did."""
-        return tuple(self._steps)
-
-    def update(self, history: Record) -> ThermalModel:
-        """Take in what is new and return the model to use from now on.
+    def update(self, state: AdaptationState | None, history: Record) -> AdaptationState:
+        """Take in what is new.
 
         Args:
+            state: what the last update of this run gave; None begins a run.
             history: the run so far, or its latest days; blocks that were seen before are not looked at again.
 
         Raises:
             DataError: u or the weather have gaps, see `forced_history.heat_drive`.
         """
+        if state is None:
+            variance = self.config.gain_sd**2
+            state = AdaptationState(self._identified, np.zeros(2), self._least.copy(), 0.0, variance)
         if not self.config.enabled or history.n_steps == 0:
-            return self._model
+            return state
         n = max(2, round(self.config.block_h * HOUR_S / history.step_s))
-        if self._done_s is None:
-            self._done_s = float(history.time_s[0])
+        done_s = float(history.time_s[0]) if state.done_s is None else state.done_s
         while True:
-            first = int(np.searchsorted(history.time_s, self._done_s - 0.5 * history.step_s))
+            first = int(np.searchsorted(history.time_s, done_s - 0.5 * history.step_s))
             if first + n > history.n_steps:
-                return self._model
-            self._take(history, first, first + n)
-            self._done_s = float(history.time_s[first + n])
+                return replace(state, done_s=done_s)
+            state = self._taken(state, history, first, first + n)
+            done_s = float(history.time_s[first + n])
 
-    def _take(self, history: Record, start: int, stop: int) -> None:
-        """One block: steps `start` … `stop` − 1."""
+    def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
+        """The state after one block: steps `start` … `stop` − 1."""
         time_s = float(history.time_s[stop])
         if np.isfinite(history.T_zone_C[start : stop + 1]).mean() < _LEAST_MEASURED:
-            return self._note(time_s, "not measured", 0.0)
+            return state.noted(time_s, "not measured", 0.0)
         fading = float(np.exp((history.time_s[stop] - history.time_s[start]) / DAY_S / self.config.forgetting_days))
-        self._follow_heat(history, start, stop, fading)
-        operator = self._model.operator.resampled(history.step_s)
+        before, state = state, self._heat_followed(state, history, start, stop, fading)
+        operator = before.model.operator.resampled(history.step_s)
         target, covariance, columns = self._regression(operator, history, start, stop)
         factor = cho_factor(covariance)
         information = columns.T @ cho_solve(factor, columns)
         score = columns.T @ cho_solve(factor, target)
         # What is known of the gain once the time constants' error has taken its share.
-        known = information[0, 0] - information[0, 1] ** 2 / (information[1, 1] + 1.0 / self._covariance[1, 1])
+        known = information[0, 0] - information[0, 1] ** 2 / (information[1, 1] + 1.0 / before.covariance[1, 1])
         share = float(1.0 - 1.0 / (1.0 + known * self._least[0, 0]))
         if share < self.config.least_information:
-            self._rebuild()
-            return self._note(time_s, "not informative", share)
-        prior = self._faded(fading)
+            return (self._rebuilt(state) or state).noted(time_s, "not informative", share)
+        prior = self._faded(before.covariance, fading)
         posterior = np.linalg.inv(np.linalg.inv(prior) + information)
-        before = self._state, self._covariance
         # The columns are derivatives at the state in use, so the score is a step from there.
-        self._state, self._covariance = self._bounded(self._state + posterior @ score), posterior
-        if self._rebuild():
-            return self._note(time_s, "updated", share)
-        self._state, self._covariance = before
-        return self._note(time_s, "refused", share)
+        log_factors = self._bounded(before.log_factors + posterior @ score)
+        updated = self._rebuilt(replace(state, log_factors=log_factors, covariance=posterior))
+        return updated.noted(time_s, "updated", share) if updated else state.noted(time_s, "refused", share)
 
-    def _faded(self, fading: float) -> Array:
+    def _faded(self, covariance: Array, fading: float) -> Array:
         """The covariance after forgetting, nowhere wider than at the start."""
-        widened = self._covariance * fading
+        widened = covariance * fading
         scale = np.minimum(1.0, np.sqrt(np.diag(self._least) / np.diag(widened)))
         return np.asarray(widened * np.outer(scale, scale))
 
@@ -196,23 +219,25 @@ class OnlineAdaptation:
         columns = np.stack([effect, (slower - faster) / (2.0 * _DERIVATIVE_STEP)], axis=1)
         return regression.target - rest.mean - effect, rest.covariance, columns
 
-    def _follow_heat(self, history: Record, start: int, stop: int, fading: float) -> None:
+    def _heat_followed(
+        self, state: AdaptationState, history: Record, start: int, stop: int, fading: float
+    ) -> AdaptationState:
         """Compare measured heat with the identified map while the machine was on."""
         heat = self._identified.operator.heat_input.heat
         if heat is None:
-            return
+            return state
         u, Q = history.u[start:stop], history.heat_W[start:stop] * self._identified.operator.sign
         used = np.isfinite(Q) & (u > _ON)
         if used.sum() * history.step_s < _LEAST_ON_H * HOUR_S:
-            return
+            return state
         expected = heat(u[used], history.T_out_C[start:stop][used])
         ratio = float(expected @ Q[used] / (expected @ expected))
         low, high = self.config.gain_bounds
         found = float(np.log(np.clip(ratio, low, high)))
-        variance = min(self._heat_variance * fading, self.config.gain_sd**2)
+        variance = min(state.heat_variance * fading, self.config.gain_sd**2)
         gain = variance / (variance + _HEAT_SD**2)
-        self._log_heat += gain * (found - self._log_heat)
-        self._heat_variance = (1.0 - gain) * variance
+        log_heat = state.log_heat + gain * (found - state.log_heat)
+        return replace(state, log_heat=log_heat, heat_variance=(1.0 - gain) * variance)
 
     def _bounded(self, state: Array) -> Array:
         """The state with the gain inside its band and every pole inside its own bounds."""
@@ -229,13 +254,13 @@ class OnlineAdaptation:
             ]
         )
 
-    def _rebuild(self) -> bool:
-        """Put the adapted model together; False, and nothing changed, where it is not certified."""
+    def _rebuilt(self, state: AdaptationState) -> AdaptationState | None:
+        """`state` with the model that its factors make; None where that is not certified."""
         base = self._identified.operator
-        operator = _scaled(base, float(self._state[0]), float(self._state[1]))
+        operator = _scaled(base, float(state.log_factors[0]), float(state.log_factors[1]))
         if base.heat_input.heat is not None:
             # Heat that counts as v = 1 shrinks with the machine, and the gain per v with it.
-            factor = float(np.exp(self._log_heat))
+            factor = float(np.exp(state.log_heat))
             load = base.heat_input.heat
             c0, c1, c2, c3 = (factor * c for c in load.coefficients)
             weaker = replace(load, coefficients=(c0, c1, c2, c3))
@@ -243,25 +268,8 @@ class OnlineAdaptation:
                 operator, heat_input=replace(base.heat_input, heat=weaker), gains=operator.gains * factor
             )
         if not certificate(operator).certified:
-            return False
-        self._model = replace(self._identified, operator=operator)
-        return True
-
-    def _note(
-        self, time_s: float, outcome: Literal["updated", "not informative", "not measured", "refused"], share: float
-    ) -> None:
-        gain, slower = np.exp(self._state)
-        self._steps.append(
-            AdaptationStep(
-                time_s=time_s,
-                outcome=outcome,
-                information=share,
-                gain=float(gain),
-                time_constants=float(slower),
-                heat=float(np.exp(self._log_heat)),
-                gain_sd=float(np.sqrt(self._covariance[0, 0])),
-            )
-        )
+            return None
+        return replace(state, model=replace(self._identified, operator=operator))
 
 
 def _scaled(operator: OperatorParameters, log_gain: float, log_tau: float) -> OperatorParameters:

@@ -11,6 +11,7 @@ lasting offset, because the free forecast starts from the last T − F.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -36,8 +37,29 @@ class EstimatorConfig(StrictModel):
     )
 
 
+@dataclass(frozen=True)
+class ForcedState:
+    """What is known of the forced state of one run so far.
+
+    `time_s` (n + 1,) are the boundaries of the history taken in, `forced_K` (n + 1, r) the forced state of each mode
+    there, K. `covariance` (r, r) K² is that of the last of them. `expected` is the free response that was forecast for
+    one boundary to come: its time s, median °C and standard deviation K.
+    """
+
+    time_s: Array
+    forced_K: Array
+    covariance: Array
+    expected: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.time_s, self.forced_K, self.covariance):
+            array.setflags(write=False)
+
+
 class ForcedStateEstimator:
-    """Follows one run. Every call is given the history so far; only what is new since the last call is computed.
+    """Follows runs step by step: from the state of a run and its history so far to its state now.
+
+    Only what is new since the state is computed; without a state the whole history is rolled out.
 
     Args:
         operator: at any step length.
@@ -53,39 +75,47 @@ class ForcedStateEstimator:
     ) -> None:
         self._operator, self._initial_force = operator, initial_force
         self.config = config or EstimatorConfig()
-        self._time_s = np.empty(0)
-        self._forced = np.empty((0, operator.order))
-        self._covariance = np.zeros((operator.order, operator.order))
-        self._expected: tuple[float, float, float] | None = None
 
-    def update(self, history: Record) -> Array:
-        """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K.
+    def update(self, state: ForcedState | None, history: Record) -> ForcedState:
+        """The state after all of `history`; one that does not continue `state` is rolled out from its beginning.
 
         Raises:
             DataError: see `forced_history`.
         """
-        known = self._time_s.size
-        continues = 0 < known <= history.time_s.size and np.array_equal(history.time_s[:known], self._time_s)
-        if not continues or (known == 1 and history.n_steps):
-            self._forced = forced_history(self._operator, history, initial_force=self._initial_force)
-            self._covariance[:] = 0.0
-            self._expected = None
-        else:
-            operator = self._operator.resampled(history.step_s) if history.n_steps else self._operator
-            for t in range(known - 1, history.n_steps):
-                self._forced = np.vstack([self._forced, self._advanced(operator, history, t)])
-        self._time_s = history.time_s
-        return np.array(self._forced)
+        known = state.time_s.size if state else 0
+        if (
+            state is None
+            or known > history.time_s.size
+            or not np.array_equal(history.time_s[:known], state.time_s)
+            or (known == 1 and history.n_steps)  # the first day sets the start, and only its first instant was known
+        ):
+            forced = forced_history(self._operator, history, initial_force=self._initial_force)
+            return ForcedState(history.time_s, forced, np.zeros((self._operator.order, self._operator.order)))
+        if known == history.time_s.size:
+            return state
+        operator = self._operator.resampled(history.step_s)
+        rows, covariance = [state.forced_K[-1]], state.covariance
+        for t in range(known - 1, history.n_steps):
+            forced, covariance = self._advanced(operator, history, t, rows[-1], covariance, state.expected)
+            rows.append(forced)
+        return ForcedState(history.time_s, np.vstack([state.forced_K, *rows[1:]]), covariance, state.expected)
 
-    def expect(self, time_s: float, free: FreeForecast) -> None:
-        """Remember the free response that was forecast for the boundary at `time_s`, the first of `free`."""
+    def expect(self, state: ForcedState, time_s: float, free: FreeForecast) -> ForcedState:
+        """`state` with the free response that was forecast for the boundary at `time_s`, the first of `free`."""
         spread = float(free.quantile_C(0.9)[0] - free.quantile_C(0.1)[0])
-        self._expected = (time_s, float(free.median_C[0]), max(spread / _SD_PER_80_PERCENT, _LEAST_SD_K))
+        return replace(state, expected=(time_s, float(free.median_C[0]), max(spread / _SD_PER_80_PERCENT, _LEAST_SD_K)))
 
-    def _advanced(self, operator: OperatorParameters, history: Record, t: int) -> Array:
-        """Forced state after step `t` of `history`, shape (r,)."""
+    def _advanced(
+        self,
+        operator: OperatorParameters,
+        history: Record,
+        t: int,
+        before: Array,
+        covariance: Array,
+        expected: tuple[float, float, float] | None,
+    ) -> tuple[Array, Array]:
+        """Forced state (r,) and its covariance (r, r) after step `t` of `history`, from those `before` it."""
         heat = heat_drive(operator, history, t, t + 1)
-        before = self._forced[-1]
         T_zone = history.T_zone_C[: t + 1]
         T_zone = T_zone[np.isfinite(T_zone)]
         free_C = (float(T_zone[-1]) if T_zone.size else 0.0) - before.sum()
@@ -95,18 +125,15 @@ class ForcedStateEstimator:
         added = operator.gains * operator.modulation(operator.seen(features, before)) * heat
         forced = operator.poles * before + added
         if not self.config.correct:
-            return np.asarray(forced)
+            return np.asarray(forced), covariance
         # The gain is wrong for all modes alike, so their errors go together.
         error = self.config.heat_error * added
-        self._covariance = np.outer(operator.poles, operator.poles) * self._covariance + np.outer(error, error)
-        return self._corrected(forced, history, t + 1)
-
-    def _corrected(self, forced: Array, history: Record, boundary: int) -> Array:
-        T_zone, expected = float(history.T_zone_C[boundary]), self._expected
-        if expected is None or not math.isfinite(T_zone) or abs(expected[0] - history.time_s[boundary]) > 1.0:
-            return forced
+        covariance = np.outer(operator.poles, operator.poles) * covariance + np.outer(error, error)
+        T_now = float(history.T_zone_C[t + 1])
+        if expected is None or not math.isfinite(T_now) or abs(expected[0] - history.time_s[t + 1]) > 1.0:
+            return np.asarray(forced), covariance
         _, free_C, free_sd = expected
-        share = self._covariance.sum(axis=1)
+        share = covariance.sum(axis=1)
         gain = share / (share.sum() + free_sd**2)
-        self._covariance = self._covariance - np.outer(gain, share)
-        return np.asarray(forced + gain * (T_zone - free_C - forced.sum()))
+        corrected = forced + gain * (T_now - free_C - forced.sum())
+        return np.asarray(corrected), covariance - np.outer(gain, share)

@@ -10,8 +10,9 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.forced_history import ROUNDING, InitialForce, forced_history
-from thermoforce_mpc.model.forced_state import ForcedStateEstimator
+from thermoforce_mpc.model.forced_history import ROUNDING, InitialForce
+from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
+from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.operator.features import OUTDOOR, feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
@@ -36,6 +37,14 @@ class Prediction:
 
 
 @dataclass(frozen=True)
+class PredictorState:
+    """What a predictor has learned in one run: the forced state so far, and what the free response keeps."""
+
+    forced: ForcedState | None = None
+    free: object = None
+
+
+@dataclass(frozen=True)
 class PredictionContext:
     """The world as seen from one instant: what will happen without us, and what each action would add.
 
@@ -46,6 +55,7 @@ class PredictionContext:
         features: x_t at the start of each step, shape (N, 4).
         boundary: boundary conditions of the N steps.
         seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
+        state: what to give to the next context of this run.
     """
 
     operator: OperatorParameters
@@ -54,6 +64,7 @@ class PredictionContext:
     features: Array
     boundary: Boundary
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
+    state: PredictorState | None = field(default=None, compare=False)
 
     @property
     def n_steps(self) -> int:
@@ -93,7 +104,7 @@ class Predictor:
         free_response: forecaster of the control-free series.
         initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
             does (F_t0 = 0); with modes of days the difference takes days to fade.
-        estimator: follows the forced state of one run step by step; by default it is rolled out anew at each call.
+        estimator: follows the forced state of a run step by step.
     """
 
     def __init__(
@@ -108,8 +119,7 @@ class Predictor:
             raise DataError(f"initial_force is '{initial_force}', expected 'steady' or 'zero'")
         self._model = model
         self._free_response = free_response
-        self._initial_force: InitialForce = initial_force
-        self._estimator = estimator
+        self._estimator = estimator or ForcedStateEstimator(model.operator, initial_force)
 
     @property
     def model(self) -> ThermalModel:
@@ -127,9 +137,7 @@ class Predictor:
 
     def forced_history(self, history: Record) -> Array:
         """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K."""
-        if self._estimator is not None:
-            return self._estimator.update(history)
-        return forced_history(self._model.operator, history, initial_force=self._initial_force)
+        return self._estimator.update(None, history).forced_K
 
     def forced_state(self, history: Record) -> Array:
         """Forced state of each mode now, shape (r,), K."""
@@ -139,24 +147,29 @@ class Predictor:
         """Control-free temperature T − F at each boundary of `history`, shape (n + 1,), °C; NaN where T is."""
         return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=1))
 
-    def context(self, observation: Observation) -> PredictionContext:
+    def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
+
+        Args:
+            observation: the run so far, and what is known of the steps ahead.
+            state: `PredictionContext.state` of the last context of this run; None begins a run.
 
         Raises:
             DataError: the history cannot be split (see `forced_history`) or its temperature is silent throughout.
         """
         history, boundary = observation.history, observation.boundary
         began = time.perf_counter()
-        forced = self.forced_history(history)
+        before = state or PredictorState()
+        followed = self._estimator.update(before.forced, history)
+        forced = followed.forced_K
         estimated = time.perf_counter()
         free_C = history.T_zone_C - forced.sum(axis=1)
         measured = np.flatnonzero(np.isfinite(free_C))
         if measured.size == 0:
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
-        free = self._free_response.forecast(free_C, history, boundary)
+        free, free_state = follow(self._free_response, free_C, history, boundary, before.free)
         forecast_s = time.perf_counter() - estimated
-        if self._estimator is not None:
-            self._estimator.expect(float(boundary.time_s[1]), free)
+        followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
         starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return PredictionContext(
@@ -166,6 +179,7 @@ class Predictor:
             features=features,
             boundary=boundary,
             seconds={"estimate": estimated - began, "forecast": forecast_s},
+            state=PredictorState(followed, free_state),
         )
 
 

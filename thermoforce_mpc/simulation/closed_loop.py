@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from thermoforce_mpc.data import Block, Boundary, Measurement, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.protocols import Controller, Plant
@@ -50,7 +50,10 @@ class StepRecord:
 
 @dataclass(frozen=True)
 class RunResult:
-    """A finished closed loop: KPIs by BOPTEST's names, and everything needed to explain them."""
+    """A finished closed loop: KPIs by BOPTEST's names, and everything needed to explain them.
+
+    `state` is that of the controller's last plan: with it the run can go on.
+    """
 
     period: Period
     controller: str
@@ -58,6 +61,7 @@ class RunResult:
     steps: tuple[StepRecord, ...]
     start: Measurement
     seconds: float = field(default=0.0)
+    state: object = field(default=None, repr=False)
 
     @property
     def samples(self) -> list[Sample]:
@@ -94,13 +98,16 @@ def run_closed_loop(
     end_s = period.start_s + period.scored_s
     now_s = start.time_s
     steps: list[StepRecord] = []
+    state: object = None
     while end_s - now_s > _CLOCK_TOLERANCE_S:
         t0 = time.perf_counter()
         boundary = plant.forecast(controller.horizon_s, controller.step_s)
         t1 = time.perf_counter()
         observation = Observation(history, boundary)
-        plan = controller.plan(observation)
+        plan = controller.plan(observation, state)
         t2 = time.perf_counter()
+        # The record keeps what was decided and why; what the controller knows grows with the run and is kept once.
+        plan, state = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s)
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
@@ -129,7 +136,7 @@ def run_closed_loop(
     # BOPTEST's time_rat: computing time per control step over the step. Ours alone, whatever the plant reports.
     time_rat = math.fsum(step.plan_seconds for step in steps) / len(steps) / controller.step_s if steps else math.nan
     kpis = plant.kpis() | {"time_rat": time_rat}
-    return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began)
+    return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began, state)
 
 
 def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple[Block, ...], str]:

@@ -31,9 +31,11 @@ class Level:
 
 def run(method: CalibratedFreeResponse, free: np.ndarray, first: int, last: int) -> list[FreeForecast]:
     """One forecast an hour, each from what is known by then."""
-    return [
-        method.forecast(free[: k + 1], history_of(free[: k + 1]), boundary_of(k, AHEAD)) for k in range(first, last)
-    ]
+    forecasts, state = [], None
+    for k in range(first, last):
+        forecast, state = method.follow(free[: k + 1], history_of(free[: k + 1]), boundary_of(k, AHEAD), state)
+        forecasts.append(forecast)
+    return forecasts
 
 
 @pytest.mark.parametrize("half_K", [0.3, 0.64, 1.2])
@@ -81,9 +83,17 @@ def test_silent_sensors_teach_nothing() -> None:
 def test_a_new_run_starts_without_memory() -> None:
     free = 20.0 + np.random.default_rng(2).standard_normal(400)
     method = CalibratedFreeResponse(Level(0.3))
-    run(method, free, 200, 300)
-    again = run(method, free, 100, 101)[0]
-    np.testing.assert_allclose(again.quantiles_C[-1] - again.quantiles_C[0], 0.6)
+    first = run(method, free, 200, 300)
+    for one, again in zip(first, run(method, free, 200, 300), strict=True):
+        np.testing.assert_array_equal(one.quantiles_C, again.quantiles_C)
+
+
+def test_time_going_back_forgets() -> None:
+    free = 20.0 + np.random.default_rng(2).standard_normal(400)
+    method, state = CalibratedFreeResponse(Level(0.3)), None
+    for k in [*range(200, 300), 100]:
+        last, state = method.follow(free[: k + 1], history_of(free[: k + 1]), boundary_of(k, AHEAD), state)
+    np.testing.assert_allclose(last.quantiles_C[-1] - last.quantiles_C[0], 0.6)
 
 
 def test_calibration_uses_what_history_says_at_the_time_forecast() -> None:

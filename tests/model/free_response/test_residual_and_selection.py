@@ -103,11 +103,10 @@ def test_residual_learns_from_trials_what_weather_is_worth() -> None:
     shares = []
     for series in (walk, free[: N + 1]):
         residual = ResidualFreeResponse(Fixed(0.0))
-        forecast = residual.forecast(series, history, boundary)
-        assert residual.weights is not None
+        forecast, weights = residual.follow(series, history, boundary, None)
         assert "weights by 2" in forecast.note  # twenty-odd trials
-        np.testing.assert_allclose(residual.weights.share.sum(axis=0), 1.0)
-        shares.append(residual.weights.share[0].mean())
+        np.testing.assert_allclose(weights.share.sum(axis=0), 1.0)
+        shares.append(weights.share[0].mean())
     assert shares[0] > 0.1
     assert shares[1] < 0.03
 
@@ -115,13 +114,14 @@ def test_residual_learns_from_trials_what_weather_is_worth() -> None:
 def test_trials_of_yesterday_are_remembered_and_those_of_another_series_are_not() -> None:
     free, outdoor, solar = room_and_weather(12)
     backbone = Fixed(0.0)
-    residual = ResidualFreeResponse(backbone)
+    residual, weights = ResidualFreeResponse(backbone), None
 
     def trials_at(now: int, series: np.ndarray) -> int:
+        nonlocal weights
         backbone.asked = []
         history = history_of(series[: now + 1], T_out_C=outdoor[: now + 1], solar_W_m2=solar[: now + 1])
         boundary = boundary_of(now, 12, T_out_C=outdoor[now : now + 13], solar_W_m2=solar[now : now + 13])
-        residual.forecast(series[: now + 1], history, boundary)
+        _, weights = residual.follow(series[: now + 1], history, boundary, weights)
         return sum(backbone.asked) // 3 - 1
 
     assert trials_at(N - 30, free) >= 24
@@ -237,10 +237,9 @@ def test_selection_takes_the_best_and_says_why() -> None:
     free, outdoor, solar = room_and_weather(7)
     history, boundary = past_and_ahead(outdoor, solar, free)
     selected = SelectedFreeResponse({"far": Fixed(5.0), "near": Persistence(), "weather": LinearWeather()}, first="far")
-    forecast = selected.forecast(free[: N + 1], history, boundary)
-    assert selected.selection is not None
-    assert selected.selection.name == "weather"
-    assert selected.selection.errors_K["weather"] < selected.selection.errors_K["near"]
+    forecast, state = selected.follow(free[: N + 1], history, boundary, None)
+    assert state.selection.name == "weather"
+    assert state.selection.errors_K["weather"] < state.selection.errors_K["near"]
     assert "chosen by" in forecast.note
     assert "weather 0." in forecast.note
     plain = LinearWeather().forecast(free[: N + 1], history, boundary)
@@ -252,10 +251,9 @@ def test_a_more_elaborate_method_must_gain_two_percent(offset_K: float, chosen: 
     """On a ramp of 0.1 K per hour repeating the last value errs by 1.25 K over a day, an offset takes off its size."""
     free = 10 + 0.1 * hours(N)
     selected = SelectedFreeResponse({"simple": Fixed(0.0), "elaborate": Fixed(offset_K)}, first="simple")
-    selected.forecast(free, history_of(free), boundary_of(N, AHEAD))
-    assert selected.selection is not None
-    assert selected.selection.errors_K["simple"] == pytest.approx(1.25)
-    assert selected.selection.name == chosen
+    _, state = selected.follow(free, history_of(free), boundary_of(N, AHEAD), None)
+    assert state.selection.errors_K["simple"] == pytest.approx(1.25)
+    assert state.selection.name == chosen
 
 
 def test_without_enough_history_the_first_is_used_and_the_note_says_so() -> None:
@@ -269,11 +267,13 @@ def test_without_enough_history_the_first_is_used_and_the_note_says_so() -> None
 def test_selection_is_renewed_after_a_day_and_kept_within_it() -> None:
     free, outdoor, _ = room_and_weather(8)
     selected = SelectedFreeResponse({"persistence": Persistence(), "weather": LinearWeather()}, first="persistence")
+    state = None
 
     def at(k: int) -> float:
-        selected.forecast(free[: k + 1], history_of(free[: k + 1], T_out_C=outdoor[: k + 1]), boundary_of(k, 12))
-        assert selected.selection is not None
-        return selected.selection.time_s
+        nonlocal state
+        past = history_of(free[: k + 1], T_out_C=outdoor[: k + 1])
+        _, state = selected.follow(free[: k + 1], past, boundary_of(k, 12), state)
+        return state.selection.time_s
 
     assert [at(k) / 3600 for k in (300, 312, 323, 324, 330)] == [300, 300, 300, 324, 324]
 

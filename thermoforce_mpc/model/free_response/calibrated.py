@@ -13,8 +13,7 @@ with the window as it is now and the steering as it was when the forecast was is
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import checked_free
+from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.protocols import FreeResponse
 
 _INSIDE = 0.8
@@ -43,7 +43,7 @@ _STEERING_RANGE = (-1.1, 1.1)
 _SCALE_RANGE = (0.25, 5.0)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Issued:
     """A forecast as issued: ends of its steps, raw median and half-widths, and how it was steered, each (N,)."""
 
@@ -56,7 +56,7 @@ class _Issued:
     compared: int = 0
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Group:
     """Lead times that share a width: when what came, its distance from the median in raw half-widths; its width.
 
@@ -65,13 +65,27 @@ class _Group:
 
     steering: float = 0.0
     window: float = float("nan")
-    scores: deque[tuple[float, float]] = field(default_factory=deque)
+    scores: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class CalibratedState:
+    """What is known in a run: forecasts issued and not wholly compared yet, and the width of each group of lead times.
+
+    `latest_s` is when that was, `n_steps` how far ahead, `inner` the state of the method inside.
+    """
+
+    issued: tuple[_Issued, ...] = ()
+    groups: tuple[_Group, ...] = (_Group(),) * (len(_LEAD_EDGES_H) + 1)
+    latest_s: float = -np.inf
+    n_steps: int = 0
+    inner: object = None
 
 
 class CalibratedFreeResponse:
     """`inner` with intervals scaled so that they hold 80 % of what comes.
 
-    It remembers what it forecast, so one object belongs to one run; time going back, or another horizon, starts anew.
+    What it forecast is the state of a run; time going back, or another horizon, starts anew.
     """
 
     name = "calibrated"
@@ -79,10 +93,6 @@ class CalibratedFreeResponse:
     def __init__(self, inner: FreeResponse) -> None:
         """Take `inner` as it is; its own intervals are served until something is known of them."""
         self.inner = inner
-        self._issued: deque[_Issued] = deque()
-        self._groups: list[_Group] = []
-        self._latest_s = -np.inf
-        self._n = 0
 
     def weight_hash(self) -> str:
         """Hash of the weights of the frozen method inside; raises `DataError` when it has none."""
@@ -93,58 +103,67 @@ class CalibratedFreeResponse:
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what the method inside raises."""
+        return self.follow(free_C, history, boundary, None)[0]
+
+    def follow(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> tuple[FreeForecast, CalibratedState]:
+        """See `FollowingFreeResponse.follow`; raises what the method inside raises."""
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
-        raw = self.inner.forecast(free, history, boundary)
+        last = state if isinstance(state, CalibratedState) else CalibratedState()
+        raw, inner = follow(self.inner, free, history, boundary, last.inner)
         group_of = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
-        if now < self._latest_s or n != self._n:
-            self._start(n)
-        self._compare(free, history, group_of, boundary.step_s)
-        self._latest_s = now
-        steering = np.array([group.steering for group in self._groups])[group_of]
-        window = np.array([group.window for group in self._groups])[group_of]
+        if now < last.latest_s or n != last.n_steps:
+            last = CalibratedState()
+        issued, groups = _compared(last, free, history, group_of, boundary.step_s)
+        steering = np.array([group.steering for group in groups])[group_of]
+        window = np.array([group.window for group in groups])[group_of]
         scale = _width(window, steering)
-        if not self._issued or now - self._issued[-1].time_s >= _EVERY_S - 1.0:
+        if not issued or now - issued[-1].time_s >= _EVERY_S - 1.0:
             # What was served before anything was known was not steered.
-            self._issued.append(_issued(now, boundary.time_s[1:], raw, np.where(np.isnan(window), np.nan, steering)))
+            new = _issued(now, boundary.time_s[1:], raw, np.where(np.isnan(window), np.nan, steering))
+            issued = (*issued, new)
         median = raw.median_C
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
-        return FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
+        forecast = FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
+        return forecast, CalibratedState(issued, groups, now, n, inner)
 
-    def _start(self, n: int) -> None:
-        """Forget everything."""
-        self._issued.clear()
-        self._groups = [_Group() for _ in range(len(_LEAD_EDGES_H) + 1)]
-        self._latest_s, self._n = -np.inf, n
 
-    def _compare(self, free: Array, history: Record, group_of: NDArray[np.intp], step_s: float) -> None:
-        """Compare what has come since the last call with what had been forecast for it."""
-        now = float(history.time_s[-1])
-        # One value an hour and lead is enough: those in between say the same.
-        stride = max(1, round(_EVERY_S / step_s))
-        held: list[list[bool]] = [[] for _ in self._groups]
-        for past in self._issued:
-            came = int(np.searchsorted(past.ends_s, now + 0.5))
-            leads = np.arange(past.compared, came)
-            leads = leads[(leads + 1) % stride == 0]
-            past.compared = came
-            gap = _known(past.ends_s[leads], history.time_s, free) - past.median_C[leads]
-            scores = np.abs(gap) / np.where(gap >= 0, past.up_K[leads], past.down_K[leads])
-            for lead, score in zip(leads[np.isfinite(scores)], scores[np.isfinite(scores)], strict=True):
-                group, steering = self._groups[group_of[lead]], past.steering[lead]
-                group.scores.append((float(past.ends_s[lead]), float(score)))
-                if np.isfinite(steering + group.window):
-                    held[group_of[lead]].append(bool(score <= _width(group.window, steering)))
-        for group, inside, gain in zip(self._groups, held, _STEERING_OF_GROUP, strict=True):
-            if inside:
-                steering = group.steering + gain * (_INSIDE - float(np.mean(inside)))
-                group.steering = float(np.clip(steering, *_STEERING_RANGE))
-            while group.scores and now - group.scores[0][0] > _WINDOW_S:
-                group.scores.popleft()
-            scores = [score for _, score in group.scores]
-            group.window = float(np.quantile(scores, _INSIDE)) if len(scores) >= _LEAST_VALUES else float("nan")
-        while self._issued and self._issued[0].compared >= self._n:
-            self._issued.popleft()
+def _compared(
+    last: CalibratedState, free: Array, history: Record, group_of: NDArray[np.intp], step_s: float
+) -> tuple[tuple[_Issued, ...], tuple[_Group, ...]]:
+    """Compare what has come since the last call with what had been forecast for it."""
+    now = float(history.time_s[-1])
+    # One value an hour and lead is enough: those in between say the same.
+    stride = max(1, round(_EVERY_S / step_s))
+    held: list[list[bool]] = [[] for _ in last.groups]
+    new: list[list[tuple[float, float]]] = [[] for _ in last.groups]
+    issued = []
+    for past in last.issued:
+        came = int(np.searchsorted(past.ends_s, now + 0.5))
+        leads = np.arange(past.compared, came)
+        leads = leads[(leads + 1) % stride == 0]
+        if came < past.ends_s.size:
+            issued.append(replace(past, compared=came))
+        gap = _known(past.ends_s[leads], history.time_s, free) - past.median_C[leads]
+        scores = np.abs(gap) / np.where(gap >= 0, past.up_K[leads], past.down_K[leads])
+        for lead, score in zip(leads[np.isfinite(scores)], scores[np.isfinite(scores)], strict=True):
+            index = group_of[lead]
+            new[index].append((float(past.ends_s[lead]), float(score)))
+            steering, window = past.steering[lead], last.groups[index].window
+            if np.isfinite(steering + window):
+                held[index].append(bool(score <= _width(window, steering)))
+    groups = []
+    for group, inside, found, gain in zip(last.groups, held, new, _STEERING_OF_GROUP, strict=True):
+        steering = group.steering
+        if inside:
+            steering = float(np.clip(steering + gain * (_INSIDE - float(np.mean(inside))), *_STEERING_RANGE))
+        kept = tuple(item for item in (*group.scores, *found) if now - item[0] <= _WINDOW_S)
+        known = len(kept) >= _LEAST_VALUES
+        width = float(np.quantile([score for _, score in kept], _INSIDE)) if known else float("nan")
+        groups.append(_Group(steering, width, kept))
+    return tuple(issued), tuple(groups)
 
 
 def _width(window: Array | float, steering: Array | float) -> Array:

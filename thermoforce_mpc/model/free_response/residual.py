@@ -67,14 +67,13 @@ class Weights:
 class ResidualFreeResponse:
     """Linear weather models plus `backbone`'s forecasts of their residual series (history less simulated course).
 
-    It remembers past trials, so one object belongs to one run; weights are renewed every day.
+    The state of a run is its `Weights`, renewed every day. Past trials are remembered only to save their forecasts.
     """
 
     name = "residual"
 
     def __init__(self, backbone: ChronosFreeResponse) -> None:
         self.backbone = backbone
-        self.weights: Weights | None = None
         self._errors: OrderedDict[tuple[float, int, bytes], Array] = OrderedDict()
 
     def weight_hash(self) -> str:
@@ -83,21 +82,29 @@ class ResidualFreeResponse:
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises `DataError` where the linear model or the backbone does."""
+        return self.follow(free_C, history, boundary, None)[0]
+
+    def follow(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> tuple[FreeForecast, Weights | None]:
+        """See `FollowingFreeResponse.follow`; raises as `forecast` does."""
+        weights = state if isinstance(state, Weights) else None
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
             # Too short to tell the weather's part; the backbone has its own way with a short history, and says so.
-            return self.backbone.forecast(free, history, boundary)
+            return self.backbone.forecast(free, history, boundary), weights
         candidates, note = self.candidates([(free, history, boundary)])
-        now, weights = float(history.time_s[-1]), self.weights
+        now = float(history.time_s[-1])
         if (
             weights is None
             or not 0 <= now - weights.time_s < _RENEW_S
             or weights.share.shape[1] != boundary.n_steps
             or weights.step_s != boundary.step_s
         ):
-            weights = self.weights = self._identify(free, history, boundary)
+            weights = self._learn(free, history, boundary)
         quantiles = np.einsum("kn,kqn->qn", weights.share, candidates[0])
-        return FreeForecast(LEVELS, quantiles, f"linear weather models plus residual by {note}; {weights.why}")
+        note = f"linear weather models plus residual by {note}; {weights.why}"
+        return FreeForecast(LEVELS, quantiles, note), weights
 
     def candidates(self, tasks: Sequence[_Task]) -> tuple[list[Array], str]:
         """Quantiles, (3, 9, N) °C for each task, of the three candidates, and what the backbone says of itself.
@@ -119,7 +126,7 @@ class ResidualFreeResponse:
         k = len(_NAMES)
         return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
 
-    def _identify(self, free: Array, history: Record, boundary: Boundary) -> Weights:
+    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Weights:
         """Weights from forecasts of a day that could have been made over the last week, with the weather that came."""
         step_s, now = boundary.step_s, float(history.time_s[-1])
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))

@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import checked_free
+from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.free_response.walk_forward import interval_scale, rescaled, run_trials, trial_origins
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -31,6 +32,14 @@ class Selection:
     errors_K: Mapping[str, float]
     scale: Array
     time_s: float
+
+
+@dataclass(frozen=True)
+class SelectedState:
+    """What is known in a run: the method in use, and the state of that method."""
+
+    selection: Selection
+    of_method: object = None
 
 
 class SelectedFreeResponse:
@@ -55,7 +64,6 @@ class SelectedFreeResponse:
         if first not in candidates:
             raise DataError(f"selected: '{first}' is not among the candidates {', '.join(candidates)}")
         self._candidates, self._first = dict(candidates), first
-        self.selection: Selection | None = None
 
     def weight_hash(self) -> str:
         """Hash of the weights of the frozen candidate; nothing here changes them."""
@@ -67,12 +75,22 @@ class SelectedFreeResponse:
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what the chosen method raises."""
+        return self.follow(free_C, history, boundary, None)[0]
+
+    def follow(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> tuple[FreeForecast, SelectedState]:
+        """See `FollowingFreeResponse.follow`; raises what the chosen method raises."""
         free = checked_free(free_C, history)
-        current, now, n = self.selection, float(history.time_s[-1]), boundary.n_steps
+        last = state if isinstance(state, SelectedState) else None
+        current, now, n = last.selection if last else None, float(history.time_s[-1]), boundary.n_steps
         if current is None or not 0 <= now - current.time_s < _RENEW_S or current.scale.size != n:
-            current = self.selection = self._select(free, history, boundary)
-        forecast = rescaled(self._candidates[current.name].forecast(free, history, boundary), current.scale)
-        return FreeForecast(forecast.levels, forecast.quantiles_C, f"{forecast.note}; {current.why}")
+            current = self._select(free, history, boundary)
+        of_method = last.of_method if last and last.selection.name == current.name else None
+        raw, of_method = follow(self._candidates[current.name], free, history, boundary, of_method)
+        forecast = rescaled(raw, current.scale)
+        note = f"{forecast.note}; {current.why}"
+        return FreeForecast(forecast.levels, forecast.quantiles_C, note), SelectedState(current, of_method)
 
     def _select(self, free: Array, history: Record, boundary: Boundary) -> Selection:
         step_s, n, now = boundary.step_s, boundary.n_steps, float(history.time_s[-1])

@@ -9,6 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.protocols import FreeResponse
 
 _INSIDE = 0.8
@@ -59,9 +60,10 @@ def run_trials(
     A method that cannot (`DataError` at any origin) yields None.
     """
     trials = []
+    state: object = None
     for origin in origins:
         try:
-            forecast = method.forecast(*past_task(free_C, history, origin, horizon))
+            forecast, state = follow(method, *past_task(free_C, history, origin, horizon), state)
         except DataError:
             return None
         trials.append(Trial(forecast, free_C[origin + 1 : origin + horizon + 1]))

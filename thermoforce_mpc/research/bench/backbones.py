@@ -21,7 +21,7 @@ from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES, parameter_count
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.predictor import Predictor, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
@@ -104,6 +104,7 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
     raw, composed, milliseconds = [], [], []
     weather: list[Array] = []
     residual = ResidualFreeResponse(backbone)
+    learned: object = None
     for origin in building.origins:
         observation, u, truth = _instant(building, origin)
         history, boundary = observation.history, observation.boundary
@@ -112,7 +113,9 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
         milliseconds.append((time.perf_counter() - began) * 1e3)
         raw.append(alone - truth)
         composed.append(Predictor(building.model, backbone).context(observation).predict(u).total_C[0] - truth)
-        weather.append(Predictor(building.model, residual).context(observation).predict(u).total_C[0] - truth)
+        context = Predictor(building.model, residual).context(observation, PredictorState(free=learned))
+        learned = context.state.free if context.state else None
+        weather.append(context.predict(u).total_C[0] - truth)
     row = {
         "backbone": name,
         "parameters": parameter_count(backbone.modules),

@@ -144,5 +144,8 @@ def _forecasts(source: Source, origins: Array, method: ResidualFreeResponse) -> 
             [(free, history, ahead) for free, history, ahead, _ in tasks[first : first + _BATCH]]
         )
         medians += [quantiles[:, LEVELS.size // 2] for quantiles in found]
-    mixed = [method.forecast(free, history, ahead).median_C for free, history, ahead, _ in tasks]
+    mixed, state = [], None
+    for free, history, ahead, _ in tasks:
+        forecast, state = method.follow(free, history, ahead, state)
+        mixed.append(forecast.median_C)
     return np.array(medians), np.array(mixed), np.array([truth for *_, truth in tasks])

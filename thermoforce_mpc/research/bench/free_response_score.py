@@ -10,6 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.data import Array, Boundary, Record
+from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.bench.free_response_sources import Source
 
@@ -69,10 +70,11 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
 def score(method: FreeResponse, source: Source, origins: Sequence[int], error: ForecastError | None = None) -> Score:
     """Forecast from every origin and compare with what came."""
     errors, inside, pinball, seconds = [], [], [], []
+    state: object = None
     for origin in origins:
         free, history, boundary, truth = window(source, origin, error)
         began = time.perf_counter()
-        forecast = method.forecast(free, history, boundary)
+        forecast, state = follow(method, free, history, boundary, state)
         seconds.append(time.perf_counter() - began)
         errors.append(np.abs(truth - forecast.median_C))
         inside.append((truth >= forecast.quantiles_C[_LOW]) & (truth <= forecast.quantiles_C[_HIGH]))

@@ -94,14 +94,15 @@ def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]
     if not isinstance(controller, ThermoForceMPC):
         raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")
     observation = _observation(training.probe, training.climate, zone.band_K)
-    solve, whole = [], []
+    solve, whole, state = [], [], None
     for _ in range(_REPEATS + 1):
         began = time.perf_counter()
-        plan = controller.plan(observation)
+        plan = controller.plan(observation, state)
         whole.append(time.perf_counter() - began)
         if plan.status is not PlanStatus.SOLVED:
             raise DataError(f"bench interventions, efficiency: the MPC did not solve: {plan.why}")
         solve.append(plan.seconds["solve"])
+        state = plan.state
     return {
         "solve (48 h at 15 min)": 1e3 * float(np.median(solve[1:])),
         "control step (estimate, forecast, solve)": 1e3 * float(np.median(whole[1:])),

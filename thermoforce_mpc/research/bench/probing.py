@@ -130,8 +130,7 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
         given = record if measured else replace(record, heat_W=np.full(record.n_steps, np.nan))
         seen = run if measured else replace(run, heat_W=np.full(run.n_steps, np.nan))
         model = identify([given], config=_LINEAR, floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S)
-        adaptation = OnlineAdaptation(model, AdaptationConfig(enabled=True))
-        adaptation.update(seen)
+        adapted = OnlineAdaptation(model, AdaptationConfig(enabled=True)).update(None, seen)
         # What really changed in what is estimated, from the heat at full level in the first third and in the last
         # days: for an operator on u that is all of it, for one with a heat capacity only what the map did not foresee.
         on, steps_from_start = run.u > 0, np.arange(run.n_steps)
@@ -141,7 +140,7 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
         expected = load(run.u, run.T_out_C[:-1]) if load else np.ones(run.n_steps)
         relative = run.heat_W / np.where(on, expected, 1.0)
         true = float(relative[late].mean() / relative[early].mean())
-        steps = adaptation.steps
+        steps = adapted.steps
         before = [s for s in steps if s.time_s <= run.time_s[run.n_steps // 3]][-1]
         last = steps[-1]
         ratio = last.gain * last.heat / (before.gain * before.heat)

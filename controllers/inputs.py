@@ -1,0 +1,47 @@
+"""What a controller is given, checked before anything else: what is wrong here is a mistake of the caller."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import DataError
+
+State = TypeVar("State")
+
+# How far the length of a step may be off, s: the clocks of plants round.
+_CLOCK_TOLERANCE_S = 1.0
+
+
+def checked_state(state: object, kind: type[State]) -> State | None:
+    """`state` as a controller's own; raises `DataError` where it is another's."""
+    if state is None or isinstance(state, kind):
+        return state
+    raise DataError(
+        f"state is a {type(state).__name__}, expected None (a run begins) or the Plan.state of the last plan of the"
+        f" same controller ({kind.__name__})"
+    )
+
+
+def check_observation(observation: Observation, step_s: float, n_steps: int) -> None:
+    """Refuse an observation that does not fit a controller with steps of `step_s` seconds, `n_steps` of them ahead.
+
+    Raises:
+        DataError: the boundary forecast is too short, or its step or that of the history is another.
+    """
+    boundary, history = observation.boundary, observation.history
+    if boundary.n_steps < n_steps:
+        raise DataError(
+            f"boundary forecast has {boundary.n_steps} steps, the horizon needs {n_steps} of {step_s:g} s:"
+            " ask the plant for `horizon_s` and `step_s` of the controller"
+        )
+    for what, time_s in (("boundary forecast", boundary.time_s[: n_steps + 1]), ("history", history.time_s)):
+        steps = np.diff(time_s)
+        wrong = np.flatnonzero(~(np.abs(steps - step_s) <= _CLOCK_TOLERANCE_S))
+        if wrong.size:
+            raise DataError(
+                f"{what}: step {wrong[0]} of {steps.size} is {steps[wrong[0]]:g} s long, the controller's are"
+                f" {step_s:g} s: give it in steps of the controller's `step_s`"
+            )

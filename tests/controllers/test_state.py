@@ -1,0 +1,180 @@
+"""What a controller knows of a run is a value: plans depend on it and on the observation, and on nothing else."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.mpc import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from controllers.native import NativeController
+from controllers.pi import PIController
+from controllers.problem import Solution
+from controllers.thermostat import Thermostat, ThermostatState
+from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
+from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+
+
+def mpc(**options) -> ThermoForceMPC:
+    config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
+    return ThermoForceMPC(simple_model(), config, free_response=CalibratedFreeResponse(LinearWeather()))
+
+
+CONTROLLERS = {
+    "thermostat": Thermostat,
+    "pi": PIController,
+    "native": NativeController,
+    "qp": mpc,
+    "held levels": lambda: mpc(actuation={"mode": "modulating"}),
+    "ipopt": lambda: mpc(solver="ipopt", actuation={"mode": "modulating"}),
+    "search": lambda: mpc(solver="search"),
+    "adapting": lambda: mpc(adaptation={"enabled": True, "gain_sd": 0.3, "block_h": 6.0}, estimator={"correct": True}),
+}
+
+
+class Watched:
+    """Passes plans on and keeps what they were made from."""
+
+    def __init__(self, inner) -> None:
+        self.inner, self.name, self.step_s, self.horizon_s = inner, inner.name, inner.step_s, inner.horizon_s
+        self.calls = []
+
+    def plan(self, observation, state=None):
+        plan = self.inner.plan(observation, state)
+        self.calls.append((observation, state, plan))
+        return plan
+
+
+def run(controller, T_start_C: float = 21.0):
+    house = SimpleHouse(T_start_C)
+    return run_closed_loop(house, controller, replace(house.period("x"), scored_s=1.5 * DAY_S))
+
+
+def same(a, b) -> None:
+    assert (a.blocks, a.status, a.why) == (b.blocks, b.status, b.why)
+    for name in ("u", "T_free_C", "T_forced_K", "slack_K"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_the_same_observation_and_state_give_the_same_plan_in_any_order(kind):
+    watched = Watched(CONTROLLERS[kind]())
+    run(watched)
+    for observation, state, plan in reversed(watched.calls[::5]):
+        same(watched.inner.plan(observation, state), plan)
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_one_controller_serves_two_runs_alternately(kind):
+    alone = [Watched(CONTROLLERS[kind]()) for _ in range(2)]
+    for watched, T_start_C in zip(alone, (21.0, 18.0), strict=True):
+        run(watched, T_start_C)
+    shared, states = CONTROLLERS[kind](), [None, None]
+    for calls in zip(alone[0].calls, alone[1].calls, strict=True):
+        for i, (observation, _, plan) in enumerate(calls):
+            ours = shared.plan(observation, states[i])
+            states[i] = ours.state
+            same(ours, plan)
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_twice_on_the_same_window_is_twice_the_same(kind):
+    controller = CONTROLLERS[kind]()
+    first, second = (run(controller).kpis for _ in range(2))
+    for name in ("tdis_tot", "cost_tot"):
+        assert first[name] == second[name]
+
+
+def test_the_state_of_another_controller_is_refused():
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 2 * DAY_S)
+    for controller in (mpc(), PIController()):
+        seen = Observation(house.past(controller.step_s), house.forecast(controller.horizon_s, controller.step_s))
+        with pytest.raises(DataError, match="state is a ThermostatState, expected None"):
+            controller.plan(seen, ThermostatState(True))
+
+
+class Failing:
+    """A solver that fails now and then."""
+
+    def __init__(self, inner, seed: int) -> None:
+        self.inner, self._draw = inner, np.random.default_rng(seed)
+
+    def solve(self, problem, *guess) -> Solution:
+        if self._draw.random() < 0.4:
+            return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
+        return self.inner.solve(problem, *guess)
+
+
+@pytest.mark.parametrize("follow_steps", [0, 1])
+def test_minimum_times_hold_whatever_acts(follow_steps):
+    for seed in range(3):
+        config = MPCConfig(step_s=900.0, horizon_h=6.0, fallback_levels={"follow_steps": follow_steps})
+        controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+        controller._base = replace(controller._base, solver=Failing(controller._base.solver, seed))
+        house = SimpleHouse(T_start_C=20.6)
+        result = run_closed_loop(house, controller, house.period("x"))
+        assert result.fallback_levels()["solved"] > 50
+        assert result.fallback_levels()["thermostat"] > 20
+        runs = [
+            (level, sum(duration for _, duration in group))
+            for level, group in itertools.groupby(house.applied, key=lambda block: block[0])
+        ]
+        short = [(level, duration) for level, duration in runs[1:-1] if duration < 600.0]
+        assert not short
+
+
+def after(u: list[float]) -> Record:
+    n = len(u)
+    line = np.ones(n + 1)
+    return Record(900.0 * np.arange(n + 1), 20 * line, 0 * line, 0 * line, u, line[1:], line[1:])
+
+
+@pytest.mark.parametrize(
+    ("u", "on", "held_s"),
+    [
+        ([1.0, 1.0, 0.0], False, 900.0),
+        ([0.0, 0.0, 0.0], False, 2700.0),
+        ([0.3, 1.0, 1.0], True, 1800.0),
+        ([0.0, 0.4], False, 0.0),  # it may just have switched off
+    ],
+)
+@pytest.mark.parametrize("state", [None, ActuationState(native=True)], ids=["a run begins", "after native control"])
+def test_what_native_control_did_is_seen_in_the_history(u, on, held_s, state):
+    assert Actuation(ActuationConfig()).now(state, after(u)) == ActuationState(on, held_s)
+
+
+def test_what_was_told_counts_where_nobody_else_acted():
+    told = ActuationState(on=True, held_s=300.0, owed_s=60.0)
+    assert Actuation(ActuationConfig()).now(told, after([0.0])) == told
+
+
+def test_a_machine_that_was_not_seen_may_just_have_switched_off():
+    actuation = Actuation(ActuationConfig())
+    assert actuation.now(ActuationState(native=True), after([np.nan])) == ActuationState(on=False, held_s=0.0)
+    blocks, _ = actuation.realise(1.0, 900.0, actuation.now(ActuationState(native=True), after([0.5])))
+    assert [(block.u, block.duration_s) for block in blocks] == [(0.0, 600.0), (1.0, 300.0)]
+
+
+def test_after_a_silent_sensor_and_native_control_the_minimum_off_time_holds():
+    config = MPCConfig(step_s=None, horizon_h=6.0)
+    controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+    house = SimpleHouse(T_start_C=19.0)
+    house.reset(10 * DAY_S, 2 * DAY_S)
+    history = house.past(HOUR_S)
+    silent = replace(history, T_zone_C=np.full(history.time_s.size, np.nan))
+    plan = controller.plan(Observation(silent, house.forecast(6 * HOUR_S, HOUR_S)))
+    assert [block.u for block in plan.blocks] == [None]
+    # Native control ran for a part of the hour; when it stopped is not known.
+    later = history.extended(replace(house.advance(None, HOUR_S), u=0.4))
+    cold = replace(later, T_zone_C=later.T_zone_C - 3.0)
+    plan = controller.plan(Observation(cold, house.forecast(6 * HOUR_S, HOUR_S)), plan.state)
+    assert [(block.u, block.duration_s) for block in plan.blocks] == [(0.0, 600.0), (1.0, 3000.0)]
