@@ -36,10 +36,11 @@ class IpoptSolver:
         """Build the NLP once."""
         self.operator, self.shape = operator, shape
         n, r, m = shape.n_steps, operator.order, shape.n_moves
-        # Without a kink inside the range, power and heat are linear in u and every derivative is constant.
+        # Without a kink inside the range the power is linear in u; the dynamics are linear where the heat is, too, and
+        # the gain does not see the decisions. Only then may Ipopt be told that derivatives are constant.
         linear = shape.lowest_level >= shape.u_max
         heat = operator.heat_input.heat
-        linear_dynamics = heat is None or heat.lowest_level >= shape.u_max
+        linear_dynamics = not operator.feedback_active and (heat is None or heat.lowest_level >= shape.u_max)
         step = step_function(operator)
         v, F, slack, peak = ca.SX.sym("v", m), ca.SX.sym("F", r, n), ca.SX.sym("slack", n), ca.SX.sym("peak")
         F_now, features = ca.SX.sym("F_now", r), ca.SX.sym("features", n, N_FEATURES)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from mpc_problems import N, linear_programme_optimum, random_operator, random_problem
+from mpc_problems import N, linear_programme_optimum, multi_start_optimum, random_operator, random_problem
 
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import MPCProblem, ProblemShape, every_step
@@ -77,3 +79,24 @@ def test_search_returns_the_cheapest_of_its_candidates():
     solution = search.solve(problem)
     rows = np.array([[a] * 3 + [b] * (N - 3) for a in (0.0, 1.0) for b in (0.0, 1.0)])
     assert float(problem.cost(operator, solution.u)) == pytest.approx(float(problem.cost(operator, rows).min()))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
+    """Derivatives are not constant there: told that they were, Ipopt stopped early with its word for success."""
+    rng = np.random.default_rng(seed)
+    operator = random_operator(rng, 2)
+    operator = replace(
+        operator,
+        feedback=True,
+        hidden_weight=operator.hidden_weight / 2,
+        feature_mean=np.array([20.0, 5.0, 100.0, 0.0]),
+        gains=2 * operator.gains,
+    )
+    assert operator.feedback_active
+    problem = random_problem(rng, 2, curvature=1e-6)
+    problem = replace(problem, T_free_C=problem.T_free_C + 3.0)
+    solution = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig()).solve(problem)
+    assert solution.ok, solution.problem
+    best = multi_start_optimum(problem, operator, rng, starts=4)
+    assert float(problem.cost(operator, solution.u)) <= best * (1 + 1e-4)

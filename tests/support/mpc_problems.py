@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linprog
+from scipy.optimize import linprog, minimize
 
 from controllers.problem import MPCProblem, Weights
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 N = 12
@@ -55,3 +56,31 @@ def linear_programme_optimum(problem: MPCProblem, operator: OperatorParameters) 
     b = np.concatenate([T_rest - problem.lower_C, problem.upper_C - T_rest])
     bounds = [(0, 1)] * N + [(0, None)] * N
     return float(linprog(cost, A_ub=A, b_ub=b, bounds=bounds, method="highs").fun)
+
+
+def multi_start_optimum(
+    problem: MPCProblem, operator: OperatorParameters, rng: np.random.Generator, starts: int
+) -> float:
+    """The same problem by sequential quadratic programming (SLSQP) over levels and slack, from random levels; the best.
+
+    Where the gain sees the plan there is more than one local optimum, so this is a bound from above.
+    """
+    n = problem.n_steps
+
+    def room_K(x: Array) -> Array:
+        T = problem.T_free_C + problem.forced_K(operator, x[:n])
+        return np.concatenate([T - problem.lower_C, problem.upper_C - T]) + np.tile(x[n:], 2)
+
+    def cost(x: Array) -> float:
+        energy = problem.price_per_W @ problem.power_W(x[:n])
+        return float(energy + problem.comfort_price * x[n:].sum() + problem.weights.curvature * (x[:n] ** 2).sum())
+
+    best = np.inf
+    for _ in range(starts):
+        u = rng.uniform(0, 1, n)
+        x0 = np.concatenate([u, problem.slack_K(problem.T_free_C + problem.forced_K(operator, u))])
+        bounds = [(0, problem.u_max)] * n + [(0, None)] * n
+        constraint = {"type": "ineq", "fun": room_K}
+        found = minimize(cost, x0, method="SLSQP", bounds=bounds, constraints=[constraint], options={"maxiter": 300})
+        best = min(best, float(problem.cost(operator, np.clip(found.x[:n], 0, problem.u_max))))
+    return best
