@@ -117,7 +117,10 @@ class QPSolver:
         return Solution(False, np.empty(0), solution.status, solution.iterations, "; ".join(failures))
 
     def _attempt(self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Array) -> Solution:
-        answer = self._solve_with[backend](qp_data)
+        try:
+            answer = self._solve_with[backend](qp_data)
+        except Exception as error:  # whatever a solver raises: the next one is tried
+            return Solution(False, np.empty(0), f"{backend}:raised", 0, f"raised {type(error).__name__}: {error}")
         status = f"{backend}:{answer.status}"
         if not answer.solved:
             return Solution(False, np.empty(0), status, answer.iterations, f"ended with {answer.status}")

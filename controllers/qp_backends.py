@@ -70,7 +70,8 @@ class Piqp:
         """Solve one programme; all of one solver have the same structure and the same bounds of x."""
         import piqp
 
-        if self._solver is None:
+        solver, self._solver = self._solver, None  # of a solve that fails or raises nothing is carried on
+        if solver is None:
             solver = piqp.SparseSolver()
             settings = solver.settings
             settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
@@ -85,14 +86,13 @@ class Piqp:
             settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = self._config.tolerance
             settings.max_iter = self._config.max_iterations
             solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
-            self._solver = solver
         else:
-            self._solver.update(P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high)
-        status = self._solver.solve()
-        result = self._solver.result
+            solver.update(P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high)
+        status = solver.solve()
+        result = solver.result
         solved = status == piqp.PIQP_SOLVED
-        if not solved:
-            self._solver = None  # start afresh: nothing of a failed solve is carried on
+        if solved:
+            self._solver = solver
         return SolverResult(solved, np.array(result.x, dtype=np.float64), str(status.name), int(result.info.iter))
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import numpy as np
 from pydantic import Field
 
-from controllers.problem import MPCProblem, Solution
+from controllers.problem import MPCProblem, Solution, checked_solution
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -37,8 +38,9 @@ class CandidateSearch:
         costs = problem.cost(self.operator, candidates)
         if not np.isfinite(costs).any():
             return Solution(False, np.empty(0), "no candidate", len(costs), "no candidate has a finite cost")
-        best = candidates[int(np.nanargmin(costs))]
-        return Solution(True, best, "best_candidate", len(costs))
+        best = int(np.nanargmin(costs))
+        modes_of = partial(problem.modes_K, self.operator)
+        return checked_solution(problem, modes_of, candidates[best], float(costs[best]), "best_candidate", len(costs))
 
 
 def _two_level_trajectories(config: SearchConfig, n_steps: int) -> Array:

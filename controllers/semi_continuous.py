@@ -9,12 +9,14 @@ to by being off or on as a whole. That is one quadratic programme per level.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from pydantic import Field
 
+from controllers.errors import ControllerConfigError
 from controllers.ipopt import straightened
-from controllers.problem import MPCProblem, ProblemShape, Solution
+from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
@@ -38,6 +40,11 @@ class SemiContinuousSolver:
     """
 
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: SemiContinuousConfig, qp: QPConfig):
+        if shape.n_steps < 2:
+            raise ControllerConfigError(
+                "solver semi_continuous: it tries levels in the first step and plans the rest of the horizon, which is a"
+                " single step here; give a longer controller.options.horizon_h, or solver: ipopt"
+            )
         self.operator, self.shape = operator, shape
         self._levels = np.concatenate([[0.0], np.linspace(shape.lowest_level, shape.u_max, config.n_levels)])
         switching = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
@@ -64,7 +71,12 @@ class SemiContinuousSolver:
         level, solution = best
         T_out = problem.features[1:, OUTDOOR]
         u = np.concatenate([[level], held_level(self.operator.heat_input, solution.u, T_out, self.shape.u_max)])
-        return Solution(True, u, f"held level, {solution.status}", iterations)
+        # The levels must bring the heat that was planned in shares: their cost with that heat is what is claimed.
+        after = after_first_step(problem, self.operator, level)
+        planned = np.vstack([after.forced_state_K, after.modes_K(self._later.operator, solution.u)])
+        claimed = float(problem.cost_under(u, planned))
+        status = f"held level, {solution.status}"
+        return checked_solution(problem, partial(problem.modes_K, self.operator), u, claimed, status, iterations)
 
 
 def after_first_step(problem: MPCProblem, operator: OperatorParameters, level: float) -> MPCProblem:
@@ -102,7 +114,8 @@ def held_level(heat_input: HeatInput, share: Array, T_out_C: Array, u_max: float
     fixed_W, per_u_W = heat.parts(T_out_C)
     wanted_W = np.asarray(share) * heat(np.ones_like(T_out_C), T_out_C)
     lowest_W = fixed_W + per_u_W * heat.lowest_level
-    above = (wanted_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf)
+    # Heat that does not grow with the level is had at the lowest.
+    above = np.maximum((wanted_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf), heat.lowest_level)
     below = wanted_W / (fixed_W / heat.lowest_level + per_u_W)
     return np.clip(np.where(wanted_W >= lowest_W, above, below), 0.0, u_max)
 

@@ -14,7 +14,7 @@ from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
 from controllers.qp import QPSolver, transfer_function
-from controllers.qp_backends import QPConfig, SolverResult
+from controllers.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
@@ -237,3 +237,23 @@ def test_wild_instances_are_solved_by_either_solver_alike(peak):
         assert other.ok, other.problem
         ours_cost, other_cost = (float(problem.cost(operator, s.u)) for s in (ours, other))
         assert ours_cost == pytest.approx(other_cost, rel=1e-5, abs=1e-5)
+
+
+def test_a_solver_that_raises_is_followed_by_the_next(monkeypatch):
+    rng = np.random.default_rng(8)
+    operator, problem = random_operator(rng, 2), random_problem(rng, 2, curvature=1e-6)
+    solver = QPSolver(operator, ProblemShape(every_step(N)), QPConfig())
+    best = solver.solve(problem)
+
+    def crash(self, programme):
+        raise MemoryError("out of memory")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Piqp, "__call__", crash)
+        solution = solver.solve(problem)
+        assert solution.status.startswith("clarabel")
+        np.testing.assert_allclose(solution.u, best.u, atol=1e-4)
+        broken.setattr(Clarabel, "__call__", crash)
+        failed = solver.solve(problem)
+        assert (failed.ok, failed.problem.count("raised MemoryError: out of memory")) == (False, 2)
+    np.testing.assert_array_equal(solver.solve(problem).u, best.u)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from mpc_problems import N, random_operator, random_problem
 
+from controllers.errors import ControllerConfigError
 from controllers.problem import ProblemShape, every_step
+from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.semi_continuous import (
     SemiContinuousConfig,
@@ -82,3 +84,35 @@ def test_numbers_that_are_not_finite_are_a_failed_solve():
     rng = np.random.default_rng(3)
     solution = solver(machine(rng)).solve(replace(random_problem(rng, 2, lowest=0.3), T_free_C=np.full(N, np.nan)))
     assert (solution.ok, solution.u.size) == (False, 0)
+
+
+def test_a_horizon_of_one_step_is_refused_with_advice():
+    with pytest.raises(ControllerConfigError, match=r"single step here; give a longer controller\.options\.horizon_h"):
+        solver(machine(np.random.default_rng(0)), 1)
+
+
+@pytest.mark.parametrize("spoil", [lambda u: u + 0.5, lambda u: -u - 0.1])
+def test_an_answer_that_is_not_what_it_claims_is_refused(monkeypatch, spoil):
+    """The levels of the later steps come from shares; the quadratic programme's own check is behind them."""
+    rng = np.random.default_rng(4)
+    operator, problem = machine(rng), random_problem(rng, 2, lowest=0.3)
+    held = solver(operator)
+    assert held.solve(problem).ok
+    found = QPSolver.solve
+
+    def spoilt(self, problem, guess=None):
+        solution = found(self, problem)
+        return replace(solution, u=spoil(solution.u))
+
+    monkeypatch.setattr(QPSolver, "solve", spoilt)
+    solution = held.solve(problem)
+    assert not solution.ok
+    assert solution.u.size == 0
+    assert solution.problem
+
+
+def test_heat_that_does_not_grow_with_the_level_is_had_at_the_lowest():
+    flat = MachineLoad((9000.0, 100.0, 0.0, 0.0), (-15.0, 20.0), lowest_level=0.3)
+    T_out = np.array([-5.0, 3.0])
+    level = held_level(HeatInput(heat=flat), np.array([1.0, 0.5]), T_out, 1.0)
+    np.testing.assert_allclose(flat(level, T_out), np.array([1.0, 0.5]) * flat(np.ones(2), T_out))

@@ -100,3 +100,11 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
     assert solution.ok, solution.problem
     best = multi_start_optimum(problem, operator, rng, starts=4)
     assert float(problem.cost(operator, solution.u)) <= best * (1 + 1e-4)
+
+
+def test_a_candidate_outside_the_bounds_is_refused():
+    rng = np.random.default_rng(5)
+    search = CandidateSearch(random_operator(rng, 1), N, SearchConfig(levels=(-1.0, -0.5)))
+    solution = search.solve(random_problem(rng, 1))
+    assert (solution.ok, solution.u.size) == (False, 0)
+    assert "u leaves its bounds" in solution.problem
