@@ -12,10 +12,12 @@ from controllers import ThermoForceMPC
 from controllers.errors import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Solution
+from controllers.registry import build_controller
 from controllers.thermostat import Thermostat
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
@@ -131,14 +133,54 @@ def _raise(error):
         lambda f: _raise(RuntimeError("tensor trouble")),
         lambda f: replace(f, quantiles_C=f.quantiles_C * np.nan),
         lambda f: replace(f, quantiles_C=f.quantiles_C[:, :3]),
+        lambda f: None,
+        lambda f: replace(f, quantiles_C=f.quantiles_C + np.array([[np.nan], [0.0], [0.0]])),
+        lambda f: _raise(KeyError("sun")),
+        lambda f: _raise(AttributeError("no such thing")),
+        lambda f: _raise(MemoryError()),
     ],
-    ids=["refused", "crashed", "not finite", "too short"],
+    ids=["refused", "crashed", "not finite", "too short", "none", "a quantile", "key", "attribute", "memory"],
 )
 def test_a_broken_forecast_falls_back_with_a_reason(action):
     plan = controller(free=Sabotage(action)).plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("no prediction (")
     assert plan.blocks[0].u in (0.0, 1.0)
+
+
+class Raising:
+    def solve(self, problem, guess=None):
+        raise KeyError("no such status")
+
+
+def test_a_solver_that_raises_is_a_failed_solve():
+    mpc = controller()
+    mpc._base = replace(mpc._base, solver=Raising())
+    plan = mpc.plan(observation())
+    assert plan.status is PlanStatus.THERMOSTAT
+    assert plan.why.startswith("the solver failed (KeyError: 'no such status')")
+
+
+def test_mistakes_of_the_caller_raise_before_anything_else():
+    seen, mpc = observation(), controller(free=Sabotage(lambda f: _raise(AssertionError("too late"))))
+    with pytest.raises(DataError, match=r"boundary forecast has 23 steps, the horizon needs 24 of 3600 s"):
+        mpc.plan(Observation(seen.history, seen.boundary.head(23)))
+    quarter = SimpleHouse()
+    quarter.reset(10 * 86400.0, 2 * 86400.0)
+    with pytest.raises(DataError, match=r"boundary forecast: step 0 of 24 is 900 s long, the controller's are 3600 s"):
+        mpc.plan(Observation(seen.history, quarter.forecast(24 * HOUR_S, 900.0)))
+    fine = replace(seen.history, time_s=seen.history.time_s[-1] + 900.0 * np.arange(-seen.history.n_steps, 1))
+    with pytest.raises(DataError, match=r"history: step 0 of 48 is 900 s long"):
+        mpc.plan(Observation(fine, seen.boundary))
+
+
+def test_the_class_without_a_configuration_is_the_controller_of_the_command_line():
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    ours = ThermoForceMPC(simple_model(), free_response=OutdoorResponse())
+    theirs = build_controller("thermoforce_mpc", {}, testcase, simple_model())
+    assert ours.config == theirs.config
+    assert (ours.name, ours.step_s, ours.horizon_s) == (theirs.name, theirs.step_s, theirs.horizon_s)
+    assert ours.step_s == 900.0
 
 
 def test_a_silent_sensor_is_survived_without_inventing_a_temperature():

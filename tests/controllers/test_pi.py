@@ -8,8 +8,11 @@ from simple_house import SimpleHouse
 
 from controllers.errors import ControllerConfigError
 from controllers.pi import PIConfig, PIController
+from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Period, PlanStatus, Record
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.composition import validate_scenario
 
 
 def observation(T: float, time_s: float, lower_C: float | list[float] = 21.0) -> Observation:
@@ -96,6 +99,17 @@ def test_a_bound_that_is_not_known_hands_over_to_native_control():
 def test_a_step_too_short_for_blocks_is_refused():
     with pytest.raises(ControllerConfigError, match=r"blocks of 300 s cannot share a step of 300 s"):
         PIController(PIConfig(step_s=300.0))
+
+
+def test_it_is_a_baseline_as_any_other():
+    """Its actuation counts for how the machine is probed, as that of the others."""
+    scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=("pi", "thermostat"))
+    validate_scenario(scenario)
+    options = {"actuation": {"mode": "modulating", "lowest_level": 0.6}}
+    held = controller_config("pi", options, load_testcase("bestest_hydronic_heat_pump"))
+    assert held.actuation.lowest_level == 0.6
+    zone = load_testcase("energyplus_heating_chicago")
+    assert controller_config("pi", {}, zone).actuation.mode == "modulating"
 
 
 def test_twice_on_the_same_window_is_twice_the_same():

@@ -11,6 +11,7 @@ from operators import HEAT_MAP, random_operator
 from thermoforce_mpc.data import Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
 from thermoforce_mpc.model.predictor import Predictor
@@ -106,6 +107,74 @@ def test_predict_effect_and_counterfactuals_agree(predictor):
     assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
     np.testing.assert_allclose(fan.total_C[1], context.predict(np.full(24, 0.25)).total_C, atol=1e-12)
     np.testing.assert_allclose(context.predict(u).total_C, context.free.median_C + context.predict(u).forced_K)
+
+
+class Answering(HoldLast):
+    """Forecasts whatever it is told to."""
+
+    def __init__(self, answer) -> None:
+        self.answer = answer
+
+    def forecast(self, free_C, history, boundary):
+        return self.answer(super().forecast(free_C, history, boundary))
+
+
+def _spread(forecast: FreeForecast) -> FreeForecast:
+    return FreeForecast(np.array([0.1, 0.5, 0.9]), forecast.median_C + np.array([[-1.0], [0.0], [1.0]]))
+
+
+def _with_gap(forecast: FreeForecast) -> FreeForecast:
+    quantiles = _spread(forecast).quantiles_C.copy()
+    quantiles[2, 5] = np.nan
+    return replace(_spread(forecast), quantiles_C=quantiles)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda f: None, "gave a NoneType, expected a FreeForecast"),
+        (_with_gap, "its 0.9 quantile is not finite at step 5 of 24"),
+        (lambda f: replace(_spread(f), quantiles_C=_spread(f).quantiles_C[::-1]), "its 0.5 quantile is below its 0.1"),
+        (
+            lambda f: replace(_spread(f), quantiles_C=_spread(f).quantiles_C[:, :3]),
+            r"shape \(3, 3\), expected \(3, 24\)",
+        ),
+        (lambda f: replace(_spread(f), levels=np.array([0.9, 0.5, 0.1])), "expected values in \\(0, 1\\) that rise"),
+    ],
+    ids=["none", "a gap", "crossed", "too short", "levels"],
+)
+def test_a_forecast_that_is_not_fit_to_plan_with_is_refused(answer, message):
+    history = make_history()
+    predictor = Predictor(ThermalModel(random_operator(3, 3)), Answering(answer))
+    with pytest.raises(DataError, match=message):
+        predictor.context(Observation(history, make_boundary(history)))
+
+
+class Estimating(ForcedStateEstimator):
+    """Estimates whatever it is told to."""
+
+    def __init__(self, operator, answer) -> None:
+        super().__init__(operator)
+        self.answer = answer
+
+    def update(self, *args):
+        return self.answer(super().update(*args))
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda state: None, "gave a NoneType, expected a ForcedState"),
+        (lambda state: replace(state, forced_K=state.forced_K * np.nan), "is not .* finite values"),
+        (lambda state: replace(state, forced_K=state.forced_K[:-1]), "is not .* finite values"),
+    ],
+    ids=["none", "not finite", "too short"],
+)
+def test_an_estimate_that_is_not_fit_to_plan_with_is_refused(answer, message):
+    history, operator = make_history(), random_operator(3, 3)
+    predictor = Predictor(ThermalModel(operator), HoldLast(), estimator=Estimating(operator, answer))
+    with pytest.raises(DataError, match=message):
+        predictor.context(Observation(history, make_boundary(history)))
 
 
 def test_plan_continues_the_history(predictor):

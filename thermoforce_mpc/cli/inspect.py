@@ -45,7 +45,7 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     operator, card = thermal.operator, thermal.card
     proof = certificate(operator, n_steps=round(48 * 3600 / operator.step_s))
     say = console.print
-    say(f"{name}: order {operator.order}, {operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h")
+    say(f"{name}: order {operator.order}, {operator.parameters_in_words}, step {operator.step_s / 3600:g} h")
     say(f"made from: {card.source}")
     modes = Table(title="Modes of the forced response (± one standard deviation)", title_justify="left")
     for heading in ("mode", "time constant, h", "steady gain, K"):

@@ -12,6 +12,7 @@ from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Rec
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import ROUNDING, InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
+from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.operator.features import OUTDOOR, feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -155,19 +156,21 @@ class Predictor:
             state: `PredictionContext.state` of the last context of this run; None begins a run.
 
         Raises:
-            DataError: the history cannot be split (see `forced_history`) or its temperature is silent throughout.
+            DataError: the history cannot be split (see `forced_history`) or its temperature is silent throughout, or
+                the estimate or the forecast is not fit to plan with.
         """
         history, boundary = observation.history, observation.boundary
         began = time.perf_counter()
         before = state or PredictorState()
-        followed = self._estimator.update(before.forced, history)
+        followed = self._checked_estimate(self._estimator.update(before.forced, history), history)
         forced = followed.forced_K
         estimated = time.perf_counter()
         free_C = history.T_zone_C - forced.sum(axis=1)
         measured = np.flatnonzero(np.isfinite(free_C))
         if measured.size == 0:
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
-        free, free_state = follow(self._free_response, free_C, history, boundary, before.free)
+        answer, free_state = follow(self._free_response, free_C, history, boundary, before.free)
+        free = checked_forecast(answer, boundary.n_steps, self._free_response.name)
         forecast_s = time.perf_counter() - estimated
         followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
         starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
@@ -181,6 +184,15 @@ class Predictor:
             seconds={"estimate": estimated - began, "forecast": forecast_s},
             state=PredictorState(followed, free_state),
         )
+
+    def _checked_estimate(self, estimate: object, history: Record) -> ForcedState:
+        """An estimate that fits `history` and is finite; raises `DataError` for any other."""
+        if not isinstance(estimate, ForcedState):
+            raise DataError(f"the forced state's estimator gave a {type(estimate).__name__}, expected a ForcedState")
+        expected = (history.time_s.size, self._model.operator.order)
+        if estimate.forced_K.shape != expected or not np.isfinite(estimate.forced_K).all():
+            raise DataError(f"the estimated forced state {estimate.forced_K.shape} is not {expected} finite values")
+        return estimate
 
 
 def power_of(model: ThermalModel, context: PredictionContext, u: Array) -> Array:

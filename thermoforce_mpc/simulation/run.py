@@ -66,7 +66,7 @@ def _identify(
     operator = model.operator
     hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
     display.say(
-        f"Operator: order {operator.order} ({hours}), {operator.n_trained} trained parameters, "
+        f"Operator: order {operator.order} ({hours}), {operator.parameters_in_words}, "
         f"steady gain {operator.steady_gains_K.sum():.1f} K"
     )
     card = model.card
@@ -76,6 +76,8 @@ def _identify(
             "model": spec.model,
             "source": card.source,
             "order": operator.order,
+            "n_trained": operator.n_trained,
+            "n_effective": operator.n_effective,
             "time_constants_h": operator.time_constants_h.tolist(),
             "steady_gains_K": operator.steady_gains_K.tolist(),
             "scores": dict(card.scores),

@@ -93,6 +93,17 @@ def test_casadi_derivative_equals_autodiff():
     np.testing.assert_allclose(by_casadi, by_torch, atol=1e-10)
 
 
+def test_only_parameters_that_bear_on_a_prediction_are_effective():
+    kept = random_operator(0, 3)
+    assert (kept.n_trained, kept.n_effective) == (199, 199)
+    assert kept.parameters_in_words == "199 trained parameters"
+    for flat in (replace(kept, output_weight=np.zeros(32)), replace(kept, gamma=0.0)):
+        assert (flat.n_trained, flat.n_effective) == (199, 6)
+        assert flat.parameters_in_words == "199 trained parameters, 6 of them effective; the modulation is constant"
+    half = replace(kept, output_weight=np.where(np.arange(32) < 16, kept.output_weight, 0.0))
+    assert half.parameters_in_words == "199 trained parameters, 103 of them effective"
+
+
 @pytest.mark.parametrize(("order", "count"), [(1, 195), (2, 197), (3, 199)])
 def test_number_of_trained_parameters(order, count):
     params = random_operator(0, order)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.data import Array, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 
 LEVELS = np.arange(1, 10) / 10.0
+
+# How far a quantile may lie below the one before it by rounding, K.
+_ROUNDING_K = 1e-6
 
 
 def checked_free(free_C: Array, history: Record) -> Array:
@@ -18,6 +21,37 @@ def checked_free(free_C: Array, history: Record) -> Array:
     if not np.isfinite(free).any():
         raise DataError("control-free history has no finite value: the temperature sensor was silent throughout")
     return free
+
+
+def checked_forecast(forecast: object, n_steps: int, name: str) -> FreeForecast:
+    """`forecast` of the free response `name`, fit to plan with.
+
+    Raises:
+        DataError: it is no `FreeForecast`, does not hold `n_steps` values for each level, or its levels or quantiles
+            are not finite and in order.
+    """
+    wrong = f"free response '{name}'"
+    if not isinstance(forecast, FreeForecast):
+        raise DataError(f"{wrong} gave a {type(forecast).__name__}, expected a FreeForecast")
+    levels = np.asarray(forecast.levels, dtype=np.float64)
+    if levels.ndim != 1 or not levels.size or not ((levels > 0) & (levels < 1)).all() or (np.diff(levels) <= 0).any():
+        raise DataError(f"{wrong} gave the levels {levels.tolist()}, expected values in (0, 1) that rise")
+    quantiles = np.asarray(forecast.quantiles_C, dtype=np.float64)
+    if quantiles.shape != (levels.size, n_steps):
+        raise DataError(f"{wrong} gave quantiles of shape {quantiles.shape}, expected ({levels.size}, {n_steps})")
+    gaps = np.argwhere(~np.isfinite(quantiles))
+    if gaps.size:
+        level, step = gaps[0]
+        raise DataError(
+            f"{wrong}: its {levels[level]:g} quantile is not finite at step {step} of {n_steps} ({len(gaps)} such)"
+        )
+    crossed = np.argwhere(np.diff(quantiles, axis=0) < -_ROUNDING_K)
+    if crossed.size:
+        level, step = crossed[0]
+        raise DataError(
+            f"{wrong}: at step {step} its {levels[level + 1]:g} quantile is below its {levels[level]:g} quantile"
+        )
+    return forecast
 
 
 def quantiles_from_errors(center: Array, errors: Array) -> Array:

@@ -132,6 +132,24 @@ class OperatorParameters:
         )
 
     @property
+    def n_effective(self) -> int:
+        """Number of trained parameters that bear on a prediction: poles and gains, and those of connected hidden units.
+
+        Where the network was not kept its output weights are zero and m(x) is constant: then poles and gains alone.
+        """
+        units = int(np.count_nonzero(self.output_weight)) if self.gamma > 0.0 else 0
+        network = units * (N_FEATURES + 2) + 1 if units else 0
+        return int(self.poles.size + self.gains.size) + network
+
+    @property
+    def parameters_in_words(self) -> str:
+        """Trained parameters, and how many of them are effective where that is not all."""
+        if self.n_effective == self.n_trained:
+            return f"{self.n_trained} trained parameters"
+        constant = "; the modulation is constant" if self.n_effective == 2 * self.order else ""
+        return f"{self.n_trained} trained parameters, {self.n_effective} of them effective{constant}"
+
+    @property
     def time_constants_h(self) -> Array:
         """−step / ln(a_i), shape (r,), h."""
         return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
