@@ -108,7 +108,7 @@ def test_a_recorded_trajectory_has_the_kpis_published_for_it(
 
 
 def test_comfort_bounds_are_held_until_the_next_quarter_of_an_hour(shared):
-    """A thermostat that sets back at 06:30, on the real plant: nearly all its discomfort, 0.24 K·h, is 07:00 to 07:15."""
+    """A thermostat that sets back at 06:30 had 0.24 K·h on the real plant, most of it from 07:00 to 07:15."""
     record = pd.read_csv(shared / "boptest_hp" / "thermostat_setback_peak.csv.gz")
     time_s = np.arange(record.time.iloc[0], record.time.iloc[-1] + 1.0, 30.0)
     T = np.interp(time_s, record.time, record.Top_C)
