@@ -130,6 +130,26 @@ def test_trials_of_yesterday_are_remembered_and_those_of_another_series_are_not(
     assert trials_at(N - 28, free + 0.1) >= 24
 
 
+@pytest.mark.parametrize("what", ["free", "solar_W_m2", "T_out_C"])
+def test_a_trial_is_remembered_only_as_long_as_all_it_was_made_from_is_the_same(what: str) -> None:
+    """As after an adaptation of the operator or a correction of the record: the past changed, days before a trial."""
+    free, outdoor, solar = room_and_weather(15)
+    free, outdoor, solar = free[:289], outdoor[:289], solar[:289]
+    series = {"free": free.copy(), "T_out_C": outdoor.copy(), "solar_W_m2": solar.copy()}
+
+    def forecast(residual: ResidualFreeResponse, ahead: int = 24) -> np.ndarray:
+        weather = {name: series[name] for name in ("T_out_C", "solar_W_m2")}
+        history = history_of(series["free"], **weather)
+        return residual.forecast(series["free"], history, boundary_of(288, ahead)).median_C
+
+    used = ResidualFreeResponse(Fixed(0.0))
+    before = forecast(used, ahead=30)[:24]  # another horizon, so that the weights are renewed by the same trials
+    series[what][:72] += 3.0 * np.sin(np.arange(72) / 5.0)  # the first trial is made a day later than that
+    after = forecast(used)
+    np.testing.assert_array_equal(after, forecast(ResidualFreeResponse(Fixed(0.0))))
+    assert np.abs(after - before).max() > 0.0
+
+
 def test_a_slow_disturbance_bends_the_generalised_fit_less() -> None:
     """Three days two kelvins above the model's course, as with guests: the gains must stay those of the weather."""
     free, outdoor, solar = room_and_weather(13)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -171,8 +171,13 @@ class ResidualFreeResponse:
 
 
 def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, int, bytes]:
-    """What makes a trial the same one: its instant and what was and became known around it, a day either way."""
-    day = round(DAY_S / history.step_s)
-    around = slice(max(0, origin - day), origin + steps + 1)
-    values = np.concatenate([np.round(free[around], 6), history.T_out_C[around]])
-    return float(history.time_s[origin]), steps, hashlib.blake2b(values.tobytes(), digest_size=16).digest()
+    """What makes a trial the same one: its instant and all that was and became known up to its end.
+
+    Every value counts, however long ago: an adapted operator or a corrected record changes the past that was forecast
+    from. In a run the past stays as it was, so that the trials of yesterday are found again.
+    """
+    known = history.slice(0, origin + steps)
+    digest = hashlib.blake2b(free[: origin + steps + 1].tobytes(), digest_size=16)
+    for item in fields(known):
+        digest.update(getattr(known, item.name).tobytes())
+    return float(history.time_s[origin]), steps, digest.digest()
