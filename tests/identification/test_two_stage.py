@@ -121,3 +121,31 @@ def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
 def test_two_stages_of_another_order_are_refused():
     with pytest.raises(ValidationError, match="two_stage is of order 1"):
         IdentificationConfig(method="two_stage", order=3)
+
+
+@pytest.mark.parametrize("with_pairs", [False, True])
+def test_actions_of_the_wrong_sign_are_refused_as_by_the_joint_method(with_pairs):
+    """Actions that cool where heating is declared: a model without any effect would be of no use to a controller."""
+    runs = [arx_run(sign=-1)]
+    n = runs[0].n_steps
+    pairs = [Pair(*(arx_run(random_levels(n, seed, hold=5), sign=-1) for seed in (1, 2)))] if with_pairs else []
+    messages = []
+    for method in ("two_stage", "joint"):
+        with pytest.raises(DataError, match="no effect of the actuator with the sign of heating") as refused:
+            identify(runs, pairs, config=IdentificationConfig(method=method, modulation="linear"))
+        messages.append(str(refused.value))
+    assert all("check the sign of u" in message for message in messages)
+    assert identify(runs, pairs, config=IdentificationConfig(method="two_stage"), mode="cooling").operator.sign == -1
+
+
+def test_actions_without_any_effect_are_refused():
+    run = arx_run(noise_K=0.01)
+    idle = replace(run, u=random_levels(run.n_steps, 77, hold=5), T_zone_C=arx_run(0.0 * run.u, noise_K=0.01).T_zone_C)
+    for mode in ("heating", "cooling"):
+        with pytest.raises(DataError, match=f"no effect of the actuator with the sign of {mode}"):
+            identify([idle], config=IdentificationConfig(method="two_stage"), mode=mode)
+
+
+def test_what_its_action_explains_is_on_the_card():
+    model = identify([arx_run()], config=IdentificationConfig(method="two_stage"))
+    assert model.card.scores["explained_by_actuation"] > 0.9

@@ -16,6 +16,7 @@ from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData, follows_action, forced_columns
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A lower order must beat a higher one on the held-out rows with this probability (Student's t) and by this share of the
 # squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.
@@ -72,15 +73,20 @@ def fit_and_judge(
     return Fitted(fit, priors, np.concatenate(judged), np.concatenate(blocks), rollout_rmse_K)
 
 
-def explained_share(cases: Sequence[Case], fit: JointFit, sign: int) -> float:
-    """Share of the whitened variance (of what neither weather nor drift explains) that the forced response removes."""
+def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> float:
+    """Share of the whitened variance (of what neither weather nor drift explains) that the forced response removes.
+
+    The forced response is that of the linear part, m = 1, to the actions of each case.
+    """
+    log_tau, steady = np.log(operator.time_constants_h), operator.sign * operator.steady_gains_K
+    gains = np.concatenate([[(steady / operator.time_constants_h).sum()], steady[1:]])
     before, after = 0.0, 0.0
     for case in cases:
-        rest = residuals(case.regression, fit.log_tau)
+        rest = residuals(case.regression, log_tau)
         whitener = rest.whitener()
         residual = case.regression.target - rest.mean
         before += float(np.sum((whitener @ residual) ** 2))
-        forced = forced_columns(case.regression, fit.log_tau, sign) @ fit.gains
+        forced = forced_columns(case.regression, log_tau, operator.sign) @ gains
         after += float(np.sum((whitener @ (residual - forced)) ** 2))
     return 1.0 - after / before
 

@@ -2,7 +2,8 @@
 
 Order: refuse what cannot identify; fit heat and electric power to what was measured; fit every order to the
 first part of the data and keep the one whose rollouts are best on the rest; fit it to everything; train the modulation
-the same way. All steps are deterministic for a given seed.
+the same way; refuse an operator that explains next to nothing or whose sign is not proven, whatever the method. All
+steps are deterministic for a given seed.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from thermoforce_mpc.identification.regression_data import pair_regression, run_
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -80,12 +82,49 @@ def identify(
     check_steps(histories)
     sign = 1 if mode == "heating" else -1
     heat_input, notes = identified_heat_input(histories, config, sign)
-    if config.method == "two_stage":
-        return two_stage_model(runs, pairs, names, config, heat_input, sign, step_s, source, notes)
     cases = [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
     cases += [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
-    splits = held_out(cases, config)
+    if config.method == "two_stage":
+        model = two_stage_model(runs, pairs, names, config, heat_input, sign, step_s, source, notes)
+    else:
+        model = _joint_model(runs, pairs, names, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes)
+    return _believed(model, cases, mode)
 
+
+def _believed(model: ThermalModel, cases: Sequence[Case], mode: str) -> ThermalModel:
+    """`model`, with the share that its actions explain on its card.
+
+    Raises:
+        DataError: they explain too little to be believed, or their effect has no proven sign.
+    """
+    explained = explained_share(cases, model.operator)
+    if explained < _LEAST_EXPLAINED:
+        raise DataError(
+            f"no effect of the actuator with the sign of {mode} was found in the data: it explains "
+            f"{100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; check "
+            "the sign of u, whether the actuator reached the zone, or probe harder"
+        )
+    prove(model.operator)
+    scores = {**model.card.scores, "explained_by_actuation": explained}
+    return replace(model, card=replace(model.card, scores=scores))
+
+
+def _joint_model(
+    runs: Sequence[Record],
+    pairs: Sequence[Pair],
+    names: Sequence[str],
+    cases: Sequence[Case],
+    config: IdentificationConfig,
+    heat_input: HeatInput,
+    floor_area_m2: float | None,
+    sign: int,
+    step_s: float | None,
+    source: str,
+    notes: Sequence[str],
+) -> ThermalModel:
+    """The joint estimator as a thermal model: order chosen on held-out data, modulation trained where it pays."""
+    histories = [h for case in cases for h in case.histories]
+    splits = held_out(cases, config)
     candidates = {
         order: fit_and_judge(cases, splits, mode_priors(order, config, heat_input, floor_area_m2), config, sign)
         for order in config.orders()
@@ -93,13 +132,6 @@ def identify(
     order = choose_order(candidates)
     priors = candidates[order].priors
     final = fit_joint([c.regression for c in cases], priors, config, sign)
-    explained = explained_share(cases, final, sign)
-    if explained < _LEAST_EXPLAINED:
-        raise DataError(
-            f"no effect of the actuator with the sign of {mode} was found in the data: it explains "
-            f"{100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; check "
-            "the sign of u, whether the actuator reached the zone, or probe harder"
-        )
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
 
@@ -120,15 +152,12 @@ def identify(
     operator = replace(linear(final), feedback=config.feedback)
     scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
-    scores["explained_by_actuation"] = explained
     scores["residual_scale"] = final.residual_scale
     if config.modulation == "neural":
         operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural
     operator = operator.resampled(step_s or base_step)
-    prove(operator)
     certainty = uncertainty(final, operator.step_s)
-    notes += _warnings(certainty)
     return ThermalModel(
         operator=operator,
         power=power_model(histories, config),
@@ -140,7 +169,7 @@ def identify(
             scores=scores,
             uncertainty=certainty,
             config=config.model_dump(mode="json"),
-            notes=tuple(notes),
+            notes=(*notes, *_warnings(certainty)),
         ),
     )
 

@@ -12,7 +12,7 @@ from thermoforce_mpc.identification.cases import Case, held_out, named, normalis
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
-from thermoforce_mpc.identification.modulation import modulate, prove
+from thermoforce_mpc.identification.modulation import modulate
 from thermoforce_mpc.identification.records import Pair, data_hash
 from thermoforce_mpc.identification.regression_data import pair_regression
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
@@ -46,8 +46,6 @@ def two_stage_model(
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     if pairs:
         operator, scores = _train_on_pairs(fit, pairs, histories, config)
-        operator = operator.resampled(step_s)
-        prove(operator)
     return ThermalModel(
         operator=operator.resampled(step_s),
         power=power_model(histories, config),
@@ -68,11 +66,6 @@ def _train_on_pairs(
     fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[Record], config: IdentificationConfig
 ) -> tuple[OperatorParameters, dict[str, float]]:
     """Pole, gain and modulation from pairs, starting from the two stages and held to them by priors of their size."""
-    if fit.g == 0.0:
-        raise DataError(
-            "two-stage: the second stage found no effect of the expected sign, so paired training has nothing to start "
-            "from; check the sign of u, or use method joint"
-        )
     first = fit.operator()
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
     start = JointFit(
