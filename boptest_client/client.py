@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from types import TracebackType
 from typing import Any
 
@@ -69,9 +70,10 @@ class BoptestClient:
 
     def version(self) -> str:
         """Version of the service; different versions give different results for the same test case."""
-        answer = self._mapping("version", self._transport.call("GET", "version", repeatable=True).payload)
+        endpoint = f"GET {self.url}/version"
+        answer = self._mapping(endpoint, self._transport.call("GET", "version", repeatable=True).payload)
         if "version" not in answer:
-            raise ProtocolError(f"GET {self.url}/version", f"no version in {answer!r}")
+            raise ProtocolError(endpoint, f"no version in {answer!r}")
         return str(answer["version"])
 
     def testcases(self) -> tuple[str, ...]:
@@ -84,9 +86,9 @@ class BoptestClient:
 
     def name(self) -> str:
         """Name of the test case as the service tells it."""
-        answer = self._mapping("name", self._get("name"))
+        answer = self._mapping(self._at("name"), self._get("name"))
         if "name" not in answer:
-            raise ProtocolError(f"GET {self.url}/name/{self.testid}", f"no name in {answer!r}")
+            raise ProtocolError(self._at("name"), f"no name in {answer!r}")
         return str(answer["name"])
 
     def status(self) -> str:
@@ -107,7 +109,7 @@ class BoptestClient:
 
     def scenario(self) -> Scenario:
         """The scenario in force."""
-        return Scenario.from_json(self._mapping("scenario", self._get("scenario")))
+        return Scenario.from_json(self._mapping(self._at("scenario"), self._get("scenario")))
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
         """Set the scenario.
@@ -116,15 +118,15 @@ class BoptestClient:
             The first measurements where the scenario names a `time_period`, which initialises the test (7 days of
             warm-up, two scored weeks); otherwise nothing.
         """
-        answer = self._mapping("scenario", self._put("scenario", scenario.as_json()))
+        answer = self._mapping(self._at("scenario"), self._put("scenario", scenario.as_json()))
         if scenario.time_period is None:
             return {}
-        return self._initialized("scenario", self._numbers("scenario", answer.get("time_period")))
+        return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
 
     def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
         """Start at `start_time_s` after `warmup_period_s` of the embedded control; returns the first measurements."""
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
-        return self._initialized("initialize", self._numbers("initialize", self._put("initialize", body)))
+        return self._timed("initialize", self._numbers("initialize", self._put("initialize", body)))
 
     def step(self) -> float:
         """Length of a step, s."""
@@ -132,7 +134,7 @@ class BoptestClient:
         try:
             return float(answer)
         except (TypeError, ValueError) as error:
-            raise ProtocolError(f"GET {self.url}/step/{self.testid}", f"not a number: {answer!r:.120}") from error
+            raise ProtocolError(self._at("step"), f"not a number: {answer!r:.120}") from error
 
     def set_step(self, step_s: float) -> None:
         """Set the length of a step, s."""
@@ -163,15 +165,18 @@ class BoptestClient:
                 continue
             if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
                 _LOG.warning("advance: %s", answer.message)
-            state = self._numbers("advance", answer.payload)
-            self._time_s = state.get("time", self._time_s)
-            return state
+            # Nothing to tell: the scenario is over.
+            over = answer.payload is None or answer.payload == {}
+            return {} if over else self._timed("advance", self._numbers("advance", answer.payload))
         raise AdvanceInterrupted(interrupted.endpoint, f"{interrupted.message}, again and again") from interrupted
 
     def forecast(self, point_names: Sequence[str], horizon_s: float, interval_s: float) -> dict[str, list[float]]:
-        """Forecast of each point and of 'time', from now to `horizon_s` every `interval_s`."""
+        """Forecast of each point and of 'time', which rises, from now to `horizon_s` every `interval_s`."""
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
-        return self._series("forecast", self._put("forecast", body), [*point_names, "time"])
+        series = self._series("forecast", self._put("forecast", body), [*point_names, "time"])
+        if not series["time"] or any(a == b for a, b in pairwise(series["time"])):
+            raise ProtocolError(self._at("forecast"), f"its clock ('time') does not rise: {series['time'][:3]} …")
+        return series
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
         """What was recorded of each point, and 'time', between two times, warm-up included; 30-s samples.
@@ -184,6 +189,8 @@ class BoptestClient:
     def kpi(self) -> dict[str, float | None]:
         """Key performance indicators since the end of the warm-up; None where the test case has none."""
         values = self._numbers("kpi", self._get("kpi"))
+        if not values:
+            raise ProtocolError(self._at("kpi"), "there is no indicator in it")
         return {key: None if math.isnan(value) else value for key, value in values.items()}
 
     def stop(self) -> None:
@@ -247,9 +254,10 @@ class BoptestClient:
                 raise ServiceTimeout(f"GET {self.url}/status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
             time.sleep(min(_POLL_S, timeout_s))
 
-    def _initialized(self, what: str, state: dict[str, float]) -> dict[str, float]:
-        if "time" not in state:
-            raise ProtocolError(f"PUT {self.url}/{what}/{self.testid}", "the first measurements have no time")
+    def _timed(self, what: str, state: dict[str, float]) -> dict[str, float]:
+        """The state that `what` answered, which must say when it is."""
+        if not math.isfinite(state.get("time", math.nan)):
+            raise ProtocolError(self._at(what), "the measurements have no time")
         self._time_s = state["time"]
         return state
 
@@ -279,13 +287,21 @@ class BoptestClient:
         # Setting the same thing twice, or asking twice, changes nothing.
         return self._transport.call("PUT", f"{what}/{self.testid}", body, repeatable=True).payload
 
-    def _points(self, what: str) -> dict[str, Point]:
-        answer = self._mapping(what, self._get(what))
-        return {name: Point.from_json(name, data or {}) for name, data in answer.items() if name != "time"}
+    def _at(self, what: str) -> str:
+        """The endpoint of this test called `what`, for a message."""
+        return f"{self.url}/{what}/{self.testid}"
 
-    def _mapping(self, what: str, answer: Any) -> Mapping[str, Any]:
+    def _points(self, what: str) -> dict[str, Point]:
+        answer = self._mapping(self._at(what), self._get(what))
+        return {
+            name: Point.from_json(name, self._mapping(self._at(what), data or {}))
+            for name, data in answer.items()
+            if name != "time"
+        }
+
+    def _mapping(self, endpoint: str, answer: Any) -> Mapping[str, Any]:
         if not isinstance(answer, Mapping):
-            raise ProtocolError(f"{self.url}/{what}", f"expected names and values, got {answer!r:.120}")
+            raise ProtocolError(endpoint, f"expected names and values, got {answer!r:.120}")
         return answer
 
     def _numbers(self, what: str, answer: Any) -> dict[str, float]:
@@ -293,14 +309,15 @@ class BoptestClient:
         try:
             return {
                 key: math.nan if value is None else float(value)
-                for key, value in self._mapping(what, answer or {}).items()
+                for key, value in self._mapping(self._at(what), answer).items()
             }
         except (TypeError, ValueError) as error:
-            raise ProtocolError(f"{self.url}/{what}/{self.testid}", f"a value is not a number ({error})") from error
+            raise ProtocolError(self._at(what), f"a value is not a number ({error})") from error
 
     def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
-        endpoint = f"PUT {self.url}/{what}/{self.testid}"
-        mapping = self._mapping(what, answer)
+        """Values of `names` at the instants 'time', which never fall; none where nothing is told."""
+        endpoint = f"PUT {self._at(what)}"
+        mapping = self._mapping(endpoint, answer)
         missing = [name for name in names if name not in mapping]
         if missing:
             raise ProtocolError(endpoint, f"no values for {', '.join(missing)}")
@@ -310,6 +327,9 @@ class BoptestClient:
             raise ProtocolError(endpoint, f"a value is not a number ({error})") from error
         if any(len(values) != len(series["time"]) for values in series.values()):
             raise ProtocolError(endpoint, "series differ in length")
+        clock = series["time"]
+        if not (all(map(math.isfinite, clock)) and all(a <= b for a, b in pairwise(clock))):
+            raise ProtocolError(endpoint, "its clock ('time') has gaps or runs back")
         return series
 
 

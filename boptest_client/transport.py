@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import socket
+import threading
 import time
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
 import requests
+from requests.adapters import HTTPAdapter
 
 from boptest_client.errors import (
     BadAddress,
@@ -19,6 +26,7 @@ from boptest_client.errors import (
     RequestRejected,
     ServiceError,
     ServiceTimeout,
+    TransportError,
     UnknownTest,
 )
 
@@ -27,7 +35,11 @@ Method = Literal["GET", "PUT", "POST"]
 
 @dataclass(frozen=True)
 class TransportConfig:
-    """How patient the client is. Times in s; long steps and long warm-ups of a real test case take minutes."""
+    """How patient the client is. Times in s; long steps and long warm-ups of a real test case take minutes.
+
+    `read_timeout_s` bounds a silence, and with `connect_timeout_s` added the whole of a request: a peer that sends a
+    byte now and then is never silent.
+    """
 
     connect_timeout_s: float = 5.0
     read_timeout_s: float = 300.0
@@ -61,7 +73,9 @@ class Transport:
         self.url = url.rstrip("/")
         self.config = config
         self._reached = False
-        self._session = requests.Session()
+        self._session, self._adapter = requests.Session(), _CuttableAdapter()
+        for scheme in ("http://", "https://"):
+            self._session.mount(scheme, self._adapter)
         self._session.headers["User-Agent"] = user_agent
 
     def call(self, method: Method, path: str, body: dict[str, Any] | None = None, *, repeatable: bool) -> Answer:
@@ -94,30 +108,32 @@ class Transport:
 
     def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None) -> Answer:
         c = self.config
-        try:
-            response = self._session.request(
-                method,
-                f"{self.url}/{path}",
-                json=body,
-                timeout=(c.connect_timeout_s, c.read_timeout_s),
-                # Following a redirect would turn a POST into a GET.
-                allow_redirects=False,
-            )
-        except requests.ConnectTimeout as error:
-            raise ConnectError(endpoint, f"no connection within {c.connect_timeout_s:g} s") from error
-        except requests.Timeout as error:
-            raise ServiceTimeout(endpoint, f"no answer within {c.read_timeout_s:g} s") from error
-        except requests.RequestException as error:
-            root = _root(error)
-            if _never_connected(error):
-                raise ConnectError(endpoint, f"cannot be reached ({root}); is the service running there?") from error
-            raise ConnectionLost(endpoint, f"the connection broke ({root})") from error
+        in_all_s = c.connect_timeout_s + c.read_timeout_s
+        late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:g} s")
+        with self._adapter.cut_after(in_all_s) as cut:
+            try:
+                response = self._session.request(
+                    method,
+                    f"{self.url}/{path}",
+                    json=body,
+                    timeout=(c.connect_timeout_s, c.read_timeout_s),
+                    # Following a redirect would turn a POST into a GET.
+                    allow_redirects=False,
+                )
+            except Exception as error:
+                if cut.is_set():  # whatever breaks in the libraries below when their connection does
+                    raise late from error
+                if isinstance(error, requests.RequestException):
+                    raise self._failure(endpoint, error) from error
+                raise
+        if cut.is_set():
+            raise late
         self._reached = True
         if response.is_redirect:
             raise ProtocolError(endpoint, f"the service has moved to {response.headers['Location']}; use that address")
         try:
             content = response.json()
-        except ValueError:
+        except (ValueError, RecursionError):
             content = None
         if response.status_code >= 400:
             raise _service_error(endpoint, response.status_code, _reason(content, response.text))
@@ -129,6 +145,60 @@ class Transport:
         if isinstance(content, dict) and "payload" in content:
             return Answer(content["payload"], str(content.get("message") or ""))
         return Answer(content, "")
+
+    def _failure(self, endpoint: str, error: requests.RequestException) -> TransportError:
+        if isinstance(error, requests.ConnectTimeout):
+            return ConnectError(endpoint, f"no connection within {self.config.connect_timeout_s:g} s")
+        if isinstance(error, requests.Timeout):
+            return ServiceTimeout(endpoint, f"no answer within {self.config.read_timeout_s:g} s")
+        root = _root(error)
+        if _never_connected(error):
+            return ConnectError(endpoint, f"cannot be reached ({root}); is the service running there?")
+        return ConnectionLost(endpoint, f"the connection broke ({root})")
+
+
+class _CuttableAdapter(HTTPAdapter):
+    """Knows its sockets, so that whoever waits on one can be set free: time-outs of sockets count silence alone."""
+
+    def __init__(self) -> None:
+        self._sockets: weakref.WeakSet[socket.socket] = weakref.WeakSet()
+        super().__init__()
+
+    def get_connection_with_tls_context(self, *args: Any, **kwargs: Any) -> Any:
+        pool: Any = super().get_connection_with_tls_context(*args, **kwargs)
+        if "ConnectionCls" not in vars(pool):
+            pool.ConnectionCls = functools.partial(self._connection, pool.ConnectionCls)
+        return pool
+
+    def _connection(self, make: Callable[..., Any], **settings: Any) -> Any:
+        connection = make(**settings)
+        connect = connection.connect
+
+        def connect_and_remember() -> None:
+            connect()
+            self._sockets.add(connection.sock)
+
+        connection.connect = connect_and_remember
+        return connection
+
+    @contextmanager
+    def cut_after(self, seconds: float) -> Iterator[threading.Event]:
+        """Cut all connections after `seconds` unless the block has ended by then; the event tells whether that was."""
+        cut = threading.Event()
+
+        def act() -> None:
+            cut.set()
+            for open_socket in list(self._sockets):
+                with suppress(OSError):
+                    open_socket.shutdown(socket.SHUT_RDWR)
+
+        timer = threading.Timer(seconds, act)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield cut
+        finally:
+            timer.cancel()
 
 
 def _service_error(endpoint: str, status: int, message: str) -> ServiceError:

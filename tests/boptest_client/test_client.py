@@ -152,6 +152,78 @@ def test_a_slow_answer_is_not_asked_for_twice(client, service):
     assert service.count("kpi/") == 1
 
 
+@pytest.mark.parametrize("kind", ["drip", "drip head"])
+def test_an_answer_that_drips_is_given_up_in_time(client, service, kind):
+    """Ten bytes a second are never silent for half a second, and never done."""
+    service.faults.append(Fault("measurements/", kind))
+    began_s = time.monotonic()
+    with pytest.raises(ServiceTimeout, match=r"measurements/.*no complete answer within 1\.5 s"):
+        client.measurements()
+    assert time.monotonic() - began_s < 4.0
+    assert service.count("measurements/") == 1
+    assert client.version() == "0.9.0-test", "the client goes on with a connection of its own"
+
+
+ODD = [None, [], {}, "text", 3, [1, 2], {"time": None}, {"time": "soon"}, {"time": []}, {"reaTZon_y": "text"}]
+
+
+@pytest.mark.parametrize("odd", ODD, ids=repr)
+@pytest.mark.parametrize(
+    ("path", "call"),
+    [
+        ("version", lambda c: c.version()),
+        ("name/", lambda c: c.name()),
+        ("inputs/", lambda c: c.inputs()),
+        ("scenario/", lambda c: c.scenario()),
+        ("scenario/", lambda c: c.set_scenario(Scenario("constant", "peak_heat_day"))),
+        ("initialize/", lambda c: c.initialize(86400, 0)),
+        ("step/", lambda c: c.step()),
+        ("advance/", lambda c: c.advance({})),
+        ("forecast/", lambda c: c.forecast(["TDryBul"], 7200, 3600)),
+        ("results/", lambda c: c.results(["reaPHeaPum_y"], 0, 30)),
+        ("kpi/", lambda c: c.kpi()),
+    ],
+)
+def test_what_is_no_answer_is_an_error_of_this_client_or_nothing(client, service, path, call, odd):
+    service.faults.append(Fault(path, "edited", times=9, edit=lambda payload: odd))
+    with contextlib.suppress(BoptestError):
+        call(client)
+
+
+@pytest.mark.parametrize("odd", [None, [], {}, {"time": None}])
+def test_measurements_without_a_time_are_a_protocol_error(client, service, odd):
+    service.faults.append(Fault("initialize/", "edited", edit=lambda payload: odd))
+    with pytest.raises(ProtocolError, match=r"initialize/.*(time|names and values)"):
+        client.initialize(86400, 0)
+    client.initialize(86400, 0)
+    service.faults.append(Fault("advance/", "edited", edit=lambda payload: payload | {"time": None}))
+    with pytest.raises(ProtocolError, match=r"advance/.*time"):
+        client.advance({})
+
+
+@pytest.mark.parametrize("odd", [None, [], {}])
+def test_kpis_that_are_none_are_a_protocol_error(client, service, odd):
+    service.faults.append(Fault("kpi/", "edited", edit=lambda payload: odd))
+    with pytest.raises(ProtocolError, match="kpi/"):
+        client.kpi()
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda payload: {name: [] for name in payload}, "does not rise"),
+        (lambda payload: payload | {"time": [0.0] * 3}, "does not rise"),
+        (lambda payload: payload | {"time": payload["time"][::-1]}, "runs back"),
+        (lambda payload: payload | {"time": [None] * 3}, "has gaps"),
+        (lambda payload: payload | {"TDryBul": [280.0]}, "differ in length"),
+    ],
+)
+def test_a_forecast_without_a_clock_is_a_protocol_error(client, service, edit, words):
+    service.faults.append(Fault("forecast/", "edited", edit=edit))
+    with pytest.raises(ProtocolError, match=f"forecast/.*{words}"):
+        client.forecast(["TDryBul"], 7200, 3600)
+
+
 @pytest.mark.parametrize("kind", ["drop", "truncated", "slow"])
 def test_a_step_whose_answer_was_lost_is_read_from_the_record_not_repeated(client, service, kind):
     start = client.initialize(86400, 0)

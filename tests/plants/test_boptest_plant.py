@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from boptest_server import Fault, running_service
@@ -178,6 +180,56 @@ def test_a_service_that_fails_is_a_plant_error(plant, service, kind):
     service.faults.append(Fault("advance/", kind, times=9))
     with pytest.raises(PlantError, match="BOPTEST service"):
         plant.advance(0.5, 900)
+
+
+def _cut(payload: dict, n: int) -> dict:
+    return {name: values[:n] for name, values in payload.items()}
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda payload: _cut(payload, 0),
+        lambda payload: _cut(payload, 1),
+        lambda payload: _cut(payload, 5),
+        lambda payload: payload | {"time": [payload["time"][0]] * len(payload["time"])},
+        lambda payload: payload | {"time": [t + 3600.0 for t in payload["time"]]},
+        lambda payload: payload | {"time": [2.0 * t for t in payload["time"]]},
+        lambda payload: {},
+        lambda payload: None,
+    ],
+)
+def test_a_forecast_of_another_shape_or_clock_is_a_plant_error_with_its_endpoint(plant, service, edit):
+    plant.reset(20 * DAY_S, 0)
+    service.faults.append(Fault("forecast/", "edited", edit=edit))
+    with pytest.raises(PlantError, match=r"http://.*/forecast/"):
+        plant.forecast(DAY_S, HOUR_S)
+    assert plant.forecast(DAY_S, HOUR_S).n_steps == 24
+
+
+@pytest.mark.parametrize("path", ["results/", "advance/", "initialize/", "kpi/"])
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda payload: None,
+        lambda payload: [],
+        lambda payload: {name: [] for name in payload},
+        lambda payload: payload | {"time": None},
+        lambda payload: payload | {"time": [payload.get("time", 0.0)] * 31},
+        lambda payload: payload | {"time": [None]},
+    ],
+)
+def test_an_answer_that_makes_no_sense_is_a_plant_error(plant, service, path, edit):
+    plant.reset(20 * DAY_S, HOUR_S)
+    service.faults.append(Fault(path, "edited", times=9, edit=edit))
+    with contextlib.suppress(PlantError):
+        plant.reset(20 * DAY_S, HOUR_S)
+    with contextlib.suppress(PlantError):
+        plant.advance(0.5, 900)
+    with contextlib.suppress(PlantError):
+        plant.past(900)
+    with contextlib.suppress(PlantError):
+        plant.kpis()
 
 
 @pytest.mark.parametrize(("u", "duration"), [(float("nan"), 900), (1.5, 900), (0.5, 0), (0.5, float("inf"))])

@@ -9,7 +9,7 @@ import re
 import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -61,6 +61,7 @@ def unit_of(name: str) -> str | None:
 @functools.cache
 def template() -> EmbeddedPlant:
     plant = EmbeddedPlant(synthetic_weather())
+    plant.reset(3600.0, 3600.0)  # compiled now: later it would cost a client's patience
     # Finding windows takes a simulated year; which ones they are is not tested here.
     days = {"peak_heat_day": 16, "typical_heat_day": 108}
     plant._periods = {name: Period(name, day * DAY_S) for name, day in days.items()}
@@ -79,10 +80,11 @@ class Fault:
     """What goes wrong with the next `times` requests whose path matches `pattern`."""
 
     pattern: str
-    kind: str  # "500", "drop", "truncated", "slow", "garbage", "moved", "gone"
+    kind: str  # "500", "drop", "truncated", "slow", "drip", "drip head", "garbage", "moved", "gone", "edited"
     times: int = 1
     after_work: bool = False  # the request is carried out, only its answer is lost
     seconds: float = 1.0  # how slow
+    edit: Callable[[object], object] = lambda payload: payload  # what is answered instead ("edited")
 
 
 @dataclass
@@ -243,12 +245,20 @@ class Service:
 @contextmanager
 def running_service() -> Iterator[Service]:
     """A service on a free loopback port, until the block ends."""
+    template()
     service = Service()
     lock = threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
         def log_message(self, *args):
             pass
+
+        def _drip(self, content):
+            """Never silent for long, never done."""
+            for i in range(len(content)):
+                self.wfile.write(content[i : i + 1])
+                self.wfile.flush()
+                time.sleep(0.1)
 
         def _serve(self):
             path = self.path.strip("/")
@@ -265,9 +275,11 @@ def running_service() -> Iterator[Service]:
                 if kind == "gone":
                     service.tests.clear()
                 status, answer = 200, None
-                if not fault or fault.after_work or kind in ("slow", "gone"):
+                if not fault or fault.after_work or kind in ("slow", "gone", "drip", "drip head", "edited"):
                     try:
                         payload = service.answer(self.command, path, body)
+                        if kind == "edited":
+                            payload = fault.edit(payload)
                         answer = {"status": status, "message": service.message, "payload": payload}
                     except Bare as bare:
                         status, answer = bare.status, bare.body
@@ -284,12 +296,18 @@ def running_service() -> Iterator[Service]:
             if kind == "moved":
                 status = 301
             try:
+                if kind == "drip head":
+                    self.wfile.write(b"HTTP/1.0 200 OK\r\nX-Slowly: ")
+                    self._drip(b"x" * 10_000)
                 self.send_response(status)
                 self.send_header("Content-Type", "application/json")
                 self.send_header("Content-Length", str(len(text)))
                 if kind == "moved":
                     self.send_header("Location", "https://elsewhere.example/")
                 self.end_headers()
+                if kind == "drip":
+                    self._drip(text.encode())
+                    return
                 self.wfile.write(text.encode()[: len(text) // 2] if kind == "truncated" else text.encode())
                 if kind == "truncated":
                     self.connection.close()

@@ -24,6 +24,7 @@ from boptest_client import (
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
+from thermoforce_mpc.plants.checks import forecast_times
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
@@ -181,8 +182,6 @@ class BoptestPlant:
             points = self._client.advance(actuator.inputs(u))
             if not points:
                 raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
-            if "time" not in points:
-                raise PlantError("the service did not say how far it simulated (no 'time' among the measurements)")
             self._now_s = points["time"]
             if abs(self._now_s - before_s - duration_s) > _CLOCK_TOLERANCE_S:
                 raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")
@@ -199,10 +198,10 @@ class BoptestPlant:
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-            PlantError: the service failed (under forecast uncertainty it refuses horizons beyond 48 h).
+            PlantError: the service failed (under forecast uncertainty it refuses horizons beyond 48 h), or forecasts
+                other instants than those asked for.
         """
-        if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
-            raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
+        instants = forecast_times(self._now_s, horizon_s, interval_s)
         f = self.testcase.forecast
         price = f.price[next(name for name in PRICES if name == self._scenario.electricity_price)]
         names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, f.emission]
@@ -210,6 +209,14 @@ class BoptestPlant:
             # A point may serve twice, as a price that is the same in two tariffs.
             data = self._client.forecast(list(dict.fromkeys(names)), horizon_s, interval_s)
         series = {name: np.array(values) for name, values in data.items()}
+        told = series["time"]
+        if told.size < instants.size or np.abs(told[: instants.size] - instants).max() > _CLOCK_TOLERANCE_S:
+            raise PlantError(
+                f"BOPTEST service: {self._client.url}/forecast/{self._client.testid}: asked for {instants.size} "
+                f"instants every {interval_s:g} s from {instants[0]:g} s to {instants[-1]:g} s, got {told.size} from "
+                f"{told[0]:g} s to {told[-1]:g} s"
+            )
+        series = {name: values[: instants.size] for name, values in series.items()}
         holes = [name for name in names if not np.isfinite(series[name]).all()]
         if holes:
             raise PlantError(f"the service's forecast has no value for some instants of {', '.join(holes)}")
