@@ -18,7 +18,6 @@ from thermoforce_mpc.model.operator import (
     feedback_bounds,
     forced_rollout,
     linear_operator,
-    marginal_effect,
     modulation_slope,
 )
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
@@ -178,9 +177,7 @@ def test_runaway_feedback_ends_in_an_answer():
     assert proof.effect_low_K[0] == -np.inf
 
 
-def test_effects_of_one_action_alone_are_refused():
-    with pytest.raises(DataError, match="difference of two rollouts"):
-        marginal_effect(total(1), np.zeros(4), 5)
+def test_feedback_that_is_no_truth_value_is_refused():
     with pytest.raises(DataError, match="feedback"):
         replace(random_operator(1), feedback="zone")
 

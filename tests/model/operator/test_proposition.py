@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
-from thermoforce_mpc.model.operator import IDENTITY, certificate, forced_rollout, marginal_effect
+from thermoforce_mpc.model.operator import IDENTITY, certificate, forced_rollout
 from thermoforce_mpc.model.operator.certificate import modulation_interval
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
@@ -102,7 +102,7 @@ def test_certificate_contains_every_effect(params, seed):
     assert proof.certified, proof.reasons
     features = random_features(np.random.default_rng(seed), 4)
     for x in features:
-        effect = marginal_effect(params, x, N)
+        effect = params.impulse(N) * params.modulation(x)
         slope_low, slope_high = params.heat_input.slope_bounds()
         for slope in (slope_low, slope_high):
             assert np.all(effect * slope >= np.array(proof.effect_low_K) - 1e-12)
@@ -133,4 +133,6 @@ def test_effect_formula_is_the_rollouts_derivative(sign):
     rng = np.random.default_rng(2)
     features = random_features(rng, N)
     jacobian = _jacobian_by_autodiff(params, np.zeros(3), rng.uniform(0, 1, N), features)
-    np.testing.assert_allclose(jacobian[3:, 3], marginal_effect(params, features[3], N - 3), rtol=1e-9)
+    # Paper eq:marginal; its a^k counts the steps after the action's own step has ended: lag k here is a^(k−1) g m(x_t).
+    effect = params.impulse(N - 3) * params.modulation(features[3])
+    np.testing.assert_allclose(jacobian[3:, 3], effect, rtol=1e-9)

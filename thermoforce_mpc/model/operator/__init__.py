@@ -5,7 +5,7 @@ from thermoforce_mpc.model.operator.features import FEATURES, feature_matrix, ti
 from thermoforce_mpc.model.operator.feedback import FeedbackBounds, feedback_bounds, modulation_slope
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import GAMMA, HIDDEN, OperatorParameters, linear_operator
-from thermoforce_mpc.model.operator.rollout import forced_rollout, marginal_effect
+from thermoforce_mpc.model.operator.rollout import forced_rollout
 
 __all__ = [
     "FEATURES",
@@ -21,7 +21,6 @@ __all__ = [
     "feedback_bounds",
     "forced_rollout",
     "linear_operator",
-    "marginal_effect",
     "modulation_slope",
     "time_of_day",
 ]

@@ -62,19 +62,3 @@ def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) 
         state = params.step(state, u[..., t], features[..., t, :])
         forced[..., t, :] = state
     return forced
-
-
-def marginal_effect(params: OperatorParameters, features: Array, n_steps: int) -> Array:
-    """∂F(t+k)/∂v(t) for k = 1 … `n_steps` at the features x_t (4,), shape (n_steps,), K (paper eq:marginal).
-
-    The paper's a^k counts the steps after the action's own step has ended: lag k here is a^(k−1) g m(x_t).
-
-    Raises:
-        DataError: the modulation sees F, so that the effect depends on the whole plan.
-    """
-    if params.feedback_active:
-        raise DataError(
-            "marginal effect: this operator's modulation sees the predicted temperature, so an action's effect depends "
-            "on the rest of the plan; use the difference of two rollouts, or the bounds of its certificate"
-        )
-    return np.asarray(params.impulse(n_steps) * params.modulation(features))
