@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import threading
 
 import numpy as np
@@ -235,6 +236,32 @@ def test_values_out_of_their_limits_are_clipped_with_a_warning(client, caplog):
         state = client.advance({"oveHeaPumY_u": 1.7, "oveHeaPumY_activate": 1})
     assert state["oveHeaPumY_u"] == 1.0
     assert "1.7 of oveHeaPumY_u is out of its limits 0 to 1" in caplog.text
+
+
+def test_whole_numbers_have_no_decimal_point_as_javascript_writes_them(client):
+    """Everywhere: typed clients decode seconds into integers, and refuse 3600.0."""
+
+    def ask(method, verb, **body):
+        answer = requests.request(method, f"{client.url}/{verb}/{client.testid}", json=body or None, timeout=10)
+        assert answer.ok, answer.text
+        assert not re.search(r"\d\.0+[],} ]", answer.text), answer.text[:500]
+        return answer.json()["payload"]
+
+    assert isinstance(ask("put", "initialize", start_time=86400.0, warmup_period=0.0)["time"], int)
+    assert isinstance(ask("put", "step", step=900.0)["step"], int)
+    assert isinstance(ask("get", "step"), int)
+    state = ask("post", "advance", oveHeaPumY_u=1.0, oveHeaPumY_activate=1.0)
+    assert (state["time"], state["oveHeaPumY_activate"]) == (87300, 1)
+    assert isinstance(state["oveHeaPumY_activate"], int)
+    assert isinstance(state["reaTZon_y"], float)
+    ahead = ask("put", "forecast", point_names=["Occupancy[1]", "TDryBul"], horizon=3600, interval=900)
+    assert all(isinstance(second, int) for second in ahead["time"])
+    assert isinstance(ahead["TDryBul"][1], float)
+    ask("put", "results", point_names=["reaTZon_y", "oveHeaPumY_u", "reaPHeaPum_y"], start_time=0, final_time=1e9)
+    for verb in ("kpi", "inputs", "measurements", "scenario"):
+        ask("get", verb)
+    ask("put", "step", step=7.5)
+    assert ask("get", "step") == 7.5
 
 
 def test_a_scenario_runs_two_weeks_and_ends(client):

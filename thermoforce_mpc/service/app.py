@@ -150,4 +150,18 @@ def _envelope(status: int, message: str, payload: Any) -> Response:
 
 
 def _json(status: int, content: Any) -> Response:
-    return Response(json.dumps(content, allow_nan=False), status, mimetype="application/json")
+    return Response(json.dumps(_whole(content), allow_nan=False), status, mimetype="application/json")
+
+
+def _whole(content: Any) -> Any:
+    """The same with integers for whole numbers: BOPTEST's replies pass through JavaScript, which knows no 3600.0."""
+    if isinstance(content, float):
+        return int(content) if content.is_integer() else content
+    if isinstance(content, dict):
+        return {key: _whole(value) for key, value in content.items()}
+    if isinstance(content, list):
+        # Long series are lists of numbers: no call for each of them.
+        return [
+            (int(item) if item.is_integer() else item) if isinstance(item, float) else _whole(item) for item in content
+        ]
+    return content
