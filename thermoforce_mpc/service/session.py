@@ -18,7 +18,7 @@ from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
 from thermoforce_mpc.data import HOUR_S, Array, Period
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S
+from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S, NEVER_GIVEN
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
 from thermoforce_mpc.service.points import (
     FORECAST_POINTS,
@@ -146,7 +146,7 @@ class Session:
         # A step of less than 30 s leaves a sample as well.
         if (now_s + step_s - self._plant.begin_s) / STEP_S + self._n_steps > _MOST_SAMPLES:
             raise Refusal(400, "This test holds as long a record as it may; initialize it again, or select another.")
-        forced = {name: overwrites[name] for name, on in active.items() if on}
+        forced = {name: overwrites.get(name, NEVER_GIVEN) for name, on in active.items() if on}
         with _refusing():
             self._plant.advance_points(forced, step_s)
         self._overwrites, self._active = overwrites, active
@@ -251,9 +251,6 @@ class Session:
                     f"Value {number:g} of {key} is out of its limits {info.minimum:g} to {info.maximum:g}: "
                     f"{overwrites[name]:g} is used."
                 )
-        for name, on in active.items():
-            if on and name not in overwrites:
-                raise Refusal(400, f"{name}_activate is 1, but no value of {name}_u was ever given.")
         return overwrites, active, notes
 
     def _count_wait(self) -> None:
