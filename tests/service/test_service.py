@@ -249,7 +249,11 @@ def test_values_out_of_their_limits_are_clipped_with_a_warning(client, caplog):
     with caplog.at_level(logging.WARNING):
         state = client.advance({"oveHeaPumY_u": 1.7, "oveHeaPumY_activate": 1})
     assert state["oveHeaPumY_u"] == 1.0
-    assert "1.7 of oveHeaPumY_u is out of its limits 0 to 1" in caplog.text
+    assert "WARNING: value of 1.7 for oveHeaPumY_u is above maximum of 1.0.  Using 1.0. ;" in caplog.text
+    with caplog.at_level(logging.WARNING):
+        client.advance({"oveTSet_u": 20, "oveTSet_activate": 1, "ovePum_u": -1})
+    assert "WARNING: value of 20.0 for oveTSet_u is below minimum of 278.15.  Using 278.15. ;" in caplog.text
+    assert "WARNING: value of -1.0 for ovePum_u is below minimum of 0.0.  Using 0.0. ;" in caplog.text
 
 
 def test_whole_numbers_have_no_decimal_point_as_javascript_writes_them(client):
@@ -292,9 +296,87 @@ def test_a_scenario_runs_two_weeks_and_ends(client):
     assert kpis["pgas_tot"] is None
 
 
+def test_an_initialisation_may_name_its_end(client):
+    def ask(method, verb, **body):
+        answer = requests.request(method, f"{client.url}/{verb}/{client.testid}", json=body, timeout=10).json()
+        return answer["message"], answer["payload"]
+
+    start_s = 20 * DAY_S
+    ask("put", "initialize", start_time=start_s, warmup_period=0, final_time=start_s + 5000)
+    assert ask("post", "advance")[1]["time"] == start_s + 3600
+    assert ask("post", "advance")[1]["time"] == start_s + 5000, "the last step is cut"
+    assert ask("post", "advance") == ("End of test case scenario time period reached.", {})
+    ask("put", "initialize", start_time=start_s, warmup_period=0, final_time=None)
+    for hours in (1, 2):
+        said, state = ask("post", "advance")
+        assert state["time"] == start_s + hours * 3600
+    assert said == f"Advanced simulation successfully from {start_s + 3600:.1f}s to {start_s + 7200:.1f}s."
+
+
+def test_scenario_keys_that_mean_nothing_are_passed_over_and_a_seed_of_zero_is_none(client):
+    def put(**body):
+        answer = requests.put(f"{client.url}/scenario/{client.testid}", json=body, timeout=10)
+        assert answer.ok, answer.text
+        return answer.json()["payload"]
+
+    keys = {"electricity_price", "time_period", "temperature_uncertainty", "solar_uncertainty", "seed"}
+    said = put(electricity_price="dynamic", weather="sunny", seed=0)
+    assert set(said) == keys
+    assert (said["electricity_price"], said["seed"]) == ("dynamic", None)
+    now = requests.get(f"{client.url}/scenario/{client.testid}", timeout=10).json()["payload"]
+    assert set(now) == keys
+    assert put(seed=5.0)["seed"] == 5
+
+
+def test_results_and_forecasts_of_nothing_are_empty(client):
+    def put(verb, **body):
+        answer = requests.put(f"{client.url}/{verb}/{client.testid}", json=body, timeout=10)
+        assert answer.ok, answer.text
+        return answer.json()["payload"]
+
+    client.initialize(20 * DAY_S, 7200)
+    end_s, names = 20 * DAY_S, ["reaTZon_y", "oveFan_activate"]
+    empty = {"time": [], "reaTZon_y": [], "oveFan_activate": []}
+    assert put("results", point_names=names, start_time=end_s - 900, final_time=end_s - 1800) == empty
+    assert put("results", point_names=names, start_time=end_s - 20, final_time=end_s - 10) == empty
+    assert put("results", point_names=[], start_time=0, final_time=end_s) == {}
+    assert put("forecast", point_names=[], horizon=3600, interval=1800) == {"time": [end_s, end_s + 1800, end_s + 3600]}
+
+
+def test_the_version_begins_with_digits_and_says_whose_it_is(url):
+    version = requests.get(f"{url}/version", timeout=10).json()["payload"]["version"]
+    assert re.match(r"\d.\d.\d", version), "as BOPTEST's own test of it"
+    assert "thermoforce-mpc" in version
+
+
+def test_test_cases_have_their_namespace(url):
+    offered = requests.get(f"{url}/testcases/ibpsa", timeout=10).json()
+    assert offered == requests.get(f"{url}/testcases", timeout=10).json() == [{"testcaseid": NAME}]
+    testid = requests.post(f"{url}/testcases/ibpsa/{NAME}/select", timeout=10).json()["testid"]
+    assert requests.get(f"{url}/name/{testid}", timeout=10).json()["payload"] == {"name": NAME}
+    assert requests.put(f"{url}/stop/{testid}", timeout=10).ok
+    for method, path in (
+        ("get", "testcases/resstock"), ("post", f"testcases/resstock/{NAME}/select"),
+        ("post", "testcases/ibpsa/bestest_air/select"),
+    ):  # fmt: skip
+        assert requests.request(method, f"{url}/{path}", timeout=10).status_code == 404
+
+
 def test_kpis_right_after_the_start_are_zero(client):
     client.initialize(20 * DAY_S, 3600)
     assert client.kpi()["ener_tot"] == 0.0
+
+
+def test_the_time_ratio_is_of_each_wait_to_the_step_before_it(client):
+    client.initialize(20 * DAY_S, 0)
+    assert client.kpi()["time_rat"] is None, "nobody has been waited for yet"
+    client.set_step(1)
+    client.advance()
+    threading.Event().wait(0.2)
+    client.advance()
+    assert client.kpi()["time_rat"] >= 0.2
+    client.set_step(3600)
+    assert client.kpi()["time_rat"] >= 0.2
 
 
 def test_forecast_errors_repeat_with_the_seed_and_touch_only_what_they_should(client):
@@ -342,7 +424,9 @@ def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client
         ("put", "scenario", {"time_period": "peak_day"}, 400, "peak_heat_day, typical_heat_day"),
         ("put", "scenario", {"temperature_uncertainty": "huge"}, 400, "none, low, medium, high"),
         ("put", "scenario", {"seed": -1}, 400, "seed"),
-        ("put", "scenario", {"weather": "sunny"}, 400, "Unknown scenario parameter 'weather'"),
+        ("put", "scenario", {"seed": "5"}, 400, "seed"),
+        ("put", "scenario", {"seed": 5.5}, 400, "seed"),
+        ("put", "initialize", {"start_time": 0, "warmup_period": 0, "final_time": "late"}, 400, "final_time"),
         ("post", "advance", {"oveHeaPumX_u": 1}, 400, "Unexpected input 'oveHeaPumX_u'"),
         ("post", "advance", {"oveHeaPumY_u": "full"}, 400, "'full' of oveHeaPumY_u"),
         ("post", "advance", {"oveHeaPumY_u": "nan", "oveHeaPumY_activate": 1}, 400, "finite"),
@@ -353,6 +437,8 @@ def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client
         ("put", "forecast", {"horizon": 3600, "interval": 3600}, 400, "point_names"),
         ("put", "results", {"point_names": ["reaTZon_z"], "start_time": 0, "final_time": 1}, 400, "reaTZon_z"),
         ("put", "results", {"point_names": ["reaTZon_y"], "start_time": 9e6, "final_time": 9.1e6}, 500, "recorded"),
+        ("put", "results", {"point_names": ["reaTZon_y"], "start_time": -9, "final_time": -1}, 500, "recorded"),
+        ("put", "results", {"start_time": 0, "final_time": 1}, 400, "point_names"),
         ("post", "step", {}, 405, "use GET or PUT"),
         ("get", "reset", {}, 404, "no such endpoint"),
     ],

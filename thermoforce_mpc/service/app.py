@@ -18,6 +18,8 @@ from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 from thermoforce_mpc.version import VERSION
 
 TESTCASE = "bestest_hydronic_heat_pump"
+# Of BOPTEST's own test cases; the service of BOPTEST holds others under other names.
+NAMESPACE = "ibpsa"
 
 _Endpoint = Callable[[Session, Mapping[str, Any]], Reply]
 _ENDPOINTS: dict[tuple[str, str], _Endpoint] = {
@@ -55,14 +57,17 @@ def create_app(
 
     @app.get("/version")
     def version() -> Response:
-        return _envelope(200, "The version of this service.", {"version": f"thermoforce-mpc {VERSION}"})
+        return _envelope(200, "The version of this service.", {"version": f"{VERSION}+thermoforce-mpc"})
 
     @app.get("/testcases")
+    @app.get(f"/testcases/{NAMESPACE}")
     def testcases() -> Response:
         return _json(200, [{"testcaseid": TESTCASE}])
 
     @app.post("/testcases/<name>/select")
     @app.post("/testcases/<name>/select-async")
+    @app.post(f"/testcases/{NAMESPACE}/<name>/select")
+    @app.post(f"/testcases/{NAMESPACE}/<name>/select-async")
     def select(name: str) -> Response:
         if name != TESTCASE:
             return _envelope(404, f"No test case {name!r}; this service offers {TESTCASE}.", None)

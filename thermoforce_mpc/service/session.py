@@ -64,7 +64,7 @@ class Session:
         self._active: dict[str, bool] = {}
         self._switches: list[tuple[float, Mapping[str, bool]]] = []
         self._n_steps = 0
-        self._waits_s: list[float] = []
+        self._waits: list[float] = []
         self._answered_s: float | None = None
 
     def inputs(self) -> Reply:
@@ -92,10 +92,11 @@ class Session:
         return Reply("The control step was set.", {"step": step_s})
 
     def initialize(self, body: Mapping[str, Any]) -> Reply:
-        """Start at `start_time` after `warmup_period` of native control."""
+        """Start at `start_time` after `warmup_period` of native control; with `final_time` it ends there."""
         start_s = _number(body, "start_time", low=0.0)
         warmup_s = _number(body, "warmup_period", low=0.0)
-        return self._start(start_s, warmup_s, math.inf)
+        final_s = _number(body, "final_time") if body.get("final_time") else math.inf
+        return self._start(start_s, warmup_s, final_s)
 
     def scenario(self) -> Reply:
         """The scenario in force."""
@@ -104,11 +105,8 @@ class Session:
     def set_scenario(self, body: Mapping[str, Any]) -> Reply:
         """Change the scenario; a `time_period` initialises the test.
 
-        Price and time period stay as they are when not named; uncertainties and seed do not.
+        Price and time period stay as they are when not named; uncertainties and seed do not. Other keys mean nothing.
         """
-        unknown = [name for name in body if name not in self._scenario]
-        if unknown:
-            raise Refusal(400, f"Unknown scenario parameter {unknown[0]!r}; known: {', '.join(self._scenario)}.")
         price = body.get("electricity_price")
         if price and price not in self._plant.tariff_names:
             raise Refusal(
@@ -141,7 +139,7 @@ class Session:
         overwrites, active, notes = self._read_inputs(body)
         now_s = self._plant.now_s
         if self._end_s - now_s < LEAST_STEP_S:
-            return Reply("End of test case scenario: its time period is over.", {})
+            return Reply("End of test case scenario time period reached.", {})
         step_s = min(self._step_s, self._end_s - now_s)
         # A step of less than 30 s leaves a sample as well.
         if (now_s + step_s - self._plant.begin_s) / STEP_S + self._n_steps > _MOST_SAMPLES:
@@ -154,8 +152,8 @@ class Session:
         if not self._switches or self._switches[-1][1] != active:
             self._switches.append((now_s, active))
         self._answered_s = time.monotonic()
-        message = f"Advanced simulation from {now_s:g} s to {self._plant.now_s:g} s."
-        return Reply(" ".join(notes) or message, self._state())
+        message = f"Advanced simulation successfully from {now_s}s to {self._plant.now_s}s."
+        return Reply("".join(f"{note};" for note in reversed(notes)) or message, self._state())
 
     def forecast(self, body: Mapping[str, Any]) -> Reply:
         """Forecast of `point_names` from now to `horizon` every `interval`."""
@@ -178,14 +176,13 @@ class Session:
         names = _names(body, {**MEASUREMENT_POINTS, **INPUTS}, "inputs and measurements")
         start_s = _number(body, "start_time", finite=False)
         final_s = _number(body, "final_time", finite=False)
-        first_s, last_s = max(start_s, self._plant.begin_s), min(final_s, self._plant.now_s)
-        if first_s > last_s:
+        if start_s > self._plant.now_s or final_s < self._plant.begin_s:
             raise Refusal(
                 500,
                 f"Nothing is recorded between {start_s:g} s and {final_s:g} s: "
                 f"the record of this test goes from {self._plant.begin_s:g} s to {self._plant.now_s:g} s.",
             )
-        return Reply("The results.", _lists(self._recorded(names, first_s, last_s)))
+        return Reply("The results.", _lists(self._recorded(names, start_s, final_s)) if names else {})
 
     def kpi(self) -> Reply:
         """Key performance indicators since the end of the warm-up."""
@@ -194,9 +191,9 @@ class Session:
         else:
             names = ("cost_tot", "emis_tot", "ener_tot", "idis_tot", "pele_tot", "tdis_tot")
             kpis = dict.fromkeys(names, 0.0)
-        wait_s = float(np.mean(self._waits_s)) if self._waits_s else 0.0
+        wait = float(np.mean(self._waits)) if self._waits else None
         # A house with electricity only: no gas, no district heat.
-        extra = {"pgas_tot": None, "pdih_tot": None, "time_rat": wait_s / self._step_s}
+        extra = {"pgas_tot": None, "pdih_tot": None, "time_rat": wait}
         return Reply("The key performance indicators.", dict(sorted((kpis | extra).items())))
 
     def _start(self, start_s: float, warmup_s: float, end_s: float) -> Reply:
@@ -204,7 +201,7 @@ class Session:
             self._plant.reset(start_s, warmup_s, self._scenario["electricity_price"])
         self._start_s, self._end_s = start_s, end_s
         self._overwrites, self._active, self._switches = {}, {}, []
-        self._n_steps, self._waits_s, self._answered_s = 0, [], None
+        self._n_steps, self._waits, self._answered_s = 0, [], None
         return Reply(f"The test was initialized to {start_s:g} s.", self._state())
 
     def _surround(self) -> None:
@@ -247,16 +244,17 @@ class Session:
             info = INPUTS[key]
             overwrites[name] = min(max(number, info.minimum or 0.0), info.maximum or 0.0)
             if overwrites[name] != number:
+                # In the service's own words: clients look for them.
+                side = "above maximum" if number > overwrites[name] else "below minimum"
                 notes.append(
-                    f"Value {number:g} of {key} is out of its limits {info.minimum:g} to {info.maximum:g}: "
-                    f"{overwrites[name]:g} is used."
+                    f"WARNING: value of {number} for {key} is {side} of {overwrites[name]}.  Using {overwrites[name]}. "
                 )
         return overwrites, active, notes
 
     def _count_wait(self) -> None:
-        """Time the client took between two steps: the numerator of `time_rat`."""
+        """Time the client took between two steps, over the length of a step: their mean is `time_rat`."""
         if self._answered_s is not None:
-            self._waits_s.append(time.monotonic() - self._answered_s)
+            self._waits.append((time.monotonic() - self._answered_s) / self._step_s)
 
 
 @contextmanager
@@ -295,22 +293,19 @@ def _switch(key: str, value: Any) -> bool:
 
 
 def _seed(value: Any) -> int | None:
-    if value is None or value == "":
+    """The seed; nothing, '' and 0 mean none. Text is refused, as by the service, a whole number such as 5.0 is not."""
+    if not value:
         return None
-    try:
-        seed = int(str(value))
-    except ValueError:
-        seed = -1
-    if seed < 0:
+    if not isinstance(value, int | float) or value < 0 or value != value // 1:
         raise Refusal(400, f"Invalid seed {value!r}: expected a nonnegative integer.")
-    return seed
+    return int(value)
 
 
 def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list[str]:
     names = body.get("point_names")
     if isinstance(names, str):
         names = [names]
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise Refusal(400, f"Invalid point_names {names!r}: expected a list of names of {what}.")
     # Time comes with every answer, asked for or not.
     names = [name for name in names if name != "time"]
