@@ -23,6 +23,7 @@ class UnknownTestid(Exception):
 class _Entry:
     session: Session
     used_s: float
+    asking: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -67,12 +68,16 @@ class Sessions:
         with self._lock:
             self._drop_idle()
             entry = self._entries.get(testid)
-        if entry is None:
-            raise UnknownTestid(testid)
-        with entry.lock:
-            try:
+            if entry is None:
+                raise UnknownTestid(testid)
+            # From here on it is not idle, though the request may still wait for another one.
+            entry.asking += 1
+        try:
+            with entry.lock:
                 yield entry.session
-            finally:
+        finally:
+            with self._lock:
+                entry.asking -= 1
                 entry.used_s = time.monotonic()
 
     def _new_entry(self) -> _Entry:
@@ -83,5 +88,5 @@ class Sessions:
     def _drop_idle(self) -> None:
         until_s = time.monotonic() - self._idle_s
         for testid, entry in list(self._entries.items()):
-            if testid != _LONE and entry.used_s < until_s and not entry.lock.locked():
+            if testid != _LONE and entry.used_s < until_s and not entry.asking:
                 del self._entries[testid]
