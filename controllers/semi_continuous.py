@@ -42,8 +42,8 @@ class SemiContinuousSolver:
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: SemiContinuousConfig, qp: QPConfig):
         if shape.n_steps < 2:
             raise ControllerConfigError(
-                "solver semi_continuous: it tries levels in the first step and plans the rest of the horizon, which is a"
-                " single step here; give a longer controller.options.horizon_h, or solver: ipopt"
+                "solver semi_continuous: it tries levels in the first step and plans the rest of the horizon, which is "
+                "a single step here; give a longer controller.options.horizon_h, or solver: ipopt"
             )
         self.operator, self.shape = operator, shape
         self._levels = np.concatenate([[0.0], np.linspace(shape.lowest_level, shape.u_max, config.n_levels)])

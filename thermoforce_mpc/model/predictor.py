@@ -185,80 +185,11 @@ class Predictor:
             state=PredictorState(followed, free_state),
         )
 
-
-def forced_history(operator: OperatorParameters, history: Record, *, initial_force: InitialForce = "steady") -> Array:
-    """Forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
-
-    The free temperature that the modulation sees is T − F as it unfolds; a silent sensor's last value holds. Where the
-    operator is driven by heat and the heat was measured, the measured heat drives it: it is what entered the building,
-    whoever was in control.
-
-    Raises:
-        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
-    """
-    n = history.n_steps
-    if n == 0:
-        return np.zeros((1, operator.order))
-    operator = operator.resampled(history.step_s)
-    heat = heat_drive(operator, history, 0, n)
-    T_zone = _held(history.T_zone_C)
-    features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
-    forced = np.empty((n + 1, operator.order))
-    forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
-    if not operator.output_weight.any():  # the modulation sees nothing: all steps at once
-        drive = operator.modulation(features[0]) * heat
-        for i, (a, g) in enumerate(zip(operator.poles, operator.gains, strict=True)):
-            forced[1:, i] = lfilter([g], [1.0, -a], drive, zi=[a * forced[0, i]])[0]
-        return forced
-    for t in range(n):
-        features[t, 0] = T_zone[t] - forced[t].sum()
-        forced[t + 1] = operator.advance(forced[t], heat[t], features[t])
-    return forced
-
-
-def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: int) -> Array:
-    """v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,): from measured heat where there is any.
-
-    Raises:
-        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
-    """
-    steps = slice(start, stop)
-    heat_W, u = history.heat_W[steps], history.u[steps]
-    T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
-    measured = np.isfinite(heat_W) & (operator.heat_input.heat is not None)
-    u = np.where(measured & ~np.isfinite(u), 0.0, u)  # not needed there
-    for name, values in (("u", u), ("T_out_C", T_out), ("solar_W_m2", solar)):
-        gaps = np.flatnonzero(~np.isfinite(values))
-        if gaps.size:
-            raise DataError(
-                f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
-                "fill it first"
-            )
-    # Averaging blocks of full level over a step rounds to a hair beyond 1.
-    outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
-    if outside.size:
-        raise DataError(f"history: u is {u[outside[0]]:g} at step {start + outside[0]}, expected values in [0, 1]")
-    heat = operator.heat_input(np.clip(u, 0.0, 1.0), T_out[:-1])
-    return np.where(measured, operator.sign * heat_W / operator.heat_input.reference_W, heat)
-
-
-def _steady_start(operator: OperatorParameters, heat: Array, features: Array) -> Array:
-    """Forced state that the first day's mean drive would hold for ever, shape (r,), K."""
-    day = max(1, min(heat.size, round(DAY_S / operator.step_s)))
-    heat, features = heat[:day], features[:day].copy()
-    T_zone = features[:, 0].copy()
-    forced = operator.steady_gains_K * heat.mean()
-    for _ in range(_START_ROUNDS):
-        features[:, 0] = T_zone - forced.sum()
-        forced = operator.steady_gains_K * np.mean(operator.modulation(operator.seen(features, forced)) * heat)
-    return np.asarray(forced)
-
-
-def _held(values: Array) -> Array:
-    """`values` with each gap filled by the last finite value before it (the first one after, at the start)."""
-    finite = np.isfinite(values)
-    if not finite.any():
-        return np.zeros_like(values)
-    index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
-    index = np.where(index < 0, np.flatnonzero(finite)[0], index)
-    return np.asarray(values[index])
+    def _checked_estimate(self, estimate: object, history: Record) -> ForcedState:
+        """An estimate that fits `history` and is finite; raises `DataError` for any other."""
+        if not isinstance(estimate, ForcedState):
+            raise DataError(f"the forced state's estimator gave a {type(estimate).__name__}, expected a ForcedState")
+        expected = (history.time_s.size, self._model.operator.order)
+        if estimate.forced_K.shape != expected or not np.isfinite(estimate.forced_K).all():
+            raise DataError(f"the estimated forced state {estimate.forced_K.shape} is not {expected} finite values")
+        return estimate

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import IO, Any
 
 from flask import Flask, Request, Response, request
 from werkzeug.exceptions import HTTPException
@@ -21,6 +22,7 @@ TESTCASE = "bestest_hydronic_heat_pump"
 # Of BOPTEST's own test cases; the service of BOPTEST holds others under other names.
 NAMESPACE = "ibpsa"
 
+_FORMS = ("multipart/form-data", "application/x-www-form-urlencoded")
 _Endpoint = Callable[[Session, Mapping[str, Any]], Reply]
 _ENDPOINTS: dict[tuple[str, str], _Endpoint] = {
     ("GET", "name"): lambda s, _: Reply("The name of the test case.", {"name": TESTCASE}),
@@ -75,8 +77,8 @@ def create_app(
 
     @app.get("/status/<testid>")
     def status(testid: str) -> Response:
-        with sessions.using(testid):
-            return _json(200, "Running")
+        sessions.check(testid)
+        return _json(200, "Running")
 
     @app.put("/stop/<testid>")
     def stop(testid: str) -> Response:
@@ -136,11 +138,11 @@ class _Windows:
 
 def _body(request: Request) -> dict[str, Any]:
     """The request's values: a JSON object, or a form as older clients send it."""
-    if request.form:
-        return {key: values if len(values) > 1 else values[0] for key, values in request.form.lists()}
     text = request.get_data()
     if not text.strip():
         return {}
+    if request.mimetype in _FORMS:
+        return _form(request, text)
     try:
         body = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -148,6 +150,23 @@ def _body(request: Request) -> dict[str, Any]:
     if not isinstance(body, dict):
         raise Refusal(400, f"The body is a JSON {type(body).__name__}; expected an object.")
     return body
+
+
+def _form(request: Request, text: bytes) -> dict[str, Any]:
+    """The fields of a form. By itself the framework takes a broken one for an empty one."""
+    parser = request.make_form_data_parser()
+    parser.silent, parser.stream_factory = False, _no_file
+    try:
+        _, fields, _files = parser.parse(io.BytesIO(text), request.mimetype, len(text), request.mimetype_params)
+    except ValueError as error:
+        raise Refusal(400, f"The body is not the form ({request.mimetype}) it says it is: {error}.") from error
+    if not fields:
+        raise Refusal(400, f"The body is a form ({request.mimetype}) without a field.")
+    return {key: values if len(values) > 1 else values[0] for key, values in fields.lists()}
+
+
+def _no_file(*_: Any, **__: Any) -> IO[bytes]:
+    raise ValueError("a file is no value")
 
 
 def _envelope(status: int, message: str, payload: Any) -> Response:

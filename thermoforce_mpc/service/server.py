@@ -9,17 +9,19 @@ import socket
 from collections.abc import Callable
 
 import numpy as np
-from waitress.server import BaseWSGIServer, create_server  # type: ignore[import-untyped]
 
 from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.app import create_app
+from thermoforce_mpc.service.connections import Server, serve_on
+from thermoforce_mpc.service.sessions import MOST_ASKING
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
 _MOST_BYTES = 1_000_000
+_FREE_THREADS = 4
 
 
 def build_server(
@@ -30,8 +32,7 @@ def build_server(
     highly_dynamic: Tariff | None = None,
     most_tests: int = 8,
     idle_s: float = 900.0,
-    threads: int = 4,
-) -> BaseWSGIServer:
+) -> Server:
     """Bind the service; `run()` of what is returned serves until `close()`.
 
     Args:
@@ -41,7 +42,6 @@ def build_server(
         highly_dynamic: tariff of that name; by default a synthetic one.
         most_tests: how many tests may run at a time.
         idle_s: after how long a test that is asked nothing is dropped, s.
-        threads: how many requests are answered at a time.
 
     Raises:
         ConfigError: a number out of its range.
@@ -49,8 +49,8 @@ def build_server(
     """
     if not 0 <= port <= 65535:
         raise ConfigError(f"port {port}: expected 0 to 65535")
-    if most_tests < 1 or threads < 1 or not idle_s > 0:
-        raise ConfigError("most_tests, threads and idle_s must be positive")
+    if most_tests < 1 or not idle_s > 0:
+        raise ConfigError("most_tests and idle_s must be positive")
     # Bound here, since waitress leaves its own socket open when that fails.
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
@@ -60,7 +60,9 @@ def build_server(
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
         raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose another address or port") from error
     app = create_app(_plants(weather, highly_dynamic), most_tests=most_tests, idle_s=idle_s, most_bytes=_MOST_BYTES)
-    return create_server(app, sockets=[listening], threads=threads, max_request_body_size=_MOST_BYTES, ident=None)
+    # One test simulates for long, others ask the same test and wait: with a thread for each, some are always free.
+    threads = most_tests * MOST_ASKING + _FREE_THREADS
+    return serve_on(listening, app, threads=threads, most_bytes=_MOST_BYTES)
 
 
 def serve(
@@ -86,7 +88,7 @@ def serve(
         server.close()
 
 
-def effective_port(server: BaseWSGIServer) -> int:
+def effective_port(server: Server) -> int:
     """The port a server listens on."""
     return int(server.effective_port)
 

@@ -273,6 +273,8 @@ def _number(
         raise Refusal(400, f"Missing parameter {key}.")
     try:
         value = float(body[key])
+    except OverflowError:
+        raise Refusal(400, f"Invalid value of {key}: an integer of that many digits is too large.") from None
     except (TypeError, ValueError):
         raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a number.") from None
     if math.isnan(value) or (finite and math.isinf(value)):

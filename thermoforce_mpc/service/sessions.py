@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.session import Session
 
+# As many requests of one test are taken at a time; the others wait for the first.
+MOST_ASKING = 2
 _LONE = "the one test of clients that know no test ids"
 
 
@@ -33,6 +35,8 @@ class Sessions:
     def __init__(self, make: Callable[[], Session], *, most: int, idle_s: float) -> None:
         self._make, self._most, self._idle_s = make, most, idle_s
         self._entries: dict[str, _Entry] = {}
+        # Stopped while they were still simulating, which nothing can cut short.
+        self._ending: list[_Entry] = []
         self._lock = threading.Lock()
 
     def select(self) -> str:
@@ -58,18 +62,21 @@ class Sessions:
     def stop(self, testid: str) -> None:
         """End a test. Raises `UnknownTestid`."""
         with self._lock:
-            self._drop_idle()
-            if self._entries.pop(testid, None) is None:
-                raise UnknownTestid(testid)
+            self._ending.append(self._entry(testid))
+            del self._entries[testid]
+
+    def check(self, testid: str) -> None:
+        """Say that the test exists, without waiting for it. Raises `UnknownTestid`."""
+        with self._lock:
+            self._entry(testid).used_s = time.monotonic()
 
     @contextmanager
     def using(self, testid: str) -> Iterator[Session]:
-        """The test, for one request at a time. Raises `UnknownTestid`."""
+        """The test, for one request at a time. Raises `UnknownTestid`, or `Refusal` (503) when too many wait for it."""
         with self._lock:
-            self._drop_idle()
-            entry = self._entries.get(testid)
-            if entry is None:
-                raise UnknownTestid(testid)
+            entry = self._entry(testid)
+            if entry.asking >= MOST_ASKING:
+                raise Refusal(503, "This test is busy: an earlier request is still being answered; ask again later.")
             # From here on it is not idle, though the request may still wait for another one.
             entry.asking += 1
         try:
@@ -80,8 +87,15 @@ class Sessions:
                 entry.asking -= 1
                 entry.used_s = time.monotonic()
 
+    def _entry(self, testid: str) -> _Entry:
+        self._drop_idle()
+        if testid not in self._entries:
+            raise UnknownTestid(testid)
+        return self._entries[testid]
+
     def _new_entry(self) -> _Entry:
-        if len(self._entries) >= self._most:
+        self._ending = [entry for entry in self._ending if entry.asking]
+        if len(self._entries) + len(self._ending) >= self._most:
             raise Refusal(503, f"All {self._most} tests of this service are in use; stop one, or try again later.")
         return _Entry(self._make(), time.monotonic())
 
