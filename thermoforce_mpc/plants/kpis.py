@@ -6,7 +6,7 @@ trapezoidal rule, per square metre of floor, peak as the highest mean over 15 mi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 
 _J_PER_KWH = 3.6e6
-_PEAK_WINDOW_S = 900.0
+PEAK_WINDOW_S = 900.0
 # The peak KPI of each energy carrier that has one, by BOPTEST's names.
 PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPower": "pdih_tot"}
 
@@ -130,10 +130,47 @@ def compute_kpis(
     )
 
 
+@dataclass(frozen=True)
+class CountedKpis:
+    """KPIs of a record that grows, of which the samples up to `until_s` need not be read again.
+
+    `until_s` lies whole windows of the peak after the first sample; `kpis` are those of the samples up to it, None
+    while there is no such window. Integrals of two parts that share a sample add up; the peak is the higher one.
+    """
+
+    until_s: float
+    kpis: Mapping[str, float] | None = None
+
+    def counting(self, edge_s: float, between: Callable[[float, float], dict[str, float]]) -> CountedKpis:
+        """The same up to `edge_s`, the time of a sample that lies whole windows after `until_s`.
+
+        `between(i, j)` are the KPIs of the samples from time i to time j, both included, j > i.
+        """
+        if edge_s == self.until_s:
+            return self
+        return CountedKpis(edge_s, self._and(between(self.until_s, edge_s), of_whole_windows=True))
+
+    def up_to(self, now_s: float, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
+        """KPIs of all samples up to `now_s`."""
+        if now_s == self.until_s:
+            return dict(self.kpis or {})
+        # A window that has just begun has no mean yet.
+        whole = now_s - self.until_s >= PEAK_WINDOW_S
+        return self._and(between(self.until_s, now_s), of_whole_windows=whole)
+
+    def _and(self, later: dict[str, float], *, of_whole_windows: bool) -> dict[str, float]:
+        if self.kpis is None:
+            return later
+        together = {name: value + later[name] for name, value in self.kpis.items()}
+        for name in set(PEAKS.values()) & set(together):
+            together[name] = max(self.kpis[name], later[name]) if of_whole_windows else self.kpis[name]
+        return together
+
+
 def peak_power(time_s: Array, power_W: Array) -> float:
     """Highest mean over consecutive 15-minute windows from the first sample, W (the whole span when shorter)."""
     energy_J = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (power_W[1:] + power_W[:-1]) / 2)])
-    edges = np.arange(time_s[0], time_s[-1] + 1e-6, _PEAK_WINDOW_S)
+    edges = np.arange(time_s[0], time_s[-1] + 1e-6, PEAK_WINDOW_S)
     if edges.size < 2:
         edges = np.array([time_s[0], time_s[-1]])
     at_edges = np.interp(edges, time_s, energy_J)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -62,9 +63,11 @@ class Session:
         }
         self._overwrites: dict[str, float] = {}
         self._active: dict[str, bool] = {}
-        self._switches: list[tuple[float, Mapping[str, bool]]] = []
+        # Which inputs were overwritten, and since when: one entry where that changed.
+        self._switched_s: list[float] = []
+        self._switches: list[Mapping[str, bool]] = []
         self._n_steps = 0
-        self._waits: list[float] = []
+        self._waited, self._n_waits = 0.0, 0
         self._answered_s: float | None = None
 
     def inputs(self) -> Reply:
@@ -149,8 +152,9 @@ class Session:
             self._plant.advance_points(forced, step_s)
         self._overwrites, self._active = overwrites, active
         self._n_steps += 1
-        if not self._switches or self._switches[-1][1] != active:
-            self._switches.append((now_s, active))
+        if not self._switches or self._switches[-1] != active:
+            self._switched_s.append(now_s)
+            self._switches.append(active)
         self._answered_s = time.monotonic()
         message = f"Advanced simulation successfully from {now_s}s to {self._plant.now_s}s."
         return Reply("".join(f"{note};" for note in reversed(notes)) or message, self._state())
@@ -191,7 +195,7 @@ class Session:
         else:
             names = ("cost_tot", "emis_tot", "ener_tot", "idis_tot", "pele_tot", "tdis_tot")
             kpis = dict.fromkeys(names, 0.0)
-        wait = float(np.mean(self._waits)) if self._waits else None
+        wait = self._waited / self._n_waits if self._n_waits else None
         # A house with electricity only: no gas, no district heat.
         extra = {"pgas_tot": None, "pdih_tot": None, "time_rat": wait}
         return Reply("The key performance indicators.", dict(sorted((kpis | extra).items())))
@@ -200,8 +204,8 @@ class Session:
         with _refusing():
             self._plant.reset(start_s, warmup_s, self._scenario["electricity_price"])
         self._start_s, self._end_s = start_s, end_s
-        self._overwrites, self._active, self._switches = {}, {}, []
-        self._n_steps, self._waits, self._answered_s = 0, [], None
+        self._overwrites, self._active, self._switched_s, self._switches = {}, {}, [], []
+        self._n_steps, self._waited, self._n_waits, self._answered_s = 0, 0.0, 0, None
         return Reply(f"The test was initialized to {start_s:g} s.", self._state())
 
     def _surround(self) -> None:
@@ -222,11 +226,14 @@ class Session:
         record = self._plant.recorded(start_s, final_s)
         _check_size(len(names), record["time"].size)
         series = recorded_points(self._plant, [name for name in names if name not in switches], record)
-        # A sample belongs to the step that ends there or later; nothing was overwritten before the first.
-        step = np.searchsorted([from_s for from_s, _ in self._switches], series["time"])
+        # A sample belongs to the step that ends there or later; nothing was overwritten before the first. Only what
+        # was in force in the time asked for is looked at.
+        first, last = bisect_left(self._switched_s, start_s), bisect_left(self._switched_s, final_s)
+        in_force = [{} if first == 0 else self._switches[first - 1], *self._switches[first:last]]
+        step = np.searchsorted(self._switched_s[first:last], series["time"])
         for key in switches:
             name = key.removesuffix("_activate")
-            series[key] = np.array([0.0] + [float(active.get(name, False)) for _, active in self._switches])[step]
+            series[key] = np.array([float(active.get(name, False)) for active in in_force])[step]
         return {name: series[name] for name in [*names, "time"]}
 
     def _read_inputs(self, body: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, bool], list[str]]:
@@ -254,7 +261,8 @@ class Session:
     def _count_wait(self) -> None:
         """Time the client took between two steps, over the length of a step: their mean is `time_rat`."""
         if self._answered_s is not None:
-            self._waits.append((time.monotonic() - self._answered_s) / self._step_s)
+            self._waited += (time.monotonic() - self._answered_s) / self._step_s
+            self._n_waits += 1
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from thermoforce_mpc.plants.checks import check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.plants.kpis import compute_kpis
+from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, compute_kpis
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.version import VERSION
 
@@ -152,6 +152,7 @@ class EmbeddedPlant:
         self._record: list[Array] = []
         self._times: list[Array] = []
         self._first = self._sample()
+        self._counted: dict[str, CountedKpis] = {}
         if self._start_s > self._now_s:
             self._advance({}, self._start_s - self._now_s)
         return self._measurement(np.empty((0, len(kernel.RECORD))))
@@ -233,21 +234,41 @@ class EmbeddedPlant:
         )
 
     def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs since the end of the warm-up (no computing time: that is the loop's to know)."""
-        rows = np.vstack([self._first, *self._record])
-        time_s = np.concatenate([[self._begin_s], *self._times])
-        scored = time_s >= self._start_s - _CLOCK_S
-        time_s, rows = time_s[scored], rows[scored]
-        if time_s.size < 2:  # nothing has been simulated since: BOPTEST answers zeros
+        """BOPTEST's KPIs since the end of the warm-up (no computing time: that is the loop's to know).
+
+        Samples are read once for each tariff, however often this is asked, but for those of the windows of the peak
+        that are not over, or whose end lies between two samples.
+        """
+        if self._now_s - self._start_s < _CLOCK_S:  # nothing has been simulated since: BOPTEST answers zeros
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
+        counted = self._counted.get(self._price, CountedKpis(self._start_s))
+        counted = counted.counting(self._latest_edge(counted.until_s), self._kpis_between)
+        self._counted[self._price] = counted
+        return counted.up_to(self._now_s, self._kpis_between)
+
+    def _latest_edge(self, since_s: float) -> float:
+        """Latest sample after `since_s` that ends a window of the peak; `since_s` where there is none, s."""
+        for time_s in reversed(self._times):
+            into_s = (time_s - self._start_s + _CLOCK_S) % PEAK_WINDOW_S
+            found = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > since_s + _CLOCK_S))
+            if found.size:
+                return float(time_s[found[-1]])
+            if time_s[0] <= since_s + _CLOCK_S:
+                break
+        return since_s
+
+    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+        """KPIs of the samples between two times, both included."""
+        record = self.recorded(start_s, final_s)
+        time_s = record["time"]
         lower, upper = schedule.bounds_C(time_s)
         return compute_kpis(
             time_s,
-            power_W=_total_power(rows),
-            T_operative_C=rows[:, _COLUMN["T_operative"]] - _KELVIN,
+            power_W=record["P_heat_pump"] + record["P_fan"] + record["P_pump"],
+            T_operative_C=record["T_operative"] - _KELVIN,
             lower_C=lower,
             upper_C=upper,
-            co2_ppm=rows[:, _COLUMN["CO2"]],
+            co2_ppm=record["CO2"],
             co2_limit_ppm=schedule.CO2_LIMIT_PPM,
             price_per_kWh=self._tariffs[self._price](time_s),
             emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
@@ -319,6 +340,7 @@ class EmbeddedPlant:
         self._nodes, self._scalars = s.nodes.copy(), s.scalars.copy()
         self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
         self._record, self._times, self._first = list(s.record), list(s.times), s.first
+        self._counted = {}
 
     def close(self) -> None:
         """Nothing is held."""
