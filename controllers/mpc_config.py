@@ -15,14 +15,22 @@ from controllers.semi_continuous import SemiContinuousConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
+from thermoforce_mpc.model.free_response.registry import free_response_options
 from thermoforce_mpc.scenario.settings import StrictModel
+
+
+def _options_in_words() -> str:
+    return "; ".join(
+        f"{name}: {', '.join(f'{key} (default {default!r})' for key, default in options.items()) or 'none'}"
+        for name, options in free_response_options().items()
+    )
 
 
 class FreeResponseConfig(StrictModel):
     """Which free response the plan is built on."""
 
-    name: str = Field("calibrated", description="name in the registry of free responses")
-    options: dict[str, Any] = Field(default_factory=dict, description="its options, for example backbone: shipped")
+    name: str = Field("residual", description=f"one of {', '.join(free_response_options())}")
+    options: dict[str, Any] = Field(default_factory=dict, description=f"its options. {_options_in_words()}")
 
 
 class ObjectiveConfig(StrictModel):

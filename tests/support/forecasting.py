@@ -14,6 +14,23 @@ def hours(n: int) -> np.ndarray:
     return np.arange(n + 1, dtype=float)
 
 
+def daily(t: np.ndarray) -> np.ndarray:
+    """A daily course, °C, at hours `t`."""
+    return 15.0 + 2.0 * np.sin(2 * np.pi * t / 24) + 0.3 * np.cos(4 * np.pi * t / 24)
+
+
+def first_order_room() -> tuple[np.ndarray, np.ndarray]:
+    """Two weeks of a room that forgets a tenth an hour under random weather: its temperature and the outdoors, °C."""
+    rng = np.random.default_rng(3)
+    t = hours(336)
+    outdoor = 5 + 3 * np.sin(2 * np.pi * t / 24) + np.cumsum(0.3 * rng.standard_normal(t.size))
+    free = np.empty(t.size)
+    free[0] = 10.0
+    for k in range(t.size - 1):
+        free[k + 1] = 0.9 * free[k] + 0.1 * 0.5 * (outdoor[k] + outdoor[k + 1])
+    return free, outdoor
+
+
 def weather_at(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A plain day: outdoor temperature °C and irradiance W/m² at given times."""
     angle = 2 * np.pi * time_s / 86400

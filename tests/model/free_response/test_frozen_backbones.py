@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from forecasting import LEVELS, boundary_of, history_of, hours
+from forecasting import LEVELS, boundary_of, daily, history_of, hours
 from safetensors.torch import load_file, save_file
 
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
@@ -25,10 +25,6 @@ from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
 NAMES = (*SHIPPED_SCALES, "bolt", "chronos2", "fracast")
-
-
-def daily(t: np.ndarray) -> np.ndarray:
-    return 15.0 + 2.0 * np.sin(2 * np.pi * t / 24) + 0.3 * np.cos(4 * np.pi * t / 24)
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -301,7 +297,7 @@ def test_without_the_optional_package_its_name_is_said(monkeypatch: pytest.Monke
 def test_residual_adds_the_backbone_to_the_linear_model_and_tells_its_hash(bolt_folder: Path) -> None:
     free = daily(hours(240)) + 0.05 * np.random.default_rng(1).standard_normal(241)
     history = history_of(free)
-    residual = build_free_response("residual", backbone=str(bolt_folder))
+    residual = build_free_response("residual", backbone=str(bolt_folder), calibrate=False)
     assert residual.weight_hash() == ChronosFreeResponse(str(bolt_folder)).weight_hash()  # type: ignore[attr-defined]
     mild, cold = (boundary_of(240, 24, T_out_C=np.linspace(5, t, 25)) for t in (15.0, -15.0))
     warmer = residual.forecast(free, history, mild)
@@ -314,7 +310,8 @@ def test_checking_names_and_naive_forecasts_load_no_torch() -> None:
         "import sys\n"
         "from thermoforce_mpc.model.free_response.registry import build_free_response, check_free_response\n"
         "check_free_response('chronos', {'backbone': 'shipped'})\n"
-        "build_free_response('ar')\n"
+        "build_free_response('linear_weather')\n"
+        "import controllers.mpc_config\n"
         "assert not {'torch', 'chronos', 'transformers'} & set(sys.modules), 'loaded'\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

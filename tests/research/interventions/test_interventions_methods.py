@@ -11,6 +11,7 @@ from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.research.baselines.seasonal_naive import SeasonalNaive
 from thermoforce_mpc.research.interventions.dataset import Probe
 from thermoforce_mpc.research.interventions.methods import registry, thermoforce
 from thermoforce_mpc.research.interventions.methods.base import (
@@ -67,14 +68,14 @@ def test_the_weights_asked_for_reach_the_method_that_builds_its_own_forecaster(t
     monkeypatch.setattr(registry, "build_free_response", lambda name, **options: built.append((name, options)) or FREE)
     monkeypatch.setattr(thermoforce, "build_thermoforce", lambda training, free, **options: free)
     METHODS[BEST].build(training, Forecasters(FREE, "some/weights"))
-    assert built == [("residual", {"backbone": "some/weights"})]
+    assert built == [("residual", {"backbone": "some/weights", "calibrate": False})]
 
 
 @pytest.mark.parametrize(("name", "share"), [("tsfm_covariates", 0.4), ("tsfm_covariates_ar", 0.4), ("rc_probe", 0.05)])
 def test_baselines_find_most_of_the_effect_when_the_data_allow_it(climate, training, size, name, share):
     """A baseline that cannot learn a linear zone without noise would be a weak one."""
-    daily = build_free_response("seasonal_naive")
-    assert effect_rmse(METHODS[name].build(training, Forecasters(daily)), climate.part("test")) < share * size
+    daily = Forecasters(SeasonalNaive())
+    assert effect_rmse(METHODS[name].build(training, daily), climate.part("test")) < share * size
 
 
 @pytest.mark.parametrize(("name", "share"), [(MONOTONE, 0.15), (TWO_STATE, 0.03), ("thermoforce_unconstrained", 0.2)])

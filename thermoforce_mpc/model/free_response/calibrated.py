@@ -88,17 +88,16 @@ class CalibratedFreeResponse:
     What it forecast is the state of a run; time going back, or another horizon, starts anew.
     """
 
-    name = "calibrated"
-
     def __init__(self, inner: FreeResponse) -> None:
         """Take `inner` as it is; its own intervals are served until something is known of them."""
         self.inner = inner
+        self.name = inner.name
 
     def weight_hash(self) -> str:
         """Hash of the weights of the frozen method inside; raises `DataError` when it has none."""
         hashed = getattr(self.inner, "weight_hash", None)
         if hashed is None:
-            raise DataError(f"calibrated: free response '{self.inner.name}' has no weights")
+            raise DataError(f"free response '{self.name}' has no weights")
         return str(hashed())
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:

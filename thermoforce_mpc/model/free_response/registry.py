@@ -14,90 +14,33 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
 
 
-def _persistence() -> FreeResponse:
-    from thermoforce_mpc.model.free_response.persistence import Persistence
+def _residual(
+    backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several", calibrate: bool = True
+) -> FreeResponse:
+    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+    from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 
-    return Persistence()
-
-
-def _seasonal_naive() -> FreeResponse:
-    from thermoforce_mpc.model.free_response.seasonal_naive import SeasonalNaive
-
-    return SeasonalNaive()
+    return _calibrated(ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps, resolutions)), calibrate)
 
 
-def _ar(lags: int = 26, ridge: float = 1e-2) -> FreeResponse:
-    from thermoforce_mpc.model.free_response.autoregressive import Autoregressive
+def _chronos(
+    backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several", calibrate: bool = False
+) -> FreeResponse:
+    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 
-    return Autoregressive(lags, ridge)
-
-
-def _arx(lags: int = 26, ridge: float = 1e-2) -> FreeResponse:
-    from thermoforce_mpc.model.free_response.autoregressive import Autoregressive
-
-    return Autoregressive(lags, ridge, weather=True)
+    return _calibrated(ChronosFreeResponse(backbone, context_steps, resolutions), calibrate)
 
 
-def _ets() -> FreeResponse:
-    from thermoforce_mpc.model.free_response.exponential_smoothing import ExponentialSmoothing
+def _calibrated(method: FreeResponse, calibrate: bool) -> FreeResponse:
+    from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 
-    return ExponentialSmoothing()
+    return CalibratedFreeResponse(method) if calibrate else method
 
 
 def _linear_weather() -> FreeResponse:
     from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 
     return LinearWeather()
-
-
-def _residual(backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several") -> FreeResponse:
-    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-    from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-
-    return ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps, resolutions))
-
-
-def _selected(backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several") -> FreeResponse:
-    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-    from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
-    from thermoforce_mpc.model.free_response.persistence import Persistence
-    from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-    from thermoforce_mpc.model.free_response.selected import SelectedFreeResponse
-
-    chronos = ChronosFreeResponse(backbone, context_steps, resolutions)
-    candidates: dict[str, FreeResponse] = {
-        "persistence": Persistence(),
-        "chronos": chronos,
-        "linear_weather": LinearWeather(),
-        "residual": ResidualFreeResponse(chronos),
-    }
-    return SelectedFreeResponse(candidates, first="chronos")
-
-
-def _calibrated(
-    method: str = "residual", backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several"
-) -> FreeResponse:
-    from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
-
-    if method not in _WITH_BACKBONE:
-        raise ConfigError(
-            f"free response 'calibrated': method '{method}' is not one of {', '.join(_WITH_BACKBONE)}"
-            f"{suggestion(method, _WITH_BACKBONE)}"
-        )
-    return CalibratedFreeResponse(_WITH_BACKBONE[method](backbone, context_steps, resolutions))
-
-
-def _chronos(backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several") -> FreeResponse:
-    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-
-    return ChronosFreeResponse(backbone, context_steps, resolutions)
-
-
-_WITH_BACKBONE: dict[str, Callable[[str, int, str], FreeResponse]] = {
-    "selected": _selected,
-    "residual": _residual,
-    "chronos": _chronos,
-}
 
 
 def _rc(*, rc: RcParameters | None) -> FreeResponse:
@@ -108,19 +51,27 @@ def _rc(*, rc: RcParameters | None) -> FreeResponse:
     return RcFreeResponse(rc)
 
 
+def _persistence() -> FreeResponse:
+    from thermoforce_mpc.model.free_response.persistence import Persistence
+
+    return Persistence()
+
+
 _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
-    "chronos": _chronos,
-    "calibrated": _calibrated,
-    "selected": _selected,
     "residual": _residual,
+    "chronos": _chronos,
     "linear_weather": _linear_weather,
     "rc": _rc,
-    "arx": _arx,
-    "ar": _ar,
-    "ets": _ets,
-    "seasonal_naive": _seasonal_naive,
     "persistence": _persistence,
 }
+
+
+def free_response_options() -> dict[str, dict[str, Any]]:
+    """The names of all free responses, each with its options and their defaults."""
+    return {
+        name: {key: p.default for key, p in inspect.signature(builder).parameters.items() if key != "rc"}
+        for name, builder in _BUILDERS.items()
+    }
 
 
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
@@ -138,12 +89,16 @@ def build_free_response(name: str, *, rc: RcParameters | None = None, **options:
 
 def check_free_response(name: str, options: dict[str, Any]) -> None:
     """Check a name and its options without loading anything; raises `ConfigError` naming what is allowed."""
-    if name not in _BUILDERS:
-        raise ConfigError(f"unknown free response '{name}'{suggestion(name, _BUILDERS)}; known: {', '.join(_BUILDERS)}")
-    allowed = [key for key in inspect.signature(_BUILDERS[name]).parameters if key != "rc"]
-    for key in options:
+    known = free_response_options()
+    if name not in known:
+        raise ConfigError(f"unknown free response '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
+    allowed = known[name]
+    for key, value in options.items():
         if key not in allowed:
             raise ConfigError(
                 f"free response '{name}': unknown option '{key}'{suggestion(key, allowed)}; "
                 f"known: {', '.join(allowed) or 'none'}"
             )
+        # A word such as "off" in quotes would count as true.
+        if key == "calibrate" and not isinstance(value, bool):
+            raise ConfigError(f"free response '{name}': calibrate is {value!r}, write true or false")

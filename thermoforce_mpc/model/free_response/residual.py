@@ -20,7 +20,6 @@ from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fit_linear_weather
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
-from thermoforce_mpc.model.free_response.walk_forward import past_task
 
 # Fixed on free runs of EnergyPlus and of the embedded plant that no table of the documentation uses.
 _DISTURBANCE_H = (None, 24.0)
@@ -159,7 +158,7 @@ class ResidualFreeResponse:
         keys = [_key(free, history, t, steps) for t in origins]
         new = [(key, t) for key, t in zip(keys, origins, strict=True) if key not in self._errors]
         if new:
-            found, _ = self.candidates([past_task(free, history, t, steps) for _, t in new])
+            found, _ = self.candidates([_past_task(free, history, t, steps) for _, t in new])
             for (key, t), quantiles in zip(new, found, strict=True):
                 self._errors[key] = quantiles[:, LEVELS.size // 2] - free[t + 1 : t + steps + 1]
         for key in keys:
@@ -168,6 +167,12 @@ class ResidualFreeResponse:
         while len(self._errors) > _REMEMBERED:
             self._errors.popitem(last=False)
         return errors, history.time_s[origins]
+
+
+def _past_task(free: Array, history: Record, origin: int, steps: int) -> _Task:
+    """What was known at step `origin` of the history, with the weather that came as its weather forecast."""
+    ahead = history.slice(origin, origin + steps).weather()
+    return free[: origin + 1], history.slice(0, origin), ahead
 
 
 def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, int, bytes]:

@@ -13,6 +13,9 @@ from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
+from thermoforce_mpc.research.baselines.autoregressive import Autoregressive
+from thermoforce_mpc.research.baselines.exponential_smoothing import ExponentialSmoothing
+from thermoforce_mpc.research.baselines.seasonal_naive import SeasonalNaive
 from thermoforce_mpc.research.bench import free_response_energyplus as energyplus
 from thermoforce_mpc.research.bench.free_response_limit import limit_rows
 from thermoforce_mpc.research.bench.free_response_runs import context_rows, cost_rows, interval_runs, look_rows
@@ -56,6 +59,7 @@ def run_free_response_bench(
         DataError: a folder was given but a file in it is missing.
         BackboneError: the weights cannot be loaded.
     """
+    methods = _methods(backbone)
     sources = embedded_sources()
     if energyplus.is_available():
         sources += energyplus.energyplus_sources()
@@ -63,7 +67,6 @@ def run_free_response_bench(
         progress("EnergyPlus left out: not installed (pip install 'thermoforce-mpc[energyplus]')")
     sources += boptest_sources(reference) if reference else []
     sources += mons_sources(houses) if houses else []
-    methods = _methods(backbone)
     scores: dict[str, dict[str, Score]] = {}
     rows: list[dict[str, Any]] = []
     uncertain: dict[Level, dict[str, list[Score]]] = {level: {name: [] for name in _WEATHER_AWARE} for level in _LEVELS}
@@ -103,18 +106,16 @@ def run_free_response_bench(
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:
-    chronos = build_free_response("chronos", backbone=backbone)
     return {
         "persistence": build_free_response("persistence"),
-        "seasonal_naive": build_free_response("seasonal_naive"),
-        "ar26": build_free_response("ar", lags=26),
-        "ar49": build_free_response("ar", lags=49),
-        "ets": build_free_response("ets"),
-        "chronos": chronos,
-        "arx26": build_free_response("arx", lags=26),
+        "seasonal_naive": SeasonalNaive(),
+        "ar26": Autoregressive(26),
+        "ar49": Autoregressive(49),
+        "ets": ExponentialSmoothing(),
+        "chronos": build_free_response("chronos", backbone=backbone),
+        "arx26": Autoregressive(26, weather=True),
         "linear_weather": build_free_response("linear_weather"),
-        "residual": build_free_response("residual", backbone=backbone),
-        "selected": build_free_response("selected", backbone=backbone),
+        "residual": build_free_response("residual", backbone=backbone, calibrate=False),
     }
 
 

@@ -33,7 +33,7 @@ _FINE_STEP_S, _LONG_H = 900.0, 48.0
 def interval_runs(
     sources: Sequence[Source], backbone: str, progress: Callable[[str], None]
 ) -> tuple[list[Row], list[Target]]:
-    """Do the intervals of `calibrated` hold 80 % in runs of two weeks with BOPTEST's medium forecast errors?
+    """Do the calibrated intervals of `residual` hold 80 % in runs of two weeks with BOPTEST's medium forecast errors?
 
     One row per hourly source that is long enough: the share of all values held, and of those 6 h and 24 h ahead.
     """
@@ -43,7 +43,7 @@ def interval_runs(
         origins = range(_START_STEP, source.free_C.size - source.horizon)
         if source.history.step_s != HOUR_S or len(origins) < _LEAST_STEPS:
             continue
-        method = build_free_response("calibrated", backbone=backbone)
+        method = build_free_response("residual", backbone=backbone, calibrate=True)
         inside = score(method, source, origins, ForecastError(_LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
         share = float(inside.mean())
         ahead = {f"held_{hours}h_ahead": float(inside[:, hours - 1].mean()) for hours in _LEADS_H}

@@ -89,7 +89,9 @@ def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]
     power = electric_power_W(zone, testcase.mode, past.heat_W, past.T_out_C[:-1])
     lowest = testcase.defaults.actuation.get("lowest_level")
     powered = replace(model, power=fit_power([replace(past, power_W=power)], lowest_level=lowest))
-    options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": {"name": "residual"}}
+    # The same instant again and again has nothing to calibrate by.
+    free = {"name": "residual", "options": {"calibrate": False}}
+    options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": free}
     controller = build_controller("thermoforce_mpc", options, testcase, powered)
     if not isinstance(controller, ThermoForceMPC):
         raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")

@@ -77,7 +77,9 @@ def _thermoforce(
         from thermoforce_mpc.research.interventions.methods.curve import EXPONENTS
         from thermoforce_mpc.research.interventions.methods.thermoforce import build_thermoforce
 
-        forecaster = build_free_response("residual", backbone=free.backbone) if residual else free.tsfm
+        forecaster = free.tsfm
+        if residual:  # only its median is scored
+            forecaster = build_free_response("residual", backbone=free.backbone, calibrate=False)
         return build_thermoforce(training, forecaster, orders=orders, exponents=EXPONENTS if curve else (1.0,))
 
     return build

@@ -1,4 +1,4 @@
-"""The weather model with a forecaster of its residual, and the choice among methods, on series whose cause is known."""
+"""The weather model with a forecaster of its residual, on series whose cause is known."""
 
 from __future__ import annotations
 
@@ -7,15 +7,10 @@ import pytest
 from forecasting import LEVELS, boundary_of, history_of, hours
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, LinearWeather, fit_linear_weather
-from thermoforce_mpc.model.free_response.persistence import Persistence
+from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, fit_linear_weather
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.model.free_response.selected import SelectedFreeResponse
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
-from thermoforce_mpc.model.free_response.walk_forward import interval_scale, rescaled, run_trials, trial_origins
 
 N, AHEAD = 336, 24
 
@@ -191,7 +186,7 @@ def test_residual_of_the_shipped_backbone_keeps_to_the_weather_model_and_its_wei
     """On a room that the weather explains, the frozen model must not spoil it; it alone is far worse."""
     free, outdoor, solar = room_and_weather(3)
     history, boundary = past_and_ahead(outdoor, solar, free)
-    residual = build_free_response("residual")
+    residual = build_free_response("residual", calibrate=False)
     before = residual.weight_hash()
     error = np.abs(residual.forecast(free[: N + 1], history, boundary).median_C - free[N + 1 :]).mean()
     alone = np.abs(build_free_response("chronos").forecast(free[: N + 1], history, boundary).median_C - free[N + 1 :])
@@ -201,113 +196,25 @@ def test_residual_of_the_shipped_backbone_keeps_to_the_weather_model_and_its_wei
 
 
 def test_trials_see_nothing_of_what_they_forecast() -> None:
+    """Each ends where its history does, and of what came then it is given the weather alone."""
     free, outdoor, solar = room_and_weather(4)
-    history, _ = past_and_ahead(outdoor, solar, free)
-    free = free[: N + 1]
-    seen: list[tuple[int, int, float]] = []
+    history, boundary = past_and_ahead(outdoor, solar, free)
+    seen: list[tuple[Array, Record, Boundary]] = []
 
     class Watching(Fixed):
-        def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-            seen.append((free_C.size, history.n_steps, float(boundary.time_s[0] - history.time_s[-1])))
-            assert not np.isfinite(boundary.lower_C).any()
-            return super().forecast(free_C, history, boundary)
+        def forecast_many(self, tasks: list[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
+            seen.extend(tasks)
+            return super().forecast_many(tasks)
 
-    origins = trial_origins(N, AHEAD, least_context=72, span=168, every=7)
-    trials = run_trials(Watching(0.0), free, history, AHEAD, origins)
-    assert trials is not None
-    assert origins[-1] == N - AHEAD
-    assert origins[0] >= N - AHEAD - 168
-    assert seen == [(origin + 1, origin, 0.0) for origin in origins]
-    for origin, trial in zip(origins, trials, strict=True):
-        np.testing.assert_array_equal(trial.truth_C, free[origin + 1 : origin + AHEAD + 1])
-        np.testing.assert_allclose(trial.forecast.median_C, free[origin])
-
-
-def test_a_method_that_cannot_forecast_drops_out_of_the_trials() -> None:
-    free, outdoor, solar = room_and_weather(5)
-    history, _ = past_and_ahead(outdoor, solar, free)
-    assert run_trials(LinearWeather(), free[: N + 1], history, AHEAD, [12, 200]) is None
-
-
-def test_the_scaled_interval_holds_four_of_five_values() -> None:
-    rng = np.random.default_rng(6)
-    free = 20 + 0.5 * rng.standard_normal(4001)
-    free[::7] = np.nan
-    history = history_of(free)
-    narrow = Fixed(0.0, spread_K=0.05)
-    scale = interval_scale(run_trials(narrow, free[:2001], history.last(2000), 12, range(100, 1900, 5)))
-    assert (scale == 4.0).all()  # never more than fourfold
-    fitting = Fixed(0.0, spread_K=0.5)
-    trials = run_trials(fitting, free, history, 12, range(100, 1900, 5))
-    assert trials is not None
-    scale = interval_scale(trials)
-    later = run_trials(fitting, free, history, 12, range(2000, 3900, 5))
-    assert later is not None
-    wide = [rescaled(trial.forecast, scale) for trial in later]
-    inside = np.concatenate(
-        [
-            ((t.truth_C >= f.quantiles_C[0]) & (t.truth_C <= f.quantiles_C[-1]))[np.isfinite(t.truth_C)]
-            for t, f in zip(later, wide, strict=True)
-        ]
-    )
-    assert inside.mean() == pytest.approx(0.8, abs=0.04)
-
-
-def test_selection_takes_the_best_and_says_why() -> None:
-    free, outdoor, solar = room_and_weather(7)
-    history, boundary = past_and_ahead(outdoor, solar, free)
-    selected = SelectedFreeResponse({"far": Fixed(5.0), "near": Persistence(), "weather": LinearWeather()}, first="far")
-    forecast, state = selected.follow(free[: N + 1], history, boundary, None)
-    assert state.selection.name == "weather"
-    assert state.selection.errors_K["weather"] < state.selection.errors_K["near"]
-    assert "chosen by" in forecast.note
-    assert "weather 0." in forecast.note
-    plain = LinearWeather().forecast(free[: N + 1], history, boundary)
-    np.testing.assert_allclose(forecast.median_C, plain.median_C)
-
-
-@pytest.mark.parametrize(("offset_K", "chosen"), [(0.0125, "simple"), (0.05, "elaborate")])
-def test_a_more_elaborate_method_must_gain_two_percent(offset_K: float, chosen: str) -> None:
-    """On a ramp of 0.1 K per hour repeating the last value errs by 1.25 K over a day, an offset takes off its size."""
-    free = 10 + 0.1 * hours(N)
-    selected = SelectedFreeResponse({"simple": Fixed(0.0), "elaborate": Fixed(offset_K)}, first="simple")
-    _, state = selected.follow(free, history_of(free), boundary_of(N, AHEAD), None)
-    assert state.selection.errors_K["simple"] == pytest.approx(1.25)
-    assert state.selection.name == chosen
-
-
-def test_without_enough_history_the_first_is_used_and_the_note_says_so() -> None:
-    free = 15 + np.sin(hours(80) / 4)
-    selected = SelectedFreeResponse({"persistence": Persistence(), "fixed": Fixed(0.5)}, first="fixed")
-    forecast = selected.forecast(free, history_of(free), boundary_of(80, AHEAD))
-    np.testing.assert_allclose(forecast.median_C, free[-1] + 0.5)
-    assert "history allows 0 trials" in forecast.note
-
-
-def test_selection_is_renewed_after_a_day_and_kept_within_it() -> None:
-    free, outdoor, _ = room_and_weather(8)
-    selected = SelectedFreeResponse({"persistence": Persistence(), "weather": LinearWeather()}, first="persistence")
-    state = None
-
-    def at(k: int) -> float:
-        nonlocal state
-        past = history_of(free[: k + 1], T_out_C=outdoor[: k + 1])
-        _, state = selected.follow(free[: k + 1], past, boundary_of(k, 12), state)
-        return state.selection.time_s
-
-    assert [at(k) / 3600 for k in (300, 312, 323, 324, 330)] == [300, 300, 300, 324, 324]
-
-
-def test_an_unknown_first_candidate_is_refused() -> None:
-    with pytest.raises(DataError, match="'best' is not among the candidates persistence"):
-        SelectedFreeResponse({"persistence": Persistence()}, first="best")
-
-
-def test_the_shipped_selection_has_frozen_weights() -> None:
-    free, outdoor, solar = room_and_weather(9)
-    history, boundary = past_and_ahead(outdoor, solar, free)
-    selected = build_free_response("selected")
-    before = selected.weight_hash()
-    forecast = selected.forecast(free[: N + 1], history, boundary)
-    assert selected.weight_hash() == before == ChronosFreeResponse().weight_hash()
-    assert np.abs(forecast.median_C - free[N + 1 :]).mean() < 0.3
+    ResidualFreeResponse(Watching(0.0)).forecast(free[: N + 1], history, boundary)
+    trials = seen[3:]  # the forecast itself comes first, three candidates of it
+    assert len(trials) >= 3 * 20
+    for past_C, past, ahead in trials:
+        now = past_C.size - 1
+        assert past.n_steps == now <= N - AHEAD
+        assert past.time_s[-1] == ahead.time_s[0]
+        assert ahead.n_steps == AHEAD
+        np.testing.assert_array_equal(ahead.T_out_C, outdoor[now : now + AHEAD + 1])
+        assert not np.isfinite(ahead.lower_C).any()
+    for past_C, _, _ in trials[::3]:
+        np.testing.assert_array_equal(past_C, free[: past_C.size])

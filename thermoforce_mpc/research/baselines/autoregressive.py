@@ -1,4 +1,9 @@
-"""Linear autoregression on the control-free series (ridge), with or without the weather forecast (ARX)."""
+"""Linear autoregression on the control-free series (ridge), with or without the weather forecast (ARX).
+
+Not statsmodels' `AutoReg`: it takes no gaps, which a sixth of the windows of a measured house have, and fitted to what
+comes after the last gap alone 49 lags are up to a fifth worse over 24 h. On windows without gaps the two are alike, the
+ridge 1 % better in the mean.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +33,8 @@ class Autoregressive:
 
     @property
     def name(self) -> str:
-        """Name in the registry."""
-        return "arx" if self.weather else "ar"
+        """Name in the tables."""
+        return f"{'arx' if self.weather else 'ar'}{self.lags}"
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`.
@@ -47,6 +52,8 @@ class Autoregressive:
         )
         if not np.isfinite(ahead).all():
             raise DataError("weather forecast has values that are not finite")
+        if free.size <= lags:
+            raise DataError(f"autoregression of {lags} lags: only {free.size} values of history")
         windows = np.lib.stride_tricks.sliding_window_view(free, lags)[:-1]
         X = _regressors(windows, past[lags - 1 :])
         y = free[lags:] - windows[:, -1]

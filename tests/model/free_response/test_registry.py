@@ -1,0 +1,59 @@
+"""What a user may name: five free responses, their options, and what a wrong name or value is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from controllers.mpc_config import FreeResponseConfig
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
+from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+from thermoforce_mpc.model.free_response.registry import (
+    build_free_response,
+    check_free_response,
+    free_response_options,
+)
+from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
+
+
+def test_there_are_five() -> None:
+    assert list(free_response_options()) == ["residual", "chronos", "linear_weather", "rc", "persistence"]
+
+
+def test_the_default_of_the_mpc_is_the_weather_model_with_the_forecaster_calibrated() -> None:
+    config = FreeResponseConfig()
+    built = build_free_response(config.name, **config.options)
+    assert built.name == "residual"
+    assert isinstance(built, CalibratedFreeResponse)
+    assert isinstance(built.inner, ResidualFreeResponse)
+    assert isinstance(built.inner.backbone, ChronosFreeResponse)
+
+
+def test_calibration_is_an_option_and_off_for_the_forecaster_alone() -> None:
+    assert isinstance(build_free_response("residual", calibrate=False), ResidualFreeResponse)
+    assert isinstance(build_free_response("chronos"), ChronosFreeResponse)
+    calibrated = build_free_response("chronos", calibrate=True)
+    assert isinstance(calibrated, CalibratedFreeResponse)
+    assert isinstance(calibrated.inner, ChronosFreeResponse)
+
+
+@pytest.mark.parametrize("name", ["calibrated", "selected", "ar", "arx", "ets", "seasonal_naive"])
+def test_what_is_no_choice_any_more_is_refused_with_what_is(name: str) -> None:
+    with pytest.raises(
+        ConfigError, match=f"unknown free response '{name}'.*known: residual, chronos, linear_weather, rc, persistence"
+    ):
+        check_free_response(name, {})
+
+
+def test_unknown_names_and_options_are_refused_with_what_is_known() -> None:
+    with pytest.raises(ConfigError, match=r"chronoss.*did you mean 'chronos'.*known: .*persistence"):
+        build_free_response("chronoss")
+    with pytest.raises(ConfigError, match=r"unknown option 'context'.*did you mean 'context_steps'"):
+        build_free_response("chronos", context=3)
+    with pytest.raises(ConfigError, match="'linear_weather': unknown option 'calibrate'; known: none"):
+        build_free_response("linear_weather", calibrate=True)
+
+
+def test_calibrate_is_true_or_false_and_no_word() -> None:
+    with pytest.raises(ConfigError, match="'residual': calibrate is 'no', write true or false"):
+        check_free_response("residual", {"calibrate": "no"})
