@@ -84,7 +84,7 @@ def free_response_command(
     quick: bool,
     json_file: Path | None,
 ) -> None:
-    """Forecast 24 h from many origins with every method; every method gets the same history.
+    """Forecast 24 h from many origins with every method, all given the same history (extra [bench]).
 
     Also: whether intervals hold over two weeks, how much of the error weather could explain at all (both left out with
     --quick), how much history and how many looks at it are worth, and what a forecast costs.

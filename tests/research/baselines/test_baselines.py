@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import numpy as np
 import pytest
 from forecasting import LEVELS, boundary_of, daily, first_order_room, history_of, hours
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.baselines.autoregressive import Autoregressive
 from thermoforce_mpc.research.baselines.exponential_smoothing import ExponentialSmoothing
@@ -61,7 +63,7 @@ def test_a_silent_sensor_or_a_wrong_shape_is_refused(name: str) -> None:
         ("ar26", 30, "5 usable steps of history, need 52"),
         ("ar26", 20, "only 21 values"),
         ("arx26", 60, "need 56"),
-        ("ets", 40, "two days"),
+        ("ets", 40, "two days of history without a gap, got 41 of 48"),
     ],
 )
 def test_too_little_history_is_refused_with_the_amount_needed(name: str, hours_known: int, words: str) -> None:
@@ -96,5 +98,14 @@ def test_gaps_are_bridged_by_smoothing_and_refused_in_the_lags() -> None:
     free[-3:] = np.nan
     forecast = ExponentialSmoothing().forecast(free, history_of(free), boundary_of(240, 24))
     assert np.abs(forecast.median_C - daily(np.arange(241, 265))).max() < 0.4
+    free[::40] = np.nan
+    with pytest.raises(DataError, match="without a gap, got 39 of 48"):
+        ExponentialSmoothing().forecast(free, history_of(free), boundary_of(240, 24))
     with pytest.raises(DataError, match="gaps"):
         Autoregressive(26).forecast(free, history_of(free), boundary_of(240, 24))
+
+
+def test_without_the_extra_its_command_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[bench\]'"):
+        ExponentialSmoothing()

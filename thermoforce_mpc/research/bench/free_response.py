@@ -58,6 +58,7 @@ def run_free_response_bench(
     Raises:
         DataError: a folder was given but a file in it is missing.
         BackboneError: the weights cannot be loaded.
+        ConfigError: the extra [bench] is not installed.
     """
     methods = _methods(backbone)
     sources = embedded_sources()
