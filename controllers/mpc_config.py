@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from controllers.actuation import ActuationConfig
 from controllers.fallback import FallbackConfig
@@ -13,9 +13,10 @@ from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
 from controllers.semi_continuous import SemiContinuousConfig
 from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
-from thermoforce_mpc.model.free_response.registry import free_response_options
+from thermoforce_mpc.model.free_response.registry import check_free_response, free_response_options
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -31,6 +32,14 @@ class FreeResponseConfig(StrictModel):
 
     name: str = Field("residual", description=f"one of {', '.join(free_response_options())}")
     options: dict[str, Any] = Field(default_factory=dict, description=f"its options. {_options_in_words()}")
+
+    @model_validator(mode="after")
+    def _must_be_known(self) -> FreeResponseConfig:
+        try:
+            check_free_response(self.name, self.options)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return self
 
 
 class ObjectiveConfig(StrictModel):

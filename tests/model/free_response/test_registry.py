@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from controllers.mpc_config import FreeResponseConfig
+from controllers.registry import controller_config
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
@@ -14,6 +15,7 @@ from thermoforce_mpc.model.free_response.registry import (
     free_response_options,
 )
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
+from thermoforce_mpc.scenario.scenario import load_testcase
 
 
 def test_there_are_five() -> None:
@@ -57,3 +59,17 @@ def test_unknown_names_and_options_are_refused_with_what_is_known() -> None:
 def test_calibrate_is_true_or_false_and_no_word() -> None:
     with pytest.raises(ConfigError, match="'residual': calibrate is 'no', write true or false"):
         check_free_response("residual", {"calibrate": "no"})
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ({"name": "calibrated"}, r"free_response: unknown free response 'calibrated'; known: residual"),
+        ({"name": "rc", "options": {"backbone": "shipped"}}, "'rc': unknown option 'backbone'; known: none"),
+        ({"options": {"context_step": 3}}, "did you mean 'context_steps'"),
+    ],
+)
+def test_a_wrong_choice_is_found_when_the_scenario_is_read(chosen: dict[str, object], words: str) -> None:
+    """Not days later, when the building has been probed and the controller is built."""
+    with pytest.raises(ConfigError, match=words):
+        controller_config("thermoforce_mpc", {"free_response": chosen}, load_testcase("bestest_hydronic_heat_pump"))
