@@ -16,8 +16,7 @@ from scipy.stats import norm
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
-
-LEVELS = np.arange(1, 10) / 10.0
+from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 
 INPUTS: tuple[str, ...] = (
     "outdoor",
@@ -134,11 +133,7 @@ class RcFreeResponse:
         Raises:
             DataError: `free_C` does not belong to `history`, has no finite value, or the weather has gaps.
         """
-        free_C = np.asarray(free_C, dtype=np.float64)
-        if free_C.shape != history.time_s.shape:
-            raise DataError(f"control-free history has shape {free_C.shape}, the history {history.time_s.shape}")
-        if not np.isfinite(free_C).any():
-            raise DataError("control-free history has no finite value: the temperature sensor was silent throughout")
+        free_C = checked_free(free_C, history)
         past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
         mean, covariance = _filter(past, free_C, history)
         ahead = self._params.resampled(boundary.step_s)
