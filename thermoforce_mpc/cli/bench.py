@@ -87,7 +87,7 @@ def free_response_command(
     """Forecast 24 h from many origins with every method, all given the same history (extra [bench]).
 
     Also: whether intervals hold over two weeks, how much of the error weather could explain at all (both left out with
-    --quick), how much history and how many looks at it are worth, and what a forecast costs.
+    --quick), how much history and how many resolutions of it are worth, and what a forecast costs.
     """
     from thermoforce_mpc.research.bench.free_response import run_free_response_bench
 
