@@ -22,6 +22,9 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
+# A clock that counts in milliseconds, or adds up its steps, is this far from even at most; more is a missing sample.
+_CLOCK_ROUNDING_S = 0.01
+
 # What a `Record` holds: values at the boundaries, and means over the steps between them.
 SAMPLED = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
 ACTING = ("u", "power_W", "heat_W", "T_return_C")
@@ -33,6 +36,21 @@ def _freeze(value: object, name: str, length: int) -> Array:
         raise DataError(f"{name} has shape {array.shape}, expected ({length},)")
     array.setflags(write=False)
     return array
+
+
+def _check_clock(time_s: Array, what: str) -> None:
+    """Refuse instants that do not go up in equal steps; raises `DataError` naming the first step that is wrong."""
+    steps = np.diff(time_s)
+    if not steps.size or (steps[0] > 0 and np.abs(steps - steps[0]).max() <= _CLOCK_ROUNDING_S):
+        return
+    sound = np.sort(steps[steps > 0])
+    usual = float(sound[(sound.size - 1) // 2]) if sound.size else float("nan")
+    first = int(np.argmin(np.abs(steps - usual) <= _CLOCK_ROUNDING_S))
+    among = f" among steps of {usual:.10g} s" if sound.size else ""
+    raise DataError(
+        f"{what}: time_s goes from {time_s[first]:.10g} s (index {first}) to {time_s[first + 1]:.10g} s: a step of "
+        f"{steps[first]:.10g} s{among}; steps must be equal and positive: resample, with NaN where nothing was measured"
+    )
 
 
 @dataclass(frozen=True)
@@ -51,6 +69,9 @@ class Boundary:
     `occupancy` persons,
     `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg
     CO2/kWh.
+
+    Raises:
+        DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
     """
 
     time_s: Array
@@ -64,8 +85,11 @@ class Boundary:
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
+        if n < 1:
+            raise DataError("a boundary needs at least one instant")
         for item in fields(self):
             object.__setattr__(self, item.name, _freeze(getattr(self, item.name), item.name, n))
+        _check_clock(self.time_s, "boundary")
 
     @property
     def n_steps(self) -> int:
@@ -90,6 +114,9 @@ class Record:
     `T_out_C`, `solar_W_m2`.
     Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat, `T_return_C`
     return water from the emitters (NaN where not measured; all of `T_return_C` where it is not given).
+
+    Raises:
+        DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
     """
 
     time_s: Array
@@ -111,6 +138,7 @@ class Record:
             object.__setattr__(self, name, _freeze(getattr(self, name), name, n))
         for name in ACTING:
             object.__setattr__(self, name, _freeze(getattr(self, name), name, n - 1))
+        _check_clock(self.time_s, "history")
 
     @property
     def n_steps(self) -> int:

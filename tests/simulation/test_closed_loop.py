@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simple_house import SimpleHouse
@@ -60,6 +62,21 @@ def test_the_history_holds_step_means_and_grows_by_one_step_each_time():
     np.testing.assert_allclose(last.u[48:], 0.25)
     np.testing.assert_allclose(np.diff(last.time_s), HOUR_S)
     assert last.T_zone_C[-1] == controller.seen[-1].T_zone_C == result.steps[-1].T_zone_C
+
+
+def test_a_window_that_ends_inside_a_step_is_run_to_its_end():
+    house = SimpleHouse()
+    result = run_closed_loop(house, Fixed(Block(0.5, HOUR_S)), replace(house.period("x"), scored_s=2.5 * HOUR_S))
+    assert [sample.duration_s for sample in result.samples] == [HOUR_S, HOUR_S, 0.5 * HOUR_S]
+
+
+@pytest.mark.parametrize("seconds", [1800.0, 5400.0])
+def test_a_plan_that_is_not_one_step_long_never_reaches_the_plant(seconds):
+    """Its means over a step would stand in the history as those of another length."""
+    house = SimpleHouse()
+    result = run_closed_loop(house, Fixed(Block(1.0, seconds)), house.period("x"))
+    assert house.applied[0] == (None, HOUR_S)
+    assert f"blocks of {seconds:g} s in all for a step of 3600 s" in result.steps[0].refused
 
 
 def test_samples_carry_the_bounds_and_price_in_force():

@@ -130,7 +130,8 @@ def run_closed_loop(
             samples=tuple(samples),
         )
         steps.append(record)
-        history = history.extended(parts[-1][1].averaged_with(parts))
+        if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and nobody plans after it
+            history = history.extended(parts[-1][1].averaged_with(parts))
         if on_step:
             on_step(record)
     # BOPTEST's time_rat: computing time per control step over the step. Ours alone, whatever the plant reports.
@@ -142,7 +143,8 @@ def run_closed_loop(
 def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple[Block, ...], str]:
     """The blocks of `plan` cut to the window, or a step of native control and why where an action is unfit.
 
-    The last gate before the plant: a level must be None or finite and in [0, 1], a duration finite and positive.
+    The last gate before the plant: a level must be None or finite and in [0, 1], a duration finite and positive, and
+    all of them together one step.
     """
     native = (Block(None, min(step_s, remaining_s)),)
     for block in plan.blocks:
@@ -151,6 +153,9 @@ def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple
             return native, f"refused {block}: native control instead"
     if not plan.blocks:
         return native, "the plan had no action: native control instead"
+    total_s = math.fsum(block.duration_s for block in plan.blocks)
+    if abs(total_s - step_s) > _CLOCK_TOLERANCE_S:
+        return native, f"refused blocks of {total_s:g} s in all for a step of {step_s:g} s: native control instead"
     out: list[Block] = []
     left = remaining_s
     for block in plan.blocks:
