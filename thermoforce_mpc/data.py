@@ -101,6 +101,17 @@ class Boundary:
         """Length of a step, s."""
         return float(self.time_s[1] - self.time_s[0])
 
+    def check(self, *names: str) -> None:
+        """Raises `DataError` where one of the signals `names` has a value that is no number; says which and when."""
+        for name in names:
+            missing = np.flatnonzero(~np.isfinite(getattr(self, name)))
+            if missing.size:
+                raise DataError(
+                    f"boundary forecast: {name} is missing at {missing.size} of {self.time_s.size} instants, first at "
+                    f"{self.time_s[missing[0]]:.10g} s ({(self.time_s[missing[0]] - self.time_s[0]) / HOUR_S:g} h "
+                    "ahead): check its source"
+                )
+
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
         return Boundary(**{f.name: getattr(self, f.name)[: n_steps + 1] for f in fields(self)})

@@ -201,14 +201,43 @@ def test_silent_sensor_leaves_a_hole_and_nothing_else(predictor):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "word"), [("u", np.nan, "u is not finite at step 5"), ("u", 1.5, "u is 1.5")]
+    ("name", "value", "word"),
+    [("u", np.nan, "u is not finite at step 5"), ("T_out_C", np.nan, "T_out_C is not"), ("u", 1.5, "u is 1.5")],
 )
-def test_broken_histories_are_refused_with_the_place(predictor, name, value, word):
-    history = make_history()
-    u = np.array(history.u)
-    u[5] = value
+def test_a_rollout_refuses_broken_histories_with_the_place(predictor, name, value, word):
     with pytest.raises(DataError, match=word):
-        predictor.forced_state(replace(history, **{name: u}))
+        forced_history(predictor.model.operator, with_value(make_history(), name, 5, value))
+
+
+def with_value(history: Record, name: str, at: int, value: float) -> Record:
+    values = np.array(getattr(history, name))
+    values[at] = value
+    return replace(history, **{name: values})
+
+
+@pytest.mark.parametrize("name", ["u", "T_out_C", "solar_W_m2"])
+def test_the_world_bridges_gaps_of_the_past_and_says_so(predictor, name):
+    history = make_history()
+    for at in (5, -1):
+        broken = with_value(history, name, at, np.nan)
+        context = predictor.context(Observation(broken, make_boundary(history)))
+        assert context.bridged.startswith(f"bridged {name}: 1 value")
+        whole = predictor.context(Observation(history, make_boundary(history)))
+        assert whole.bridged == ""
+        # One hour of full heat is worth 0.1 to 0.5 K here; what is bridged is off by some of that at most.
+        np.testing.assert_allclose(context.forced_K.sum(), whole.forced_K.sum(), atol=0.3)
+        assert np.isfinite(predictor.free_history(broken)).all()
+
+
+@pytest.mark.parametrize("name", ["T_out_C", "solar_W_m2"])
+@pytest.mark.parametrize("at", [0, 5, 24])
+def test_a_weather_forecast_with_gaps_is_refused_and_named(predictor, name, at):
+    history = make_history()
+    boundary = make_boundary(history)
+    values = np.array(getattr(boundary, name))
+    values[at] = np.nan
+    with pytest.raises(DataError, match=rf"boundary forecast: {name} is missing at 1 of 25 instants.*\({at} h ahead"):
+        predictor.context(Observation(history, replace(boundary, **{name: values})))
 
 
 def test_impossible_actions_are_refused(predictor):

@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.forced_history import ROUNDING
+from thermoforce_mpc.model.limits import ROUNDING
 
 # Least excitation: hours on, standard deviation of u, and changes of u. Below, gain and drift cannot be told apart.
 MIN_ON_H = 1.0

@@ -9,13 +9,11 @@ from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 InitialForce = Literal["steady", "zero"]
-
-# How far beyond [0, 1] a level may be: means over a step and solutions of a solver are, by rounding.
-ROUNDING = 1e-6
 
 # Fixed-point rounds for the starting force: the modulation moves it by percents, so a handful settles it.
 _START_ROUNDS = 5
@@ -67,7 +65,7 @@ def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: 
         if gaps.size:
             raise DataError(
                 f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
-                "fill it first"
+                "bridge it first (thermoforce_mpc.model.gaps)"
             )
     # Averaging blocks of full level over a step rounds to a hair beyond 1.
     outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))

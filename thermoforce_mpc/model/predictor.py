@@ -10,10 +10,12 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.forced_history import ROUNDING, InitialForce
+from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import follow
+from thermoforce_mpc.model.gaps import WEATHER, bridged
+from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
@@ -55,6 +57,7 @@ class PredictionContext:
         free: forecast of the free response, N steps.
         features: x_t at the start of each step, shape (N, 4).
         boundary: boundary conditions of the N steps.
+        bridged: which gaps of the history were filled and how, in words; empty where there were none.
         seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
         state: what to give to the next context of this run.
     """
@@ -64,6 +67,7 @@ class PredictionContext:
     free: FreeForecast
     features: Array
     boundary: Boundary
+    bridged: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     state: PredictorState | None = field(default=None, compare=False)
 
@@ -137,7 +141,8 @@ class Predictor:
         return self._model.operator.resampled(step_s)
 
     def forced_history(self, history: Record) -> Array:
-        """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K."""
+        """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K; gaps are bridged (`gaps`)."""
+        history, _ = bridged(history)
         return self._estimator.update(None, history).forced_K
 
     def forced_state(self, history: Record) -> Array:
@@ -151,16 +156,21 @@ class Predictor:
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
 
+        Gaps in the weather and the levels of the past are bridged, see `thermoforce_mpc.model.gaps`.
+
         Args:
             observation: the run so far, and what is known of the steps ahead.
             state: `PredictionContext.state` of the last context of this run; None begins a run.
 
         Raises:
-            DataError: the history cannot be split (see `forced_history`) or its temperature is silent throughout, or
-                the estimate or the forecast is not fit to plan with.
+            DataError: the history cannot be split (see `forced_history`), its temperature is silent throughout, its
+                weather was never measured, the forecast of the weather has gaps, or the estimate or the forecast is
+                not fit to plan with.
         """
-        history, boundary = observation.history, observation.boundary
+        boundary = observation.boundary
+        boundary.check(*WEATHER)
         began = time.perf_counter()
+        history, note = bridged(observation.history, boundary)
         before = state or PredictorState()
         followed = self._checked_estimate(self._estimator.update(before.forced, history), history)
         forced = followed.forced_K
@@ -181,6 +191,7 @@ class Predictor:
             free=free,
             features=features,
             boundary=boundary,
+            bridged=note,
             seconds={"estimate": estimated - began, "forecast": forecast_s},
             state=PredictorState(followed, free_state),
         )

@@ -1,0 +1,117 @@
+"""Gaps in the measured past, bridged where a number is needed; the history itself keeps them as NaN.
+
+| signal | what stands in the gap |
+|---|---|
+| weather, up to 6 h between two readings | a straight line; towards now, to what the forecast says for now |
+| weather, longer | the reading of the same hour of the nearest day; without one, the nearest reading |
+| u | the mean level of the half days on either side, or of all that is known; off where nothing is |
+| zone temperature, heat, power, return water | nothing: NaN has a meaning of its own to whoever reads them |
+
+Where heat was measured and the operator is driven by heat, the level is not needed (`heat_drive`). A closed loop puts
+what it applied where the plant does not report u, so that gaps in u are those of times before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.limits import BRIDGED_GAP_H, LEVELS_AROUND_H
+
+WEATHER = ("T_out_C", "solar_W_m2")
+
+
+def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str]:
+    """`history` with numbers for all its weather and levels, and in words what was put where; '' where nothing was.
+
+    Args:
+        history: NaN where something was not measured.
+        ahead: the forecast from now on, which knows the weather at the end of the history.
+
+    Raises:
+        DataError: a signal of the weather was never measured, and `ahead` does not know it either.
+    """
+    filled: dict[str, Array] = {}
+    notes: list[str] = []
+    for name in WEATHER:
+        if not np.isfinite(getattr(history, name)).all():
+            filled[name], note = _weather(history, ahead, name)
+            notes.append(note)
+    unknown = ~np.isfinite(history.u)
+    if unknown.any():
+        filled["u"] = _levels(history.u, history.step_s)
+        notes.append(f"u: {_count(unknown)} filled with the mean level around")
+    return (replace(history, **filled), "bridged " + ", ".join(notes)) if filled else (history, "")
+
+
+def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
+    """Which instants of the weather signal `name` lie in a gap that no straight line bridges, shape (n + 1,)."""
+    time_s, values = history.time_s, getattr(history, name)
+    known = np.isfinite(values)
+    if not known.any():
+        return np.ones(time_s.size, dtype=bool)
+    return ~known & (_gap_s(time_s, time_s[known]) > BRIDGED_GAP_H * HOUR_S)
+
+
+def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array, str]:
+    """The signal without gaps, shape (n + 1,), and what was done in words."""
+    time_s, values = history.time_s, getattr(history, name)
+    missing = ~np.isfinite(values)
+    at_s, known = time_s[~missing], values[~missing]
+    if ahead is not None:
+        later = np.isfinite(getattr(ahead, name)) & (ahead.time_s > (at_s[-1] if at_s.size else -np.inf))
+        at_s, known = np.append(at_s, ahead.time_s[later]), np.append(known, getattr(ahead, name)[later])
+    if not known.size:
+        raise DataError(f"history: {name} was never measured and no forecast of it is given; check the sensor")
+    line = np.interp(time_s, at_s, known)
+    long = missing & (_gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
+    note = f"{name}: {_count(missing)} by a straight line"
+    if long.any():
+        note = f"{name}: {_count(missing)}, {long.sum()} of them from the same hour of the nearest day"
+        line[long] = _same_hour(time_s[long], at_s, known, line[long], 0.5 * history.step_s)
+    return np.where(missing, line, values), note
+
+
+def _gap_s(time_s: Array, known_s: Array) -> Array:
+    """Time between the known instants (k,) on either side of each of `time_s` (n,); at an open end, to its far end."""
+    after = np.searchsorted(known_s, time_s)
+    ends = np.concatenate([[min(time_s[0], known_s[0])], known_s, [max(time_s[-1], known_s[-1])]])
+    return np.asarray(ends[after + 1] - ends[after])
+
+
+def _same_hour(time_s: Array, known_s: Array, known: Array, otherwise: Array, within_s: float) -> Array:
+    """For each of `time_s` (n,) what was known (k,) a whole number of days away, the nearest first, the past first."""
+    found = np.full(time_s.size, np.nan)
+    days = int(np.ceil((max(known_s[-1], time_s[-1]) - min(known_s[0], time_s[0])) / DAY_S)) + 1
+    for day in range(1, days + 1):
+        for shift_s in (-day * DAY_S, day * DAY_S):
+            wanted = time_s + shift_s
+            index = np.clip(np.searchsorted(known_s, wanted - within_s), 0, known_s.size - 1)
+            matches = np.isnan(found) & (np.abs(known_s[index] - wanted) <= within_s)
+            found[matches] = known[index[matches]]
+        if not np.isnan(found).any():
+            break
+    return np.where(np.isnan(found), otherwise, found)
+
+
+def _levels(u: Array, step_s: float) -> Array:
+    """`u` (n,) with each unknown level the mean of those around it, of all, or off."""
+    known = np.isfinite(u)
+    reach = max(1, round(LEVELS_AROUND_H * HOUR_S / step_s))
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, u, 0.0))])
+    count = np.concatenate([[0], np.cumsum(known)])
+    steps = np.arange(u.size)
+    first, last = np.maximum(steps - reach, 0), np.minimum(steps + reach + 1, u.size)
+    near = count[last] - count[first]
+    everywhere = float(u[known].mean()) if known.any() else 0.0
+    mean = np.where(near > 0, (total[last] - total[first]) / np.maximum(near, 1), everywhere)
+    return np.where(known, u, mean)
+
+
+def _count(missing: NDArray[np.bool_]) -> str:
+    n = int(missing.sum())
+    return f"{n} value" if n == 1 else f"{n} values"
