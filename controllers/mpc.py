@@ -179,7 +179,8 @@ class ThermoForceMPC:
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
             return self._fall_back(observation, now, solution.problem, solution.status, seconds)
-        return self._accept(observation, now, planner.operator, problem, context.free, solution, seconds)
+        plan = self._accept(observation, now, planner.operator, problem, context.free, solution, seconds)
+        return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
     def _planner(self, model: ThermalModel) -> Planner:
         """The planner of `model`, from memory where it was built before."""
