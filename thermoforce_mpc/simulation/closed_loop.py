@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from thermoforce_mpc.data import Block, Boundary, Measurement, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.protocols import Controller, Plant
+from thermoforce_mpc.simulation.screening import Limits, limits_of, screened, screened_history
 
 # A remainder shorter than this is a rounding of the clock, not a stretch of time to act in.
 _CLOCK_TOLERANCE_S = 1e-6
@@ -34,7 +35,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One plan with the observation it was made from, its blocks as applied, and what planning cost."""
+    """One plan with the observation it was made from, its blocks as applied, and what planning cost.
+
+    `notes` says which readings of the step (of the record before, too, at the first) were missing or not believed;
+    `samples` have them as the plant reported them.
+    """
 
     index: int
     time_s: float
@@ -46,6 +51,7 @@ class StepRecord:
     forecast_seconds: float
     plant_seconds: float
     samples: tuple[Sample, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,18 +89,24 @@ def run_closed_loop(
     period: Period,
     price: str = "constant",
     on_step: Callable[[StepRecord], None] | None = None,
+    allowed: Limits | None = None,
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
+    Here measurements enter what the controller sees: readings that cannot be are NaN there, see
+    `thermoforce_mpc.simulation.screening`, and where the plant does not report u, what was applied stands in for it.
+
     Args:
         on_step: called after every control step (progress, live line).
+        allowed: what readings can be; by default what the model of the controller says, see `limits_of`.
 
     Raises:
         PlantError: the plant or its service failed; KPIs so far are lost with it.
     """
     began = time.perf_counter()
     start = plant.reset(period.start_s, period.warmup_s, price)
-    history = plant.past(controller.step_s)
+    allowed = allowed or limits_of(controller)
+    history, doubts = screened_history(plant.past(controller.step_s), allowed)
     end_s = period.start_s + period.scored_s
     now_s = start.time_s
     steps: list[StepRecord] = []
@@ -112,10 +124,12 @@ def run_closed_loop(
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
         for block in blocks:
-            measurement = plant.advance(block.u, block.duration_s)
-            parts.append((block.duration_s, measurement))
-            samples.append(_sample(now_s, block, measurement, boundary))
-            now_s = measurement.time_s
+            reported = plant.advance(block.u, block.duration_s)
+            measurement, notes = screened(reported, allowed, history)
+            parts.append((block.duration_s, _with_level(measurement, block)))
+            doubts += notes
+            samples.append(_sample(now_s, block, reported, boundary))
+            now_s = reported.time_s
         t3 = time.perf_counter()
         record = StepRecord(
             index=len(steps),
@@ -128,7 +142,9 @@ def run_closed_loop(
             forecast_seconds=t1 - t0,
             plant_seconds=t3 - t2,
             samples=tuple(samples),
+            notes=tuple(dict.fromkeys(doubts)),
         )
+        doubts = ()
         steps.append(record)
         if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and nobody plans after it
             history = history.extended(parts[-1][1].averaged_with(parts))
@@ -164,6 +180,13 @@ def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple
         out.append(Block(block.u, min(block.duration_s, left)))
         left -= block.duration_s
     return tuple(out), ""
+
+
+def _with_level(measurement: Measurement, block: Block) -> Measurement:
+    """The measurement with the level that was applied where none was measured; native control is unknown, NaN."""
+    if block.u is None or not math.isnan(measurement.u):
+        return measurement
+    return replace(measurement, u=block.u)
 
 
 def _sample(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:

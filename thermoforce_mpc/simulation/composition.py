@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from controllers.registry import find_entry
 from thermoforce_mpc.data import DAY_S, Period
@@ -13,9 +13,6 @@ from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
-
-if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
-    pass
 
 # BOPTEST's names; the plant knows which of them it has.
 _NAMED_PERIODS = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day")

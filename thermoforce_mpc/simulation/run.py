@@ -23,6 +23,7 @@ from thermoforce_mpc.simulation.composition import build_plant, controller_optio
 from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import IdentificationTask, IdentifiedModel, identification_task, model_for
 from thermoforce_mpc.simulation.run_folder import create_run_folder, trajectory_frame, write_partial, write_results
+from thermoforce_mpc.simulation.screening import limits_of
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -265,7 +266,8 @@ def _follow(
             kept.append(record)
             follower.step(record)
 
-        return run_closed_loop(plant, controller, period, scenario.price, on_step)
+        allowed = limits_of(controller, testcase.floor_area_m2)
+        return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
 
 
 def _weight_hash(controller: Controller) -> str | None:

@@ -80,6 +80,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
                 "plant_seconds": step.plant_seconds,
                 "refused": step.refused,
                 "why": plan.why,
+                "notes": "; ".join(step.notes),
             }
         )
     return pd.DataFrame(rows)

@@ -21,6 +21,7 @@ from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, source_fin
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.identifying import model_for, run_identification
+from thermoforce_mpc.simulation.screening import limits_of
 from thermoforce_mpc.version import VERSION
 
 # What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
@@ -90,7 +91,8 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
                 with suppress(OSError):
                     channel.send(("day", (record.time_s - period.start_s) / DAY_S))
 
-        result = run_closed_loop(plant, controller, period, scenario.price, on_step)
+        allowed = limits_of(controller, testcase.floor_area_m2)
+        result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
         store.write(cell, _record(cell, result, plant.info))
 
 

@@ -35,7 +35,7 @@ def write_report(
     trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
-    events = steps[(steps.status.isin(["shifted", "thermostat"])) | (steps.refused != "")]
+    events = steps[(steps.status.isin(["shifted", "thermostat"])) | (steps.refused != "") | (steps.notes != "")]
     template = page_environment().get_template("report.html.j2")
     page = template.render(
         kpis=kpis,

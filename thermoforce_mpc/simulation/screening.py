@@ -1,0 +1,175 @@
+"""Readings that cannot be, taken as not measured where they enter; each with its reason, none silently.
+
+One reading of a heat meter ten thousand times too large stays in the forced state for as long as the slowest mode
+remembers, days, and every plan of that time believes the building full of heat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc import limits
+from thermoforce_mpc.data import HOUR_S, Array, Measurement, Record
+
+if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+_INFINITE = (-np.inf, np.inf)
+# Every signal that is looked at, with its unit.
+_UNITS = {
+    "T_zone_C": " °C",
+    "T_out_C": " °C",
+    "solar_W_m2": " W/m²",
+    "u": "",
+    "power_W": " W",
+    "heat_W": " W",
+    "T_return_C": " °C",
+}
+_NOT_MEASURED = "taken as not measured"
+# These every plant reports: where one is missing that is worth a note. Flows are not metered everywhere.
+_ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What readings of one building can be; of most signals the same for all (`thermoforce_mpc.model.limits`).
+
+    `power_W` and `heat_W` are (lowest, highest) in W, as measured: delivered heat of a machine that cools is negative.
+    """
+
+    power_W: tuple[float, float] = _INFINITE
+    heat_W: tuple[float, float] = _INFINITE
+
+    @classmethod
+    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None) -> Limits:
+        """Multiples of the most that the identified machine can give and draw.
+
+        Where `model` does not know it: what no building of this floor area, m², gives or draws; without one, no limit.
+        """
+        most_W = limits.LOAD_W_PER_M2 * (floor_area_m2 or np.inf)
+        found = cls(power_W=(-most_W, most_W), heat_W=(-most_W, most_W))
+        if model is None:
+            return found
+        actuator, power = model.operator.actuator, model.power
+        if actuator.heat is not None:
+            full_W = model.operator.sign * actuator.largest() * actuator.reference_W
+            low, high = sorted(share * full_W for share in limits.LOAD_RANGE)
+            found = replace(found, heat_W=(low, high))
+        if power is not None:
+            full_W = float(np.sum(power.parts(np.array(power.load.T_out_range_C)), axis=0).max())
+            found = replace(found, power_W=(limits.POWER_RANGE[0] * full_W, limits.POWER_RANGE[1] * full_W))
+        return found
+
+    def range(self, name: str) -> tuple[float, float]:
+        """Lowest and highest value of the signal `name` of a `Record` or `Measurement`, in its unit."""
+        ranges = {
+            "T_zone_C": limits.ZONE_C,
+            "T_out_C": limits.OUTDOOR_C,
+            "solar_W_m2": limits.SOLAR_W_M2,
+            "u": limits.LEVEL,
+            "power_W": self.power_W,
+            "heat_W": self.heat_W,
+            "T_return_C": limits.RETURN_WATER_C,
+        }
+        return ranges[name]
+
+
+def limits_of(controller: object, floor_area_m2: float | None = None) -> Limits:
+    """Limits by the model that `controller` plans with, else by the floor area, m², see `Limits.of`."""
+    model = getattr(controller, "model", None)
+    if model is None:
+        return Limits.of(None, floor_area_m2)
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+    return Limits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2)
+
+
+def screened(measurement: Measurement, allowed: Limits, history: Record) -> tuple[Measurement, tuple[str, ...]]:
+    """`measurement` without what cannot be (NaN instead), and why, one sentence for each reading.
+
+    Args:
+        measurement: as the plant reported it.
+        allowed: what can be.
+        history: what was believed so far: the zone temperature cannot have left it by much since.
+    """
+    refused: list[str] = []
+    notes: list[str] = []
+    for name in _UNITS:
+        value = getattr(measurement, name)
+        if _outside(np.array([value]), allowed.range(name))[0]:
+            refused.append(name)
+            notes.append(f"{name} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}")
+        elif name in _ALWAYS and np.isnan(value):
+            notes.append(f"{name} was not measured")
+    believed = np.flatnonzero(np.isfinite(history.T_zone_C))
+    if believed.size and "T_zone_C" not in refused:
+        before_C = float(history.T_zone_C[believed[-1]])
+        since_s = measurement.time_s - float(history.time_s[believed[-1]])
+        if abs(measurement.T_zone_C - before_C) > _reach_K(since_s):
+            refused.append("T_zone_C")
+            notes.append(
+                f"T_zone_C of {measurement.T_zone_C:.6g} °C is more than {_reach_K(since_s):.3g} K from {before_C:.2f} "
+                f"°C {since_s:g} s before: {_NOT_MEASURED}"
+            )
+    unknown: dict[str, Any] = dict.fromkeys(refused, np.nan)
+    return replace(measurement, **unknown), tuple(notes)
+
+
+def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[str, ...]]:
+    """A record without what cannot be (NaN instead), and why, one sentence for each signal."""
+    refused: dict[str, Array] = {}
+    notes: list[str] = []
+    for name in _UNITS:
+        values = getattr(history, name)
+        outside = _outside(values, allowed.range(name))
+        what = _words(allowed, name)
+        if name == "T_zone_C":
+            left = _jumps(history.time_s, np.where(outside, np.nan, values))
+            what += f", or more than {limits.ZONE_JUMP_K:g} K from one instant to the next" if left.any() else ""
+            outside |= left
+        if outside.any():
+            first = int(np.argmax(outside))
+            refused[name] = np.where(outside, np.nan, values)
+            notes.append(
+                f"{name} at {outside.sum()} of {values.size} places of the record is not {what} "
+                f"(first {values[first]:.6g}{_UNITS[name]} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
+            )
+    return (replace(history, **refused), tuple(notes)) if refused else (history, ())
+
+
+def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
+    """Which values, (n,), are infinite or outside; NaN, which says nothing, is not."""
+    low, high = allowed
+    return np.asarray((values < low) | (values > high) | np.isinf(values))
+
+
+def _words(allowed: Limits, name: str) -> str:
+    low, high = allowed.range(name)
+    return f"a number between {low:.4g} and {high:.4g}{_UNITS[name]}"
+
+
+def _reach_K(since_s: float) -> float:
+    """How far the zone temperature may be from where it was `since_s` seconds before, K."""
+    return limits.ZONE_JUMP_K + limits.ZONE_JUMP_K_PER_H * since_s / HOUR_S
+
+
+def _jumps(time_s: Array, T_zone_C: Array) -> NDArray[np.bool_]:
+    """Which zone temperatures, (n,), cannot have been reached from the last one believed; NaN never is one."""
+    wrong = np.zeros(time_s.size, dtype=bool)
+    # Only where neighbours are far apart is there anything to look at.
+    known = np.flatnonzero(np.isfinite(T_zone_C))
+    steps = np.abs(np.diff(T_zone_C[known]))
+    if not (steps > _reach_K(0.0)).any():
+        return wrong
+    at_s, believed = float(time_s[known[0]]), float(T_zone_C[known[0]])
+    for i in known:
+        reach_K = _reach_K(float(time_s[i]) - at_s)
+        if abs(T_zone_C[i] - believed) > reach_K:
+            wrong[i] = True
+        else:
+            at_s, believed = float(time_s[i]), float(T_zone_C[i])
+    return wrong
