@@ -115,3 +115,19 @@ def test_a_silent_sensor_is_not_learned_from(model, measured):
 def test_bounds_must_hold_the_identified_gain():
     with pytest.raises(ConfigError, match="hold 1 between them"):
         validate(AdaptationConfig, {"gain_bounds": [1.1, 1.5]}, "adaptation")
+
+
+@pytest.mark.parametrize("name", ["T_out_C", "u"])
+def test_gaps_are_bridged_and_a_block_full_of_them_is_not_looked_at(model, measured, name):
+    run = _degrading(measured, days=6.0)
+    values = np.array(getattr(run, name))
+    values[[3, 40]] = np.nan
+    values[72:84] = np.nan
+    whole, holed = OnlineAdaptation(model, ON), OnlineAdaptation(model, ON)
+    whole.update(run)
+    holed.update(replace(run, **{name: values}))
+    assert [step.outcome for step in holed.steps].count("not measured") == 1
+    assert holed.steps[6].outcome == "not measured"
+    assert holed.steps[-1].gain * holed.steps[-1].heat == pytest.approx(
+        whole.steps[-1].gain * whole.steps[-1].heat, abs=0.08
+    )

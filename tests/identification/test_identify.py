@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -178,15 +179,66 @@ def _at(index, value):
         (lambda: record(HOUSE, 2.0, u=np.repeat([0.0, 1.0], 96)), r"too little excitation.*1 changes of u"),
         (lambda: _changed(T_zone_C=lambda T: np.full_like(T, np.nan)), "every zone temperature is NaN"),
         (lambda: _changed(T_zone_C=_at(slice(0, 120), np.nan)), "only .* of the zone temperatures"),
-        (lambda: _changed(T_out_C=_at(7, np.nan)), "T_out_C is not finite at 1 of 193 places, first at 7"),
-        (lambda: _changed(u=_at(5, np.nan)), "u is not finite"),
-        (lambda: _changed(u=_at(5, 1.4)), r"u ranges from 0 to 1\.4"),
+        (lambda: _changed(T_out_C=_at(slice(None), np.nan)), "u and the weather were never measured together"),
+        (lambda: _changed(u=_at(slice(5, 110), np.nan)), r"run, 5 steps between gaps: 0\.05 days of data"),
+        (lambda: _changed(u=lambda u: 100 * u), r"u at \d+ of 192 .* \(first \d+ .*so many are no faults .* its unit"),
+        (lambda: _changed(T_zone_C=lambda T: T + 273.15), "T_zone_C at 193 of 193 places .* check its unit"),
         (lambda: _changed(time_s=_at(5, 1728000.0)), r"time_s goes from .* \(index 4\)"),
     ],
 )
 def test_data_that_cannot_identify_are_refused_with_numbers(history, words):
     with pytest.raises(DataError, match=words):
         identify([history()], config=LINEAR)
+
+
+def _with_gaps(signal: str, *places: slice) -> Record:
+    history = record(HOUSE, 4.0, noise_K=0.01)
+    values = np.array(getattr(history, signal))
+    for place in places:
+        values[place] = np.nan
+    return replace(history, **{signal: values})
+
+
+@pytest.mark.parametrize(
+    ("history", "said"),
+    [
+        (_with_gaps("T_out_C", slice(50, 51), slice(200, 220)), "run: bridged T_out_C: 21 values by a straight line"),
+        (_with_gaps("solar_W_m2", slice(100, 120)), "run: bridged solar_W_m2: 20 values by a straight line"),
+        (_with_gaps("T_out_C", slice(150, 200)), "run: gaps in u or in the weather divide it into 2 blocks"),
+        (_with_gaps("u", slice(20, 21), slice(180, 190)), r"run: left out: run, 20 steps between gaps: 0\.21 days"),
+    ],
+    ids=["short gaps outdoors", "short gap of the sun", "long gap outdoors", "unknown levels"],
+)
+def test_gaps_of_a_record_are_bridged_or_left_out_and_the_card_says_so(history, said):
+    model = identify([history], config=LINEAR, floor_area_m2=190.0)
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.1 * effect
+    assert any(re.match(said, note) for note in model.card.notes), model.card.notes
+
+
+def test_the_weather_of_pairs_is_bridged_and_their_unknown_levels_are_refused():
+    pairs = [make_pair(HOUSE, seed) for seed in range(3)]
+    holed = [Pair(*(_holed(h, "T_out_C") for h in (p.a, p.b)), label=p.label) for p in pairs]
+    rmse, effect = effect_rmse(identify(pairs=holed, config=LINEAR, floor_area_m2=190.0), HOUSE)
+    assert rmse < 0.05 * effect
+    with pytest.raises(DataError, match=r"pair 0 \(second run\): u is not finite at 1 of 38 places, first at 9"):
+        identify(pairs=[Pair(pairs[0].a, _holed(pairs[0].b, "u"), label="0")], config=LINEAR)
+
+
+def _holed(history: Record, signal: str) -> Record:
+    return replace(history, **{signal: _at(9, np.nan)(np.array(getattr(history, signal)))})
+
+
+@pytest.mark.parametrize(("signal", "value"), [("heat_W", 1e7), ("power_W", 1e9), ("T_zone_C", 85.0), ("u", 1.4)])
+def test_one_absurd_reading_of_a_record_is_not_believed(signal, value):
+    history = record(HOUSE, 4.0, noise_K=0.01)
+    history = replace(history, **{signal: _at(200, value)(np.array(getattr(history, signal)))})
+    model = identify([history], config=LINEAR, floor_area_m2=190.0)
+    rmse, effect = effect_rmse(model, HOUSE)
+    assert rmse < 0.1 * effect
+    assert model.power is not None
+    np.testing.assert_allclose(model.power(np.array([0.0, 1.0]), 5.0), [0, 3600], rtol=0.02)
+    assert any(note.startswith(f"run: {signal} at 1 of") for note in model.card.notes)
 
 
 def test_nothing_is_refused_too():

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
@@ -26,6 +27,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.forced_history import forced_history, heat_drive
+from thermoforce_mpc.model.gaps import WEATHER, bridged
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -38,7 +40,7 @@ _ON, _LEAST_ON_H = 0.02, 0.5
 _HEAT_SD = 0.05
 # Step of the derivative with respect to ln τ.
 _DERIVATIVE_STEP = 0.01
-# Share of the block's temperatures that must have been measured.
+# Share of the block's temperatures, levels and weather that must have been measured.
 _LEAST_MEASURED = 0.8
 
 
@@ -152,7 +154,7 @@ class OnlineAdaptation:
             history: the run so far, or its latest days; blocks that were seen before are not looked at again.
 
         Raises:
-            DataError: u or the weather have gaps, see `forced_history.heat_drive`.
+            DataError: the weather was never measured, see `thermoforce_mpc.model.gaps`.
         """
         if state is None:
             variance = self.config.gain_sd**2
@@ -171,10 +173,13 @@ class OnlineAdaptation:
     def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
         """The state after one block: steps `start` … `stop` − 1."""
         time_s = float(history.time_s[stop])
-        if np.isfinite(history.T_zone_C[start : stop + 1]).mean() < _LEAST_MEASURED:
+        known_u = np.isfinite(history.u[start:stop])
+        weather = [np.isfinite(getattr(history, name)[start : stop + 1]).mean() for name in WEATHER]
+        if min(np.isfinite(history.T_zone_C[start : stop + 1]).mean(), known_u.mean(), *weather) < _LEAST_MEASURED:
             return state.noted(time_s, "not measured", 0.0)
+        history, _ = bridged(history)
         fading = float(np.exp((history.time_s[stop] - history.time_s[start]) / DAY_S / self.config.forgetting_days))
-        before, state = state, self._heat_followed(state, history, start, stop, fading)
+        before, state = state, self._heat_followed(state, history, start, stop, fading, known_u)
         operator = before.model.operator.resampled(history.step_s)
         target, covariance, columns = self._regression(operator, history, start, stop)
         factor = cho_factor(covariance)
@@ -220,14 +225,20 @@ class OnlineAdaptation:
         return regression.target - rest.mean - effect, rest.covariance, columns
 
     def _heat_followed(
-        self, state: AdaptationState, history: Record, start: int, stop: int, fading: float
+        self,
+        state: AdaptationState,
+        history: Record,
+        start: int,
+        stop: int,
+        fading: float,
+        known_u: NDArray[np.bool_],
     ) -> AdaptationState:
-        """Compare measured heat with the identified map while the machine was on."""
+        """Compare measured heat with the identified map while the machine was on, where its level is known."""
         heat = self._identified.operator.heat_input.heat
         if heat is None:
             return state
         u, Q = history.u[start:stop], history.heat_W[start:stop] * self._identified.operator.sign
-        used = np.isfinite(Q) & (u > _ON)
+        used = np.isfinite(Q) & (u > _ON) & known_u
         if used.sum() * history.step_s < _LEAST_ON_H * HOUR_S:
             return state
         expected = heat(u[used], history.T_out_C[start:stop][used])

@@ -28,13 +28,21 @@ from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.modes import mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import choose_order, explained_share, fit_and_judge
-from thermoforce_mpc.identification.records import Pair, check_pairs, check_run, check_steps, data_hash
+from thermoforce_mpc.identification.records import (
+    Pair,
+    check_pairs,
+    check_steps,
+    data_hash,
+    prepared_pairs,
+    prepared_runs,
+)
 from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be believed.
@@ -60,12 +68,14 @@ def identify(
         pairs: runs that share start and weather (paper eq:paired). All records have one step.
         config: options.
         mode: sign of what the actuator does to the zone.
-        floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on.
+        floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on. Readings of heat and
+            power that no building of this area gives are left out.
         step_s: step of the returned operator, s; by default the step of the data.
         source: what the model card says the data are.
 
     Returns:
-        Operator, electric power (where measured), linear free model (where there are runs) and model card.
+        Operator, electric power (where measured), linear free model (where there are runs) and model card, whose notes
+        say which readings were not believed and how gaps were bridged or left out (`prepared_runs`).
 
     Raises:
         DataError: there are no data, or they cannot identify; the message has the numbers and what to do.
@@ -74,20 +84,23 @@ def identify(
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     names = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
-    for run, name in zip(runs, names, strict=True):
-        check_run(run, name)
+    data = {name: data_hash(h) for name, h in named(names, runs, pairs)}
+    allowed = Limits.of(None, floor_area_m2)
+    runs, gaps = prepared_runs(runs, allowed)
+    pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
     sign = 1 if mode == "heating" else -1
     heat_input, notes = identified_heat_input(histories, config, sign)
+    notes = [*gaps, *pair_gaps, *notes]
     cases = [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
     cases += [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     if config.method == "two_stage":
-        model = two_stage_model(runs, pairs, names, config, heat_input, sign, step_s, source, notes)
+        model = two_stage_model(runs, pairs, data, config, heat_input, sign, step_s, source, notes)
     else:
-        model = _joint_model(runs, pairs, names, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes)
+        model = _joint_model(runs, pairs, data, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes)
     return _believed(model, cases, mode)
 
 
@@ -112,7 +125,7 @@ def _believed(model: ThermalModel, cases: Sequence[Case], mode: str) -> ThermalM
 def _joint_model(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
-    names: Sequence[str],
+    data: Mapping[str, str],
     cases: Sequence[Case],
     config: IdentificationConfig,
     heat_input: HeatInput,
@@ -164,7 +177,7 @@ def _joint_model(
         free=final.free_model(step_s or base_step, config) if runs else None,
         card=ModelCard(
             source=source,
-            data={name: data_hash(h) for name, h in named(names, runs, pairs)},
+            data=data,
             ranges=ranges(histories),
             scores=scores,
             uncertainty=certainty,

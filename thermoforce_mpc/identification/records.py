@@ -7,16 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.data import ACTING, DAY_S, HOUR_S, SAMPLED, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
 from thermoforce_mpc.model.limits import ROUNDING
+from thermoforce_mpc.model.screening import Limits, screened_history
 
 # Least excitation: hours on, standard deviation of u, and changes of u. Below, gain and drift cannot be told apart.
 MIN_ON_H = 1.0
 MIN_SD_U = 0.05
 MIN_CHANGES = 4
 MIN_DAYS = 0.9
+# Share of a signal's readings that may be impossible: more is another unit rather than a fault.
+_MOST_REFUSED = 0.1
 # Pairs are runs of one building from one state: their temperatures start equal.
 MAX_START_DIFFERENCE_K = 0.05
 
@@ -45,6 +50,91 @@ class Pair:
                 f"{what}: the zone starts {start:.3f} K apart, more than {MAX_START_DIFFERENCE_K} K: "
                 "start both runs from the same state"
             )
+
+
+def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
+    """Runs that can be identified from, without readings that cannot be and without gaps; and what was done, in words.
+
+    Short gaps of the weather are bridged as in `model.gaps`. Steps in longer ones, and those whose u is not
+    known, are left out: what is between them are runs of their own, as far as each can be identified from.
+
+    Raises:
+        DataError: nothing is left of a run, or a tenth of a signal cannot be; with the numbers that are wrong and what
+            to do about them.
+    """
+    found: list[Record] = []
+    notes: list[str] = []
+    for index, run in enumerate(runs):
+        name = f"run {index}" if len(runs) > 1 else "run"
+        run, doubts = _believed(run, allowed, name)
+        pieces = _pieces(run)
+        if len(pieces) > 1:
+            doubts += (f"gaps in u or in the weather divide it into {len(pieces)} pieces",)
+        used: list[Record] = []
+        refusals: list[DataError] = []
+        for piece in pieces:
+            piece, filled = bridged(piece)
+            try:
+                check_run(piece, name if len(pieces) == 1 else f"{name}, {piece.n_steps} steps between gaps")
+            except DataError as error:
+                refusals.append(error)
+                continue
+            used.append(piece)
+            doubts += (filled,) if filled else ()
+        if not used:
+            raise refusals[0] if refusals else DataError(f"{name}: u and the weather were never measured together")
+        doubts += tuple(f"left out: {error}" for error in refusals)
+        notes += [f"{name}: {doubt}" for doubt in doubts]
+        found += used
+    return found, notes
+
+
+def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], list[str]]:
+    """Pairs without readings that cannot be and with short gaps of the weather bridged; and what was done, in words.
+
+    Longer gaps and unknown levels stay, for `check_pairs` to refuse: a pair cannot be divided, its start is what both
+    runs share.
+
+    Raises:
+        DataError: a tenth of a signal cannot be; names it with its numbers.
+    """
+    found: list[Pair] = []
+    notes: list[str] = []
+    for index, pair in enumerate(pairs):
+        sides = []
+        for side, history in (("first run", pair.a), ("second run", pair.b)):
+            name = f"pair {pair.label or index} ({side})"
+            history, doubts = _believed(history, allowed, name)
+            if _usable(history).all():
+                history, filled = bridged(history)
+                doubts += (filled,) if filled else ()
+            sides.append(history)
+            notes += [f"{name}: {doubt}" for doubt in doubts]
+        found.append(Pair(sides[0], sides[1], label=pair.label))
+    return found, notes
+
+
+def _believed(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
+    """The record without readings that cannot be, and why; raises `DataError` where they are no rare faults."""
+    screened, doubts = screened_history(record, allowed)
+    for signal in (*SAMPLED, *ACTING):
+        refused = np.isfinite(getattr(record, signal)) & ~np.isfinite(getattr(screened, signal))
+        if refused.size and refused.mean() > _MOST_REFUSED:
+            why = next(doubt for doubt in doubts if doubt.startswith(f"{signal} "))
+            raise DataError(f"{name}: {why}; so many are no faults of a sensor: check its unit, and the floor area")
+    return screened, doubts
+
+
+def _usable(history: Record) -> NDArray[np.bool_]:
+    """Which steps have a known level and weather that is known or that a straight line bridges, shape (n,)."""
+    lost = np.any([long_gaps(history, name) for name in WEATHER], axis=0)
+    return np.asarray(np.isfinite(history.u) & ~lost[:-1] & ~lost[1:])
+
+
+def _pieces(run: Record) -> list[Record]:
+    """The stretches of usable steps."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], _usable(run), [False]]).astype(int)))
+    return [run.slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def check_run(history: Record, name: str) -> None:
@@ -106,9 +196,6 @@ def check_steps(histories: Sequence[Record]) -> None:
 def _check_signals(history: Record, name: str) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
-    steps = np.diff(history.time_s)
-    if not np.allclose(steps, steps[0], rtol=1e-6) or steps[0] <= 0:
-        raise DataError(f"{name}: time steps vary between {steps.min():g} and {steps.max():g} s; resample to one step")
     finite = np.isfinite(history.T_zone_C)
     if not finite.any():
         raise DataError(f"{name}: every zone temperature is NaN; check the point of the sensor")

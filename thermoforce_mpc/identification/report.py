@@ -11,6 +11,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
+from thermoforce_mpc.model.gaps import bridged
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -35,11 +36,13 @@ class Rollouts:
 def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> Rollouts | None:
     """Predict a record in pieces of `hours`, each from what was known before it, with the weather as it came.
 
-    None where the model has no linear free part (it was identified from pairs alone) or the record is too short.
+    Gaps in the record's weather and levels are bridged. None where the model has no linear free part (it was identified
+    from pairs alone) or the record is too short.
     """
     n = max(1, round(hours * HOUR_S / record.step_s))
     if model.free is None or record.n_steps < 2 * n:
         return None
+    record, _ = bridged(record)
     predictor = Predictor(model, RcFreeResponse(model.free))
     predicted = np.full(record.n_steps + 1, np.nan)
     for start in range(n, record.n_steps, n):

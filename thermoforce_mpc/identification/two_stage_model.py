@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import Case, held_out, named, normalisation, power_model, ranges
+from thermoforce_mpc.identification.cases import Case, held_out, normalisation, power_model, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate
-from thermoforce_mpc.identification.records import Pair, data_hash
+from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.regression_data import pair_regression
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.card import ModelCard
@@ -28,7 +28,7 @@ _TWO_STAGE_SD = 0.3
 def two_stage_model(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
-    names: Sequence[str],
+    data: Mapping[str, str],
     config: IdentificationConfig,
     heat_input: HeatInput,
     sign: int,
@@ -52,7 +52,7 @@ def two_stage_model(
         free=fit.free_model().resampled(step_s),
         card=ModelCard(
             source=source,
-            data={name: data_hash(h) for name, h in named(names, runs, pairs)},
+            data=data,
             ranges=ranges(histories),
             scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on} | scores,
             uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},

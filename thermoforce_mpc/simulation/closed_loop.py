@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from thermoforce_mpc.data import Block, Boundary, Measurement, Observation, Period, Plan, PlanStatus
+from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.simulation.screening import Limits, limits_of, screened, screened_history
 
 # A remainder shorter than this is a rounding of the clock, not a stretch of time to act in.
 _CLOCK_TOLERANCE_S = 1e-6
@@ -94,7 +94,7 @@ def run_closed_loop(
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
     Here measurements enter what the controller sees: readings that cannot be are NaN there, see
-    `thermoforce_mpc.simulation.screening`, and where the plant does not report u, what was applied stands in for it.
+    `thermoforce_mpc.model.screening`, and where the plant does not report u, what was applied stands in for it.
 
     Args:
         on_step: called after every control step (progress, live line).

@@ -13,6 +13,7 @@ import pandas as pd
 from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
@@ -23,7 +24,6 @@ from thermoforce_mpc.simulation.composition import build_plant, controller_optio
 from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import IdentificationTask, IdentifiedModel, identification_task, model_for
 from thermoforce_mpc.simulation.run_folder import create_run_folder, trajectory_frame, write_partial, write_results
-from thermoforce_mpc.simulation.screening import limits_of
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -15,13 +15,13 @@ from typing import Any
 from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, source_fingerprint
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.identifying import model_for, run_identification
-from thermoforce_mpc.simulation.screening import limits_of
 from thermoforce_mpc.version import VERSION
 
 # What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc import limits
 from thermoforce_mpc.data import HOUR_S, Array, Measurement, Record
+from thermoforce_mpc.model import limits
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -54,9 +54,9 @@ class Limits:
         found = cls(power_W=(-most_W, most_W), heat_W=(-most_W, most_W))
         if model is None:
             return found
-        actuator, power = model.operator.actuator, model.power
-        if actuator.heat is not None:
-            full_W = model.operator.sign * actuator.largest() * actuator.reference_W
+        heat_input, power = model.operator.heat_input, model.power
+        if heat_input.heat is not None:
+            full_W = model.operator.sign * heat_input.largest() * heat_input.reference_W
             low, high = sorted(share * full_W for share in limits.LOAD_RANGE)
             found = replace(found, heat_W=(low, high))
         if power is not None:

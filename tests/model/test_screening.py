@@ -11,7 +11,7 @@ from simple_house import simple_model
 from thermoforce_mpc.data import HOUR_S, Measurement, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.simulation.screening import Limits, limits_of, screened, screened_history
+from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 
 NAN = float("nan")
 NOW_S = 30 * HOUR_S
