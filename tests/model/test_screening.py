@@ -93,7 +93,7 @@ def test_limits_of_a_model_are_multiples_of_what_its_machine_can_do():
     np.testing.assert_allclose(Limits.of(model, 100.0).power_W, [-0.05 * power_W, 3 * power_W])
     for sign, expected in ((1, (-12e3, 36e3)), (-1, (-36e3, 12e3))):
         heat = HeatInput(MachineLoad((2e3, 0.0, 8e3, 200.0), (-10.0, 10.0)))
-        operator = replace(model.operator, actuator=heat, gains=sign * model.operator.gains, sign=sign)
+        operator = replace(model.operator, heat_input=heat, gains=sign * model.operator.gains, sign=sign)
         np.testing.assert_allclose(Limits.of(replace(model, operator=operator)).heat_W, expected)
 
 

