@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from controllers.errors import ControllerConfigError
@@ -86,20 +87,28 @@ class Actuation:
     def now(self, state: ActuationState | None, history: Record) -> ActuationState:
         """The machine as the next step finds it: as it was told, or as `history` shows it where others were in control.
 
-        Others are the plant's own control, in the step before and before the run begins (`state` None). A step that was
-        neither off nor at the level throughout may have ended with any switch, so the machine counts as just off.
+        Others are the plant's own control, in the step before and before the run begins (`state` None).
         """
         if state is not None and not state.native:
             return state
-        told = history.u[-1:]
-        if not (told.size and np.isfinite(told[0])):
+        if not (history.n_steps and np.isfinite(history.u[-1])):
             return ActuationState() if state is None else _UNKNOWN
-        for on in (False, True):
-            same = history.u >= self.config.level - _OFF if on else history.u <= _OFF
-            if same[-1]:
-                steps = same.size if same.all() else int(np.argmin(same[::-1]))
-                return ActuationState(on=on, held_s=steps * history.step_s)
-        return _UNKNOWN
+        return self._seen(history)
+
+    def _seen(self, history: Record) -> ActuationState:
+        """What the mean levels of the past steps tell of the machine, where there is a doubt to the side of waiting."""
+        u, level = history.u, self.config.level
+        off, full = u <= _OFF, u >= level - _OFF
+        between = np.isfinite(u) & ~off & ~full
+        if off[-1]:
+            return ActuationState(on=False, held_s=_last_run(off) * history.step_s)
+        if full[-1]:
+            return ActuationState(on=True, held_s=_last_run(full) * history.step_s)
+        if u.size > 1 and off[-2]:  # it came on in the last step, at the latest when the rest of it makes up the mean
+            return ActuationState(on=True, held_s=float(u[-1]) / level * history.step_s)
+        if u.size > 1 and between[-2]:  # neither off nor full for several steps: it runs at a level of its own
+            return ActuationState(on=True, held_s=_last_run(between) * history.step_s)
+        return _UNKNOWN  # full before, or not known: it may have gone off in the last step
 
     def realise(
         self, u: float | None, step_s: float, state: ActuationState
@@ -150,3 +159,8 @@ class Actuation:
             # Among equals the later start: what is not needed yet may turn out not to be needed.
             candidates.reverse()
         return min(candidates, key=lambda stays_s: abs((stays_s if state.on else step_s - stays_s) - wanted_s))
+
+
+def _last_run(flags: NDArray[np.bool_]) -> int:
+    """How many of the last `flags` (n,) are set without a break."""
+    return int(flags.size if flags.all() else np.argmin(flags[::-1]))

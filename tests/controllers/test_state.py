@@ -144,7 +144,11 @@ def after(u: list[float]) -> Record:
         ([1.0, 1.0, 0.0], False, 900.0),
         ([0.0, 0.0, 0.0], False, 2700.0),
         ([0.3, 1.0, 1.0], True, 1800.0),
-        ([0.0, 0.4], False, 0.0),  # it may just have switched off
+        ([0.0, 0.4], True, 360.0),  # it came on
+        ([1.0, 0.4], False, 0.0),  # it may just have gone off
+        ([0.4], False, 0.0),
+        ([0.0, 0.5, 0.6, 0.7], True, 2700.0),  # it modulates
+        ([np.nan, 0.5], False, 0.0),
     ],
 )
 @pytest.mark.parametrize("state", [None, ActuationState(native=True)], ids=["a run begins", "after native control"])
@@ -160,7 +164,7 @@ def test_what_was_told_counts_where_nobody_else_acted():
 def test_a_machine_that_was_not_seen_may_just_have_switched_off():
     actuation = Actuation(ActuationConfig())
     assert actuation.now(ActuationState(native=True), after([np.nan])) == ActuationState(on=False, held_s=0.0)
-    blocks, _ = actuation.realise(1.0, 900.0, actuation.now(ActuationState(native=True), after([0.5])))
+    blocks, _ = actuation.realise(1.0, 900.0, actuation.now(ActuationState(native=True), after([1.0, 0.5])))
     assert [(block.u, block.duration_s) for block in blocks] == [(0.0, 600.0), (1.0, 300.0)]
 
 
@@ -173,8 +177,9 @@ def test_after_a_silent_sensor_and_native_control_the_minimum_off_time_holds():
     silent = replace(history, T_zone_C=np.full(history.time_s.size, np.nan))
     plan = controller.plan(Observation(silent, house.forecast(6 * HOUR_S, HOUR_S)))
     assert [block.u for block in plan.blocks] == [None]
-    # Native control ran for a part of the hour; when it stopped is not known.
-    later = history.extended(replace(house.advance(None, HOUR_S), u=0.4))
+    # Native control ran for a part of the hour and may have stopped just now.
+    told = replace(history, u=np.ones(history.n_steps))
+    later = told.extended(replace(house.advance(None, HOUR_S), u=0.4))
     cold = replace(later, T_zone_C=later.T_zone_C - 3.0)
     plan = controller.plan(Observation(cold, house.forecast(6 * HOUR_S, HOUR_S)), plan.state)
     assert [(block.u, block.duration_s) for block in plan.blocks] == [(0.0, 600.0), (1.0, 3000.0)]

@@ -116,7 +116,7 @@ class EnergyPlusZone(StrictModel):
 class Defaults(StrictModel):
     """What suits this building where a scenario says nothing else."""
 
-    actuation: dict[str, Any] = Field(default_factory=dict, description="options `actuation` of the MPC")
+    actuation: dict[str, Any] = Field(default_factory=dict, description="options `actuation` of the MPC and of pi")
     probing: dict[str, Any] = Field(default_factory=dict, description="options of the probing")
     identification: dict[str, Any] = Field(default_factory=dict, description="options of the identification")
 
