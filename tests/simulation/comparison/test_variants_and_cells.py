@@ -116,6 +116,13 @@ def test_forecast_errors_play_a_part_in_learning():
     assert len(set.union(*found.values())) == 4
 
 
+def test_every_identification_has_a_title_of_its_own():
+    """Progress is shown by title."""
+    variants = {"a": Variant(controller="rc_mpc"), "b": Variant(controller="rc_mpc", identification={"days": 2})}
+    made = expand(BASE, variants, ["44", "45"], ["constant", "dynamic"], ["none", "low"])
+    assert len({cell.identification_title for cell in made}) == len({cell.identification_key for cell in made}) == 8
+
+
 @pytest.mark.parametrize("field", [item.name for item in fields(IdentificationTask)])
 def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch):
     variant = {"v": Variant(controller="rc_mpc")}

@@ -47,8 +47,17 @@ class Cell:
     @property
     def title(self) -> str:
         """How a reader knows it."""
-        forecasts = "" if self.uncertainty == "none" else f" · {self.uncertainty} forecast error"
-        return f"{self.variant} · {self.window} · {self.price}{forecasts}"
+        return f"{self.variant} · {self.window} · {self.price}{self._forecasts}"
+
+    @property
+    def identification_title(self) -> str:
+        """How a reader knows its identification."""
+        days = self.scenario.identification.days
+        return f"identifying · {self.variant} · {self.window} · {days:g} days{self._forecasts}"
+
+    @property
+    def _forecasts(self) -> str:
+        return "" if self.uncertainty == "none" else f" · {self.uncertainty} forecast error"
 
     @property
     def group(self) -> tuple[str, str, str]:

@@ -50,12 +50,7 @@ class _Task:
 
     @property
     def title(self) -> str:
-        if self.learns:
-            scenario = self.cell.scenario
-            return (
-                f"identifying · {self.cell.window} ({scenario.controller.name}, {scenario.identification.days:g} days)"
-            )
-        return self.cell.title
+        return self.cell.identification_title if self.learns else self.cell.title
 
 
 @dataclass
