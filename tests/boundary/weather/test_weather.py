@@ -1,12 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pvlib
 import pytest
 
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
-from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
-from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import WeatherError
 
 COLUMNS = 30
@@ -90,40 +88,6 @@ def test_other_files_are_refused(tmp_path, name, message):
         (tmp_path / name).write_text("hello")
     with pytest.raises(WeatherError, match=message):
         load_weather(tmp_path / name)
-
-
-def test_the_sun_stands_where_pvlib_puts_it():
-    import pandas as pd
-
-    time_s = (np.array([20, 110, 200, 290])[:, None] * DAY_S + np.arange(9, 16)[None] * HOUR_S).ravel()
-    ours = sun_position(time_s, 50.9, 4.53, 1.0)
-    stamps = pd.Timestamp("2019-01-01", tz="Etc/GMT-1") + pd.to_timedelta(time_s, unit="s")
-    theirs = pvlib.solarposition.get_solarposition(stamps, 50.9, 4.53)
-    np.testing.assert_allclose(
-        np.rad2deg(ours.zenith), theirs.zenith, atol=1.0
-    )  # the model takes the declination from a cosine
-    np.testing.assert_allclose(np.rad2deg(ours.azimuth) + 180, theirs.azimuth, atol=1.5)
-
-
-def test_a_flat_plane_receives_the_global_irradiance():
-    weather = synthetic_weather()
-    time_s = np.arange(150 * DAY_S, 160 * DAY_S, HOUR_S)
-    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
-    flat = on_plane(weather, sun, time_s, 0.0, 0.0)
-    total = (flat.beam + flat.diffuse).sum()
-    assert total == pytest.approx(weather.at("global_W_m2", time_s).sum(), rel=0.05)
-
-
-def test_south_collects_most_in_winter_and_north_no_beam():
-    weather = synthetic_weather()
-    time_s = np.arange(0, 30 * DAY_S, HOUR_S)
-    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
-    sums = {
-        name: on_plane(weather, sun, time_s, np.pi / 2, azimuth).beam.sum()
-        for name, azimuth in (("south", 0.0), ("west", np.pi / 2), ("north", np.pi), ("east", -np.pi / 2))
-    }
-    assert sums["south"] > 2 * max(sums["west"], sums["east"])
-    assert sums["north"] == 0.0
 
 
 def test_the_synthetic_year_is_deterministic_and_temperate_maritime():

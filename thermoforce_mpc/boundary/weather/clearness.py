@@ -10,6 +10,8 @@ most other places (tests/boundary/weather/test_clearness.py).
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
+from pvlib import clearsky
 
 from thermoforce_mpc.boundary.weather.solar import Sun
 from thermoforce_mpc.data import DAY_S, Array
@@ -20,14 +22,12 @@ from thermoforce_mpc.errors import WeatherError
 _COEFFICIENTS = (0.884, 0.484, -1.150)
 # Some light comes through any cloud, and no day beats a clear one.
 _CLEARNESS_RANGE = (0.1, 1.0)
-_LOWEST_HEIGHT = 1e-3
 
 
 def clear_sky_W_m2(sun: Sun) -> Array:
     """Global horizontal irradiance under a clear sky, W/m², shape of `sun.zenith` (Haurwitz 1945)."""
-    height = np.cos(sun.zenith)
-    safe = np.maximum(height, _LOWEST_HEIGHT)
-    return np.where(height > _LOWEST_HEIGHT, 1098.0 * safe * np.exp(-0.059 / safe), 0.0)
+    zenith_deg = pd.Series(np.rad2deg(sun.zenith).ravel())
+    return clearsky.haurwitz(zenith_deg)["ghi"].to_numpy().reshape(sun.zenith.shape)
 
 
 def sunlight_from_humidity(time_s: Array, humidity: Array, sun: Sun) -> Array:

@@ -14,11 +14,9 @@ from thermoforce_mpc.plants.embedded.constructions import WINDOW_M2
 GRID_S = 900.0
 _KELVIN = 273.15
 _SHORT_WAVE_ABSORPTANCE = 0.6
-_VERTICAL = np.pi / 2
 
-# Facing directions of the outside surfaces, rad: solar azimuth (0 south, west positive) and compass bearing.
-_AZIMUTH = {"south": 0.0, "west": np.pi / 2, "north": np.pi, "east": -np.pi / 2}
-_BEARING = {"south": np.pi, "west": 1.5 * np.pi, "north": 0.0, "east": np.pi / 2}
+# Where the walls face, degrees clockwise from north.
+_FACING_DEG = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
 # Wind from more than this off the normal leaves the surface in the lee.
 _LEE_RAD = np.deg2rad(100.0)
 
@@ -72,13 +70,13 @@ def build_exposure(weather: Weather) -> Exposure:
     grid[:, T_OUT] = weather.at("T_dry_C", time_s) + _KELVIN
     grid[:, T_SKY] = weather.sky_temperature_C(time_s) + _KELVIN
     wind, wind_from = weather.at("wind_m_s", time_s), weather.at("wind_from_rad", time_s)
-    for i, side in enumerate(("south", "west", "north", "east")):
-        off_normal = np.abs(np.angle(np.exp(1j * (wind_from - _BEARING[side]))))
+    for i, (side, facing_deg) in enumerate(_FACING_DEG.items()):
+        off_normal = np.abs(np.angle(np.exp(1j * (wind_from - np.deg2rad(facing_deg)))))
         grid[:, FORCED + i] = np.where(off_normal > _LEE_RAD, 3.55 * wind**0.617, 3.26 * wind**0.89)
-        light = on_plane(weather, sun, time_s, _VERTICAL, _AZIMUTH[side])
+        light = on_plane(weather, sun, time_s, 90.0, facing_deg)
         grid[:, ABSORBED + i] = _SHORT_WAVE_ABSORPTANCE * (light.beam + light.diffuse)
         if side == "south":
-            angle = np.rad2deg(light.incidence)
+            angle = light.incidence_deg
             beam, diffuse = WINDOW_M2 * light.beam, WINDOW_M2 * light.diffuse
             grid[:, BEAM_IN] = beam * np.interp(angle, _ANGLE, _TRANSMITTED)
             grid[:, DIFFUSE_IN] = diffuse * _DIFFUSE[0]
@@ -87,7 +85,7 @@ def build_exposure(weather: Weather) -> Exposure:
             grid[:, PANE_OUTER] = beam * outer + diffuse * _DIFFUSE[1]
             grid[:, PANE_INNER] = beam * inner + diffuse * _DIFFUSE[2]
     grid[:, FORCED + 4] = 3.26 * wind**0.89  # a roof is always windward
-    above = on_plane(weather, sun, time_s, 0.0, 0.0)
+    above = on_plane(weather, sun, time_s, 0.0, 180.0)
     grid[:, ABSORBED + 4] = _SHORT_WAVE_ABSORPTANCE * (above.beam + above.diffuse)
     grid[:, GLOBAL] = weather.at("global_W_m2", time_s)
     grid.setflags(write=False)
