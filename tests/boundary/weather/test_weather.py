@@ -23,15 +23,22 @@ def write_mos(path, rows=None, location="#LOCATION,TOWN,-,BEL,IWEC,064510,50.90,
     return path
 
 
-def epw_row(day: int, hour: int, T: str) -> str:
+def epw_row(hour: int, T: float) -> str:
+    """Row of the hour that ends `hour + 1` hours into a year of 365 days."""
+    date = np.datetime64("2019-01-01") + hour // 24
     cells = ["0"] * 35
-    cells[0:5] = ["2019", "1", str(day), str(hour), "0"]
-    cells[5], cells[6], cells[7], cells[9], cells[20], cells[21], cells[23] = "?9", T, "1", "101300", "200", "4", "5"
+    cells[0:5] = [*str(date).split("-"), str(hour % 24 + 1), "0"]
+    cells[5], cells[6], cells[7], cells[9] = "?9", str(T), "1", "101300"
+    cells[20], cells[21], cells[23] = "200", "4", "5"
     return ",".join(cells)
 
 
+def epw_rows() -> list[str]:
+    return [epw_row(h, T=h % 24 + 1) for h in range(8760)]
+
+
 def write_epw(path, rows=None):
-    rows = rows or [epw_row(1 + h // 24, h % 24 + 1, str(h % 24 + 1)) for h in range(8760)]
+    rows = rows or epw_rows()
     header = ["LOCATION,Town,-,BEL,IWEC,064510,50.90,4.53,1.0,58.0", *["HEADER"] * 7]
     path.write_text("\n".join([*header, *rows]))
     return path
@@ -68,9 +75,9 @@ def test_hour_h_of_an_epw_file_is_h_oclock(tmp_path):
         (lambda rows: rows[:4000], "4000 hourly rows, a year has 8760; the file is truncated"),
         (lambda rows: [*rows[:10], mos_row(10, T=float("nan")), *rows[11:]], "T_dry_C is nan at day 1, hour 10"),
         (lambda rows: [*rows[:10], mos_row(10, T=99), *rows[11:]], "T_dry_C is 99 at day 1, hour 10"),
-        (lambda rows: [*rows[:10], rows[10].replace("101300", "x"), *rows[11:]], "not a number"),
+        (lambda rows: [*rows[:10], rows[10].replace("101300", "x"), *rows[11:]], "row 11: a cell is not a number"),
         (lambda rows: [*rows[:10], "36000.0\t1\t2", *rows[11:]], "row 11 has 3 columns"),
-        (lambda rows: [rows[0], *rows[:8759]], "not hourly"),
+        (lambda rows: [*rows[:10], *rows[11:], mos_row(8760), mos_row(8761)], "row 11 is at 39600 s, expected 36000"),
     ],
 )
 def test_a_damaged_file_is_refused_with_file_and_place(tmp_path, change, message):
@@ -78,6 +85,36 @@ def test_a_damaged_file_is_refused_with_file_and_place(tmp_path, change, message
     with pytest.raises(WeatherError, match=message) as caught:
         load_weather(path)
     assert "w.mos" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows[:4000], "4000 hourly rows, a year has 8760; the file is truncated"),
+        (lambda rows: [*rows, *rows[:24]], "8784 hourly rows, a year has 8760"),
+        (lambda rows: [*rows[:10], epw_row(10, T=99), *rows[11:]], "T_dry_C is 99 at day 1, hour 11"),
+        (lambda rows: [*rows[:10], rows[10].replace("101300", ""), *rows[11:]], "row 11: a cell is not a number"),
+        (lambda rows: [*rows[:10], "2019,1,1,11,0", *rows[11:]], "row 11 has 5 columns"),
+        (
+            lambda rows: [*rows[:10], *rows[11:], rows[0]],
+            "row 11 is .* day 1, hour 12, expected .* hour 11",
+        ),
+        (lambda rows: [*rows[4344:], *rows[:4344]], "row 1 is month 7, day 1, hour 1, expected month 1, day 1, hour 1"),
+    ],
+    ids=["truncated", "a day twice", "hot", "empty cell", "short", "gap", "from July"],
+)
+def test_a_damaged_epw_file_is_refused_with_file_and_place(tmp_path, change, message):
+    path = write_epw(tmp_path / "w.epw", change(epw_rows()))
+    with pytest.raises(WeatherError, match=message) as caught:
+        load_weather(path)
+    assert "w.epw" in str(caught.value)
+
+
+def test_of_a_leap_year_the_29th_of_february_is_left_out(tmp_path):
+    rows = epw_rows()
+    extra = [",".join(["2020", "02", "29", *row.split(",")[3:6], "40", *row.split(",")[7:]]) for row in rows[:24]]
+    leap = load_weather(write_epw(tmp_path / "leap.epw", [*rows[: 59 * 24], *extra, *rows[59 * 24 :]]))
+    assert leap.fingerprint == load_weather(write_epw(tmp_path / "w.epw", rows)).fingerprint
 
 
 @pytest.mark.parametrize(

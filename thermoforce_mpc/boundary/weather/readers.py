@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 from pathlib import Path
 
@@ -15,6 +16,7 @@ _HOURS = 8760
 
 # Columns by position, counted from 0, in either layout.
 _MOS_COLUMNS = {
+    "time_s": 0,
     "T_dry_C": 1,
     "T_dew_C": 2,
     "relative_humidity": 3,
@@ -30,6 +32,9 @@ _MOS_COLUMNS = {
     "ceiling_m": 20,
 }
 _EPW_COLUMNS = {
+    "month": 1,
+    "day": 2,
+    "hour": 3,
     "T_dry_C": 6,
     "T_dew_C": 7,
     "relative_humidity": 8,
@@ -50,8 +55,8 @@ def load_weather(path: Path) -> Weather:
     """Read a weather year from a `.mos` or `.epw` file.
 
     Raises:
-        WeatherError: the file is missing, of another kind, truncated, or holds values that cannot be; the message
-            names the file and what to do.
+        WeatherError: the file is missing, of another kind, truncated, not hour by hour, or holds values that cannot
+            be; the message names the file and what to do.
     """
     path = Path(path)
     readers = {".mos": _read_mos, ".epw": _read_epw}
@@ -72,50 +77,71 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
         raise WeatherError(f"{path}: no '#LOCATION' line, so latitude and longitude are unknown")
     rows = [line.split() for line in lines if line[:1].isdigit() or line[:1] == "-"]
     # Some years repeat midnight of the next 1 January as a last row.
-    table = _table(path, rows[: _HOURS + 1], min_columns=max(_MOS_COLUMNS.values()) + 1)
-    if not np.allclose(table[:_HOURS, 0], np.arange(_HOURS) * HOUR_S):
-        raise WeatherError(f"{path}: the time column is not hourly from 0 s; this reader needs 8760 hourly rows")
-    return _weather(path, name, location, table[:_HOURS], _MOS_COLUMNS)
+    columns = _columns(path, rows[: _HOURS + 1], _MOS_COLUMNS)
+    columns = {key: values[:_HOURS] for key, values in columns.items()}
+    time_s, hourly = columns.pop("time_s"), np.arange(_HOURS) * HOUR_S
+    wrong = np.flatnonzero(~np.isclose(time_s, hourly))
+    if wrong.size:
+        row = int(wrong[0])
+        raise WeatherError(
+            f"{path}: hourly row {row + 1} is at {time_s[row]:.10g} s, expected {hourly[row]:.10g}; this reader needs "
+            "8760 hourly rows from 0 s"
+        )
+    return _weather(path, name, location, columns)
 
 
 def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
-    """Eight header lines, then rows for hours 1 to 24; the row of hour h is the state at h o'clock."""
+    """Eight header lines, then rows for hours 1 to 24; the row of hour h is the state at h o'clock.
+
+    Not pvlib's `read_epw`: it takes truncated files, short rows and text in cells without a word, refuses rows that end
+    in a comma and towns in Latin-1, and names neither file nor row.
+    """
     if len(lines) < 9 or not lines[0].upper().startswith("LOCATION"):
         raise WeatherError(f"{path}: does not start with a LOCATION line, so it is not an EPW file")
-    rows = [line.split(",") for line in lines[8:] if line.strip()]
-    if len(rows) == 8784:  # a leap year: 29 February is dropped, the year of the plant has 365 days
-        rows = [row for row in rows if (row[1].strip(), row[2].strip()) != ("2", "29")]
-    # Column 5 is the file's own flags, text: made a number so that the rest can be one table.
-    numbers = [[*row[:5], "0", *row[6:]] for row in rows]
-    table = _table(path, numbers, min_columns=max(_EPW_COLUMNS.values()) + 1)
+    columns = _columns(path, [line.split(",") for line in lines[8:] if line.strip()], _EPW_COLUMNS)
+    # A leap year: 29 February is dropped, the year of the plant has 365 days.
+    kept = (columns["month"] != 2) | (columns["day"] != 29)
+    columns = {key: values[kept] for key, values in columns.items()}
+    date = np.stack([columns.pop(key) for key in ("month", "day", "hour")], axis=1)
+    if date.shape[0] != _HOURS:
+        raise WeatherError(f"{path}: {date.shape[0]} hourly rows, a year has {_HOURS}")
+    days = [datetime.date(2019, 1, 1) + datetime.timedelta(day) for day in range(365)]
+    calendar = np.array([(day.month, day.day, hour) for day in days for hour in range(1, 25)])
+    wrong = np.flatnonzero((date != calendar).any(axis=1))
+    if wrong.size:
+        found, expected = ("month {:g}, day {:g}, hour {:g}".format(*rows[wrong[0]]) for rows in (date, calendar))
+        raise WeatherError(
+            f"{path}: hourly row {wrong[0] + 1} is {found}, expected {expected}; this reader needs the hours of one "
+            "year in order, 1 to 24 a day"
+        )
     # Hour 24 of 31 December is midnight, which is where the year begins.
-    return _weather(path, name, lines[0], np.roll(table, 1, axis=0), _EPW_COLUMNS)
+    return _weather(path, name, lines[0], {key: np.roll(values, 1) for key, values in columns.items()})
 
 
-def _table(path: Path, rows: list[list[str]], min_columns: int) -> Array:
+def _columns(path: Path, rows: list[list[str]], columns: dict[str, int]) -> dict[str, Array]:
+    """The named columns of at least a year of rows."""
     if len(rows) < _HOURS:
         raise WeatherError(f"{path}: {len(rows)} hourly rows, a year has {_HOURS}; the file is truncated")
-    short = next((i for i, row in enumerate(rows) if len(row) < min_columns), None)
-    if short is not None:
-        raise WeatherError(f"{path}: hourly row {short + 1} has {len(rows[short])} columns, expected {min_columns}")
-    try:
-        return np.array([[float(cell) for cell in row[:min_columns]] for row in rows])
-    except ValueError as error:
-        raise WeatherError(f"{path}: a cell is not a number ({error})") from error
+    width = max(columns.values()) + 1
+    table = np.empty((len(rows), len(columns)))
+    for i, row in enumerate(rows):
+        if len(row) < width:
+            raise WeatherError(f"{path}: hourly row {i + 1} has {len(row)} columns, expected {width}")
+        try:
+            table[i] = [float(row[index]) for index in columns.values()]
+        except ValueError as error:
+            raise WeatherError(f"{path}: hourly row {i + 1}: a cell is not a number ({error})") from error
+    return dict(zip(columns, table.T.copy(), strict=True))
 
 
-def _weather(path: Path, name: str, location: str, table: Array, columns: dict[str, int]) -> Weather:
-    """Pick the columns: angles to radians, cover from tenths, humidity from per cent; the place from the header."""
-    if table.shape[0] != _HOURS:
-        raise WeatherError(f"{path}: {table.shape[0]} hourly rows, a year has {_HOURS}")
+def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) -> Weather:
+    """Angles to radians, cover from tenths, humidity from per cent; latitude, longitude and zone from the header."""
     cells = [cell.strip() for cell in location.split(",")]
     try:
         latitude, longitude, zone = (float(cell) for cell in cells[6:9])
     except ValueError as error:
         raise WeatherError(f"{path}: latitude, longitude or time zone missing in '{location[:80]}'") from error
-    data = {key: table[:, index].copy() for key, index in columns.items()}
-    data["wind_from_rad"] = np.deg2rad(data["wind_from_rad"])
-    data["opaque_cover"] /= 10.0
-    data["total_cover"] /= 10.0
-    data["relative_humidity"] /= 100.0
-    return Weather(name=name, latitude_deg=latitude, longitude_deg=longitude, timezone_h=zone, **data)
+    columns["wind_from_rad"] = np.deg2rad(columns["wind_from_rad"])
+    for key, scale in (("opaque_cover", 10.0), ("total_cover", 10.0), ("relative_humidity", 100.0)):
+        columns[key] = columns[key] / scale
+    return Weather(name=name, latitude_deg=latitude, longitude_deg=longitude, timezone_h=zone, **columns)

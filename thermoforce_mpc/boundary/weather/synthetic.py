@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2
-from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.year import Weather, black_body_sky_C
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
