@@ -18,6 +18,7 @@ def weather_of(normal_W_m2: float, diffuse_W_m2: float, global_W_m2: float) -> W
     """A year with the same light at every row, in Brussels."""
     light = {"normal_W_m2": normal_W_m2, "diffuse_W_m2": diffuse_W_m2, "global_W_m2": global_W_m2}
     rest = {"T_dry_C": 5.0, "T_dew_C": 1.0, "wind_m_s": 4.0, "wind_from_rad": 1.0, "opaque_cover": 0.5}
+    rest |= {"relative_humidity": 0.75, "infrared_W_m2": 300.0, "total_cover": 0.5, "ceiling_m": 22_000.0}
     columns = {name: np.full(8760, value) for name, value in (light | rest | {"pressure_Pa": 101_300.0}).items()}
     return Weather(name="constant", latitude_deg=50.9, longitude_deg=4.53, timezone_h=1.0, **columns)
 

@@ -92,6 +92,8 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
     pvlib's takes the sun's distance in too and the year would have 2.6 % less diffuse light than what was published.
     """
     # pvlib behind these takes a third of a second to import; who reads a file need not wait for it.
+    from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2
+    from thermoforce_mpc.boundary.weather.solar import sun_position
 
     minutes = (np.arange(6) + 0.5) * 600.0 - HOUR_S
     time_s = hour[:, None] * HOUR_S + minutes[None, :]
