@@ -11,8 +11,8 @@ from controllers.pi import PIConfig, PIController
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.composition import validate_scenario
 
 
 def observation(T: float, time_s: float, lower_C: float | list[float] = 21.0) -> Observation:

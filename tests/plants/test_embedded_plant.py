@@ -233,6 +233,10 @@ def test_kpis_asked_at_every_step_are_those_of_the_whole_record(weather, monkeyp
     plant.reset(40 * DAY_S, 0.0)
     plant.advance(1.0, 600.0)
     check("constant")
+    for step_s in (45.0, 100.0, 7.0, 1234.5, 900.0):  # samples need not lie on the ends of quarters
+        for _ in range(30):
+            plant.advance(float(rng.random()), step_s)
+            check("constant")
 
 
 def test_the_past_holds_the_warm_up_and_continues(plant):
