@@ -196,7 +196,7 @@ class ThermoForceMPC:
         lowest = self._actuation.lowest_level
         operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
-        predictor = Predictor(model, self._free_response, estimator=estimator)
+        predictor = Predictor(model.operator, self._free_response, estimator=estimator)
         return Planner(model, predictor, operator, build_solver(self.config, operator, self._actuation))
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
@@ -300,6 +300,8 @@ class ThermoForceMPC:
             T_free_high_C=forecast.quantile_C(0.9),
             slack_K=slack_K,
             power_W=problem.power_W(u),
+            time_s=observation.boundary.time_s[: u.size],
+            origin=observation.history.origin,
             solver_status=solution.status,
             iterations=solution.iterations,
             seconds=seconds,

@@ -14,7 +14,7 @@ window = plant.period("peak_heat_day")
 model = identify_on(plant, before=window, days=3)
 plant.reset(window.start_s, window.warmup_s)
 
-predictor = Predictor(model, build_free_response("chronos"))
+predictor = Predictor(model.operator, build_free_response("chronos"))
 context = predictor.context(Observation(plant.past(HOUR_S), plant.forecast(DAY_S, HOUR_S)))
 
 off, one_hour = np.zeros(24), np.eye(24)[0]

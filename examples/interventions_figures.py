@@ -77,7 +77,7 @@ def main() -> None:
     situation = on_a_record(options.folder) if options.folder else on_the_emulator()
     history, boundary = situation.observation.history, situation.observation.boundary
     forecaster = build_free_response("chronos")
-    predictor = Predictor(situation.model, forecaster)
+    predictor = Predictor(situation.model.operator, forecaster)
     context = predictor.context(situation.observation)
     raw_C = forecaster.forecast(history.T_zone_C, history, boundary).median_C
     predicted = context.predict(situation.u)

@@ -1,5 +1,64 @@
-"""ThermoForce-MPC: predictive control of buildings over a free and a forced response."""
+"""ThermoForce-MPC: predictive control of buildings over a free and a forced response.
+
+The public names below are loaded on first use, so that `import thermoforce_mpc` is quick. `docs/python.md` shows them
+at work.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 from thermoforce_mpc.version import VERSION as __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from controllers.mpc import ThermoForceMPC
+    from controllers.mpc_config import MPCConfig
+    from thermoforce_mpc.data import Boundary, Observation, Plan, Record
+    from thermoforce_mpc.errors import ThermoForceError
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.pipeline import identify
+    from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
+    from thermoforce_mpc.simulation.run import run
+
+__all__ = [
+    "Boundary",
+    "IdentificationConfig",
+    "MPCConfig",
+    "Observation",
+    "Plan",
+    "Record",
+    "ThermalModel",
+    "ThermoForceError",
+    "ThermoForceMPC",
+    "__version__",
+    "identify",
+    "load_model",
+    "run",
+]
+
+_HOME = {
+    "Boundary": "thermoforce_mpc.data",
+    "IdentificationConfig": "thermoforce_mpc.identification.config",
+    "MPCConfig": "controllers.mpc_config",
+    "Observation": "thermoforce_mpc.data",
+    "Plan": "thermoforce_mpc.data",
+    "Record": "thermoforce_mpc.data",
+    "ThermalModel": "thermoforce_mpc.model.thermal_model",
+    "ThermoForceError": "thermoforce_mpc.errors",
+    "ThermoForceMPC": "controllers.mpc",
+    "identify": "thermoforce_mpc.identification.pipeline",
+    "load_model": "thermoforce_mpc.model.thermal_model",
+    "run": "thermoforce_mpc.simulation.run",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'thermoforce_mpc' has no attribute '{name}'; it has {', '.join(_HOME)}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -10,11 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError
+
+if TYPE_CHECKING:  # loaded only where tables come in or go out
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -28,6 +32,7 @@ _CLOCK_ROUNDING_S = 0.01
 # What a `Record` holds: values at the boundaries, and means over the steps between them.
 SAMPLED = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
 ACTING = ("u", "power_W", "heat_W", "T_return_C")
+SIGNALS = (*SAMPLED, *ACTING)
 
 
 def _freeze(value: object, name: str, length: int) -> Array:
@@ -91,6 +96,61 @@ class Boundary:
             object.__setattr__(self, item.name, _freeze(getattr(self, item.name), item.name, n))
         _check_clock(self.time_s, "boundary")
 
+    @classmethod
+    def from_dataframe(
+        cls,
+        df: pd.DataFrame,
+        record: Record,
+        *,
+        outdoor: str,
+        solar: str | None = None,
+        lower: str | float | None = None,
+        upper: str | float | None = None,
+        price: str | float | None = None,
+        occupancy: str | float = 0.0,
+        emission: str | float = 0.0,
+    ) -> Boundary:
+        """The forecast that follows `record`: one row per step boundary, the first at the record's last time stamp.
+
+        Args:
+            df: forecast with a `DatetimeIndex` in any zone; hourly rows are interpolated to the step of `record`.
+            record: what was measured until now.
+            outdoor: column of the outdoor temperature, °C.
+            solar: column of the global horizontal irradiance, W/m²; None where the record has none either.
+            lower, upper: comfort bounds, °C; a column, or one number. A plan needs them, a prediction does not.
+            price: energy price, currency/kWh; the same.
+            occupancy, emission: persons and kg CO2/kWh; a column, or one number.
+
+        Raises:
+            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order.
+        """
+        from thermoforce_mpc.dataframes import seconds_since, series
+
+        if record.origin is None:
+            raise DataError("forecast: the record has no time stamps; make it with Record.from_dataframe")
+        at_s = seconds_since(record.origin, df.index, "forecast")
+        if at_s.size < 2 or not (np.diff(at_s) > 0).all():
+            raise DataError("forecast: it needs two rows or more, in order of time; use df.sort_index()")
+        now_s, step_s = float(record.time_s[-1]), record.step_s
+        if not at_s[0] <= now_s + _CLOCK_ROUNDING_S < at_s[-1]:
+            raise DataError(
+                f"forecast: it goes from {df.index[0]} to {df.index[-1]}, the record ends at {record.stamps()[-1]}: "
+                "the rows must begin there (or before) and go on"
+            )
+        steps = np.arange(np.floor((at_s[-1] - now_s + _CLOCK_ROUNDING_S) / step_s) + 1.0)
+        time_s = now_s + steps * step_s
+        # Temperatures go straight between two rows; what follows a schedule holds until the next row.
+        held = np.clip(np.searchsorted(at_s, time_s + _CLOCK_ROUNDING_S, side="right") - 1, 0, at_s.size - 1)
+
+        def line(given: str | float | None) -> Array:
+            return np.interp(time_s, at_s, series(df, given, "forecast"))
+
+        def step(given: str | float | None) -> Array:
+            return series(df, given, "forecast")[held]
+
+        sun = np.zeros(time_s.size) if solar is None else line(solar)
+        return cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+
     @property
     def n_steps(self) -> int:
         """Number of steps N."""
@@ -125,6 +185,7 @@ class Record:
     `T_out_C`, `solar_W_m2`.
     Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat, `T_return_C`
     return water from the emitters (NaN where not measured; all of `T_return_C` where it is not given).
+    `origin` is the `pandas.Timestamp` with `time_s` 0 where the record came from a table with time stamps.
 
     Raises:
         DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
@@ -138,6 +199,7 @@ class Record:
     power_W: Array
     heat_W: Array
     T_return_C: Array = field(default_factory=lambda: np.empty(0))
+    origin: Any = None
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
@@ -150,6 +212,61 @@ class Record:
         for name in ACTING:
             object.__setattr__(self, name, _freeze(getattr(self, name), name, n - 1))
         _check_clock(self.time_s, "history")
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        df: pd.DataFrame,
+        *,
+        zone: str,
+        outdoor: str,
+        level: str,
+        solar: str | None = None,
+        power: str | None = None,
+        heat: str | None = None,
+        return_water: str | None = None,
+    ) -> Record:
+        """A record from a table with one row per step; signals that were not measured are left out.
+
+        A row holds the temperatures and irradiance at its time stamp, and the means of level, power, heat and return
+        water over the step that begins there; in the last row only the former count. Empty cells are gaps. Without
+        `solar` the sun counts as a disturbance (0 W/m² throughout).
+
+        Args:
+            df: table with a `DatetimeIndex`, equally spaced, in any time zone.
+            zone: column of the zone temperature, °C.
+            outdoor: column of the outdoor temperature, °C.
+            level: column of the actuator level, in [0, 1].
+            solar: column of the global horizontal irradiance, W/m².
+            power: column of the electric power, W; needed to plan with.
+            heat: column of the delivered heat, W.
+            return_water: column of the return water temperature, °C.
+
+        Raises:
+            DataError: a column is missing or holds text, the index holds no time stamps, or they are not equally
+                spaced; the message says what to do.
+        """
+        from thermoforce_mpc.dataframes import new_year, seconds_since, series
+
+        origin = new_year(df.index, "record")
+        steps = slice(0, len(df) - 1)
+        return cls(
+            time_s=seconds_since(origin, df.index, "record"),
+            T_zone_C=series(df, zone, "record"),
+            T_out_C=series(df, outdoor, "record"),
+            solar_W_m2=np.zeros(len(df)) if solar is None else series(df, solar, "record"),
+            u=series(df, level, "record")[steps],
+            power_W=series(df, power, "record")[steps],
+            heat_W=series(df, heat, "record")[steps],
+            T_return_C=series(df, return_water, "record")[steps],
+            origin=origin,
+        )
+
+    def stamps(self) -> pd.Index:
+        """Time stamps of the boundaries (n + 1,); seconds since 1 January where the record has no `origin`."""
+        from thermoforce_mpc.dataframes import stamps
+
+        return stamps(self.time_s, self.origin)
 
     @property
     def n_steps(self) -> int:
@@ -170,6 +287,7 @@ class Record:
         return Record(
             **{name: getattr(self, name)[start : stop + 1] for name in SAMPLED},
             **{name: getattr(self, name)[start:stop] for name in ACTING},
+            origin=self.origin,
         )
 
     def resample(self, every: int) -> Record:
@@ -178,6 +296,7 @@ class Record:
         return Record(
             **{name: getattr(self, name)[: n * every + 1 : every] for name in SAMPLED},
             **{name: getattr(self, name)[: n * every].reshape(n, every).mean(axis=1) for name in ACTING},
+            origin=self.origin,
         )
 
     def weather(self) -> Boundary:
@@ -194,7 +313,8 @@ class Record:
     def extended(self, measurement: Measurement) -> Record:
         """This history with one more step, the one that `measurement` closes."""
         return Record(
-            **{name: np.append(getattr(self, name), getattr(measurement, name)) for name in (*SAMPLED, *ACTING)}
+            **{name: np.append(getattr(self, name), getattr(measurement, name)) for name in SIGNALS},
+            origin=self.origin,
         )
 
 
@@ -289,7 +409,8 @@ class Plan:
 
     `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`,
     predicted `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
-    predicted `power_W`; they are empty for rules. `T_free_now_C` is the control-free temperature the plan starts from.
+    predicted `power_W`; they are empty for rules. `time_s` (N,) is the start of each step, counted from `origin` where
+    the record has time stamps. `T_free_now_C` is the control-free temperature the plan starts from.
     `why` is one sentence a person can read; `solver_status` is the solver's own word. `state` is what the controller
     needs to know at its next plan of this run; nobody else looks into it.
     """
@@ -305,6 +426,8 @@ class Plan:
     T_free_high_C: Array = field(default_factory=lambda: np.empty(0))
     slack_K: Array = field(default_factory=lambda: np.empty(0))
     power_W: Array = field(default_factory=lambda: np.empty(0))
+    time_s: Array = field(default_factory=lambda: np.empty(0))
+    origin: Any = None
     solver_status: str = ""
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -314,6 +437,27 @@ class Plan:
     def T_zone_C(self) -> Array:
         """Predicted zone temperature at the end of each step, free plus forced (paper eq:compose), shape (N,), °C."""
         return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The planned horizon, one row per step at its start; no rows where nothing was solved.
+
+        Columns: `u` and mean electric `power_W` over the step; at its end `T_zone_C`, the 80 % band `T_low_C` to
+        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`.
+        """
+        from thermoforce_mpc.dataframes import table
+
+        return table(
+            self.time_s,
+            self.origin,
+            u=self.u,
+            power_W=self.power_W,
+            T_zone_C=self.T_zone_C,
+            T_low_C=self.T_free_low_C + self.T_forced_K,
+            T_high_C=self.T_free_high_C + self.T_forced_K,
+            T_free_C=self.T_free_C,
+            T_forced_K=self.T_forced_K,
+            slack_K=self.slack_K,
+        )
 
 
 @dataclass(frozen=True)

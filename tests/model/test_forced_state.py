@@ -102,7 +102,7 @@ def test_a_surprise_is_divided_by_who_was_surer():
 def test_free_and_forced_always_add_up_to_what_was_measured():
     model, history = simple_model(), some_history()
     estimator = ForcedStateEstimator(model.operator, config=EstimatorConfig(correct=True))
-    predictor = Predictor(model, OutdoorResponse(), estimator=estimator)
+    predictor = Predictor(model.operator, OutdoorResponse(), estimator=estimator)
     free = predictor.free_history(history)
     np.testing.assert_allclose(free + predictor.forced_history(history).sum(axis=1), history.T_zone_C, atol=1e-12)
 

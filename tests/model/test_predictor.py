@@ -15,7 +15,6 @@ from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
 from thermoforce_mpc.model.predictor import Predictor
-from thermoforce_mpc.model.thermal_model import ThermalModel
 
 STEP = 3600.0
 
@@ -60,7 +59,7 @@ def make_boundary(history: Record, n: int = 24) -> Boundary:
 
 @pytest.fixture
 def predictor() -> Predictor:
-    return Predictor(ThermalModel(random_operator(3, 3, heat_input=HEAT_MAP)), HoldLast())
+    return Predictor(random_operator(3, 3, heat_input=HEAT_MAP), HoldLast())
 
 
 def test_free_plus_forced_is_what_was_measured(predictor):
@@ -89,7 +88,7 @@ def test_exact_recovery_of_a_free_response_under_control():
         free[t + 1] = 0.9 * free[t] + 0.1 * base.T_out_C[t] + 1.2
         forced[t + 1] = 0.9 * forced[t] + 0.2 * base.u[t]
     history = replace(base, T_zone_C=free + forced)
-    predictor = Predictor(ThermalModel(operator), HoldLast(), initial_force="zero")
+    predictor = Predictor(operator, HoldLast(), initial_force="zero")
     np.testing.assert_allclose(predictor.free_history(history), free, atol=1e-12)
 
 
@@ -145,7 +144,7 @@ def _with_gap(forecast: FreeForecast) -> FreeForecast:
 )
 def test_a_forecast_that_is_not_fit_to_plan_with_is_refused(answer, message):
     history = make_history()
-    predictor = Predictor(ThermalModel(random_operator(3, 3)), Answering(answer))
+    predictor = Predictor(random_operator(3, 3), Answering(answer))
     with pytest.raises(DataError, match=message):
         predictor.context(Observation(history, make_boundary(history)))
 
@@ -172,7 +171,7 @@ class Estimating(ForcedStateEstimator):
 )
 def test_an_estimate_that_is_not_fit_to_plan_with_is_refused(answer, message):
     history, operator = make_history(), random_operator(3, 3)
-    predictor = Predictor(ThermalModel(operator), HoldLast(), estimator=Estimating(operator, answer))
+    predictor = Predictor(operator, HoldLast(), estimator=Estimating(operator, answer))
     with pytest.raises(DataError, match=message):
         predictor.context(Observation(history, make_boundary(history)))
 
@@ -181,7 +180,7 @@ def test_plan_continues_the_history(predictor):
     """Splitting time into past and future must not change the forced response."""
     history = make_history(72)
     operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, heat_input=HEAT_MAP)
-    predictor = Predictor(ThermalModel(operator), HoldLast())
+    predictor = Predictor(operator, HoldLast())
     past = history.slice(0, 48)
     context = predictor.context(Observation(past, make_boundary(past)))
     whole = forced_history(operator, history).sum(axis=1)[49:]
@@ -206,7 +205,7 @@ def test_silent_sensor_leaves_a_hole_and_nothing_else(predictor):
 )
 def test_a_rollout_refuses_broken_histories_with_the_place(predictor, name, value, word):
     with pytest.raises(DataError, match=word):
-        forced_history(predictor.model.operator, with_value(make_history(), name, 5, value))
+        forced_history(predictor.operator, with_value(make_history(), name, 5, value))
 
 
 def with_value(history: Record, name: str, at: int, value: float) -> Record:
@@ -248,7 +247,7 @@ def test_impossible_actions_are_refused(predictor):
     with pytest.raises(DataError, match=r"inside \[0, 1\]"):
         context.predict(np.full(24, np.nan))
     with pytest.raises(DataError, match="initial_force"):
-        Predictor(predictor.model, HoldLast(), initial_force="warm")  # type: ignore[arg-type]
+        Predictor(random_operator(3, 3), HoldLast(), initial_force="warm")  # type: ignore[arg-type]
 
 
 RC = RcParameters(
@@ -339,7 +338,7 @@ def test_total_features_see_the_measured_temperature_in_the_past():
         x = np.array([history.T_zone_C[t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
         drive = operator.modulation(x) * HEAT_MAP(history.u[t], history.T_out_C[t])
         np.testing.assert_allclose(forced[t + 1], operator.poles * forced[t] + operator.gains * drive, atol=1e-12)
-    context = Predictor(ThermalModel(operator), HoldLast()).context(Observation(history, make_boundary(history)))
+    context = Predictor(operator, HoldLast()).context(Observation(history, make_boundary(history)))
     fan = context.counterfactuals(np.array([0.0, 0.5, 1.0]))
     one = forced_rollout(operator, context.forced_K, np.full(24, 0.5), context.features).sum(-1)
     np.testing.assert_allclose(fan.forced_K[1], one, atol=1e-12)

@@ -8,11 +8,11 @@ steps are deterministic for a given seed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
-from thermoforce_mpc.data import Record
+from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import (
     Case,
@@ -52,26 +52,28 @@ _UNCERTAIN = 0.15
 
 
 def identify(
-    runs: Sequence[Record] = (),
+    runs: Record | Sequence[Record] = (),
     pairs: Sequence[Pair] = (),
     *,
     config: IdentificationConfig | None = None,
     mode: Literal["heating", "cooling"] = "heating",
     floor_area_m2: float | None = None,
     step_s: float | None = None,
-    source: str = "identified",
+    source: str | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> ThermalModel:
     """Identify a thermal model.
 
     Args:
-        runs: recorded runs, each with its own excitation; any number, any length from about a day.
+        runs: one recorded run or several, each with its own excitation, of about a day or longer.
         pairs: runs that share start and weather (paper eq:paired). All records have one step.
         config: options.
         mode: sign of what the actuator does to the zone.
         floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on. Readings of heat and
             power that no building of this area gives are left out.
         step_s: step of the returned operator, s; by default the step of the data.
-        source: what the model card says the data are.
+        source: what the model card says the data are; by default the times of the records.
+        progress: told each stage in a few words, for example `print`.
 
     Returns:
         Operator, electric power (where measured), linear free model (where there are runs) and model card, whose notes
@@ -81,6 +83,9 @@ def identify(
         DataError: there are no data, or they cannot identify; the message has the numbers and what to do.
     """
     config = config or IdentificationConfig()
+    runs = (runs,) if isinstance(runs, Record) else tuple(runs)
+    source = source or _times_of([*runs, *(pair.a for pair in pairs)])
+    say = progress or (lambda text: None)
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     names = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
@@ -95,13 +100,19 @@ def identify(
     sign = 1 if mode == "heating" else -1
     heat_input, notes = identified_heat_input(histories, config, sign)
     notes = [*gaps, *pair_gaps, *notes]
+    days = sum(h.n_steps * h.step_s for h in histories) / DAY_S
+    say(f"fitting the forced response to {days:.3g} days at {histories[0].step_s:g} s")
     cases = [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
     cases += [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     if config.method == "two_stage":
         model = two_stage_model(runs, pairs, data, config, heat_input, sign, step_s, source, notes)
     else:
-        model = _joint_model(runs, pairs, data, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes)
-    return _believed(model, cases, mode)
+        model = _joint_model(
+            runs, pairs, data, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes, say
+        )
+    model = _believed(model, cases, mode)
+    say(f"identified an operator of order {model.operator.order}")
+    return model
 
 
 def _believed(model: ThermalModel, cases: Sequence[Case], mode: str) -> ThermalModel:
@@ -134,6 +145,7 @@ def _joint_model(
     step_s: float | None,
     source: str,
     notes: Sequence[str],
+    say: Callable[[str], None],
 ) -> ThermalModel:
     """The joint estimator as a thermal model: order chosen on held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
@@ -167,6 +179,7 @@ def _joint_model(
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
     scores["residual_scale"] = final.residual_scale
     if config.modulation == "neural":
+        say(f"order {order} is best on held-out data; training the modulation of the gain")
         operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural
     operator = operator.resampled(step_s or base_step)
@@ -185,6 +198,14 @@ def _joint_model(
             notes=(*notes, *_warnings(certainty)),
         ),
     )
+
+
+def _times_of(records: Sequence[Record]) -> str:
+    """What the model card says of records whose source is not given."""
+    if not records or records[0].origin is None:
+        return "identified"
+    spans = [f"{record.stamps()[0]} to {record.stamps()[-1]}" for record in records]
+    return f"records of {'; '.join(spans)}"
 
 
 def _warnings(certainty: Mapping[str, float]) -> list[str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import ACTING, DAY_S, HOUR_S, SAMPLED, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
 from thermoforce_mpc.model.limits import ROUNDING
@@ -117,7 +117,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
 def _believed(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
     """The record without readings that cannot be, and why; raises `DataError` where they are no rare faults."""
     screened, doubts = screened_history(record, allowed)
-    for signal in (*SAMPLED, *ACTING):
+    for signal in SIGNALS:
         refused = np.isfinite(getattr(record, signal)) & ~np.isfinite(getattr(screened, signal))
         if refused.size and refused.mean() > _MOST_REFUSED:
             why = next(doubt for doubt in doubts if doubt.startswith(f"{signal} "))
@@ -218,7 +218,7 @@ def _check_signals(history: Record, name: str) -> None:
 def data_hash(history: Record) -> str:
     """sha256 over the numbers of a run, so that a saved model can say what it was made from."""
     digest = hashlib.sha256()
-    for item in fields(history):
-        digest.update(item.name.encode())
-        digest.update(np.ascontiguousarray(getattr(history, item.name)).tobytes())
+    for name in SIGNALS:
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(getattr(history, name)).tobytes())
     return digest.hexdigest()

@@ -43,7 +43,7 @@ def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> 
     if model.free is None or record.n_steps < 2 * n:
         return None
     record, _ = bridged(record)
-    predictor = Predictor(model, RcFreeResponse(model.free))
+    predictor = Predictor(model.operator, RcFreeResponse(model.free))
     predicted = np.full(record.n_steps + 1, np.nan)
     for start in range(n, record.n_steps, n):
         stop = min(start + n, record.n_steps)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,24 +20,53 @@ from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
-from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
+
+if TYPE_CHECKING:  # loaded only where tables go out
+    import pandas as pd
 
 
 @dataclass(frozen=True)
 class Prediction:
     """Free and forced parts of a prediction over N steps, at the end of each step.
 
-    `free_C` °C has shape (N,), `forced_K` K shape (..., N), one row per candidate.
+    `free_C` °C and its 80 % band `free_low_C` to `free_high_C` have shape (N,), `forced_K` K shape (..., N), one row
+    per candidate; `time_s` (N,) is the end of each step, counted from `origin` where the record has time stamps.
     """
 
     free_C: Array
     forced_K: Array
+    free_low_C: Array
+    free_high_C: Array
+    time_s: Array
+    origin: pd.Timestamp | None = None
 
     @property
     def total_C(self) -> Array:
         """Free plus forced (paper eq:compose), shape (..., N), °C."""
         return np.asarray(self.free_C + self.forced_K)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
+
+        The band is that of the free response; the uncertainty of the gain is on the model's card.
+
+        Raises:
+            DataError: the prediction is of several candidates at once.
+        """
+        if self.forced_K.ndim != 1:
+            raise DataError(f"the prediction has {self.forced_K.shape[:-1]} candidates: predict one to get a table")
+        from thermoforce_mpc.dataframes import table
+
+        return table(
+            self.time_s,
+            self.origin,
+            T_zone_C=self.total_C,
+            T_low_C=self.free_low_C + self.forced_K,
+            T_high_C=self.free_high_C + self.forced_K,
+            T_free_C=self.free_C,
+            T_forced_K=self.forced_K,
+        )
 
 
 @dataclass(frozen=True)
@@ -49,7 +79,7 @@ class PredictorState:
 
 @dataclass(frozen=True)
 class PredictionContext:
-    """The world as seen from one instant: what will happen without us, and what each action would add.
+    """A prediction at one instant, before an action is chosen: the free response, and what actions add to it.
 
     Attributes:
         operator: the operator at the step of `boundary`.
@@ -58,6 +88,7 @@ class PredictionContext:
         features: x_t at the start of each step, shape (N, 4).
         boundary: boundary conditions of the N steps.
         bridged: which gaps of the history were filled and how, in words; empty where there were none.
+        origin: time stamp that the seconds count from, where the history has one.
         seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
         state: what to give to the next context of this run.
     """
@@ -68,6 +99,7 @@ class PredictionContext:
     features: Array
     boundary: Boundary
     bridged: str = ""
+    origin: pd.Timestamp | None = None
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     state: PredictorState | None = field(default=None, compare=False)
 
@@ -89,7 +121,14 @@ class PredictionContext:
             raise DataError("u must be finite and inside [0, 1]")
         u = np.clip(u, 0.0, 1.0)
         forced = forced_rollout(self.operator, self.forced_K, u, self.features).sum(axis=-1)
-        return Prediction(free_C=self.free.median_C, forced_K=forced)
+        return Prediction(
+            free_C=self.free.median_C,
+            forced_K=forced,
+            free_low_C=self.free.quantile_C(0.1),
+            free_high_C=self.free.quantile_C(0.9),
+            time_s=self.boundary.time_s[1:],
+            origin=self.origin,
+        )
 
     def effect(self, u_alt: Array, u: Array) -> Array:
         """What `u_alt` instead of `u` changes (paper eq:effect), shape (..., N), K. The free response cancels."""
@@ -102,10 +141,10 @@ class PredictionContext:
 
 
 class Predictor:
-    """A thermal model together with a frozen forecaster: splits history into free and forced, and composes the future.
+    """Splits a history into free and forced response and predicts both (paper eq:compose).
 
     Args:
-        model: what was identified.
+        operator: the identified operator, at any step.
         free_response: forecaster of the control-free series.
         initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
             does (F_t0 = 0); with modes of days the difference takes days to fade.
@@ -114,7 +153,7 @@ class Predictor:
 
     def __init__(
         self,
-        model: ThermalModel,
+        operator: OperatorParameters,
         free_response: FreeResponse,
         *,
         initial_force: InitialForce = "steady",
@@ -122,23 +161,23 @@ class Predictor:
     ) -> None:
         if initial_force not in ("steady", "zero"):
             raise DataError(f"initial_force is '{initial_force}', expected 'steady' or 'zero'")
-        self._model = model
+        self._operator = operator
         self._free_response = free_response
-        self._estimator = estimator or ForcedStateEstimator(model.operator, initial_force)
-
-    @property
-    def model(self) -> ThermalModel:
-        """What was identified."""
-        return self._model
+        self._estimator = estimator or ForcedStateEstimator(operator, initial_force)
 
     @property
     def free_response(self) -> FreeResponse:
         """The forecaster of the control-free series."""
         return self._free_response
 
+    @property
+    def operator(self) -> OperatorParameters:
+        """The identified operator, at its own step."""
+        return self._operator
+
     def operator_at(self, step_s: float) -> OperatorParameters:
         """The operator at a step of `step_s` seconds."""
-        return self._model.operator.resampled(step_s)
+        return self._operator.resampled(step_s)
 
     def forced_history(self, history: Record) -> Array:
         """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K; gaps are bridged (`gaps`)."""
@@ -192,6 +231,7 @@ class Predictor:
             features=features,
             boundary=boundary,
             bridged=note,
+            origin=history.origin,
             seconds={"estimate": estimated - began, "forecast": forecast_s},
             state=PredictorState(followed, free_state),
         )
@@ -200,7 +240,7 @@ class Predictor:
         """An estimate that fits `history` and is finite; raises `DataError` for any other."""
         if not isinstance(estimate, ForcedState):
             raise DataError(f"the forced state's estimator gave a {type(estimate).__name__}, expected a ForcedState")
-        expected = (history.time_s.size, self._model.operator.order)
+        expected = (history.time_s.size, self._operator.order)
         if estimate.forced_K.shape != expected or not np.isfinite(estimate.forced_K).all():
             raise DataError(f"the estimated forced state {estimate.forced_K.shape} is not {expected} finite values")
         return estimate

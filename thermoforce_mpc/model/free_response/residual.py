@@ -11,11 +11,11 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fit_linear_weather
@@ -183,6 +183,6 @@ def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, 
     """
     known = history.slice(0, origin + steps)
     digest = hashlib.blake2b(free[: origin + steps + 1].tobytes(), digest_size=16)
-    for item in fields(known):
-        digest.update(getattr(known, item.name).tobytes())
+    for name in SIGNALS:
+        digest.update(getattr(known, name).tobytes())
     return float(history.time_s[origin]), steps, digest.digest()

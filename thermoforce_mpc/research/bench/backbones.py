@@ -112,8 +112,8 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
         alone = backbone.forecast(history.T_zone_C, history, boundary).median_C
         milliseconds.append((time.perf_counter() - began) * 1e3)
         raw.append(alone - truth)
-        composed.append(Predictor(building.model, backbone).context(observation).predict(u).total_C[0] - truth)
-        context = Predictor(building.model, residual).context(observation, PredictorState(free=learned))
+        composed.append(Predictor(building.model.operator, backbone).context(observation).predict(u).total_C[0] - truth)
+        context = Predictor(building.model.operator, residual).context(observation, PredictorState(free=learned))
         learned = context.state.free if context.state else None
         weather.append(context.predict(u).total_C[0] - truth)
     row = {

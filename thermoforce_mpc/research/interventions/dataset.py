@@ -6,13 +6,13 @@ import hashlib
 import json
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Boundary, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, ClimateName, base_setpoint, gains
@@ -112,9 +112,9 @@ def load_or_simulate(
 
         records = simulate_all(jobs, workers=workers, on_done=progress)
         arrays = {
-            f"{label}/{item.name}": getattr(record, item.name)
+            f"{label}/{signal}": getattr(record, signal)
             for label, record in _cut(plan, records).items()
-            for item in fields(Record)
+            for signal in SIGNALS
         }
         folder.mkdir(parents=True, exist_ok=True)
         partial = arrays_file.with_suffix(f".{os.getpid()}.npz")
@@ -205,11 +205,11 @@ def check_identical(a: Record, b: Record, n_steps: int, what: str) -> None:
         DataError: naming the signal and the first step that differs.
     """
     first, second = a.slice(0, n_steps), b.slice(0, n_steps)
-    for item in fields(Record):
-        x, y = getattr(first, item.name), getattr(second, item.name)
+    for signal in SIGNALS:
+        x, y = getattr(first, signal), getattr(second, signal)
         if x.shape != y.shape or x.tobytes() != y.tobytes():
             at = int(np.flatnonzero(x != y)[0]) if x.shape == y.shape and (x != y).any() else min(x.size, y.size)
-            raise DataError(f"{what}: {item.name} differs at step {at}, before the intervention at step {n_steps}")
+            raise DataError(f"{what}: {signal} differs at step {at}, before the intervention at step {n_steps}")
 
 
 def _cut(plan: list[_Cut], records: list[Record]) -> dict[str, Record]:
@@ -242,7 +242,7 @@ def _read(protocol: Protocol, arrays_file: Path, manifest_file: Path) -> Dataset
 
     def record(label: str) -> Record:
         # Data of earlier versions hold no return temperature.
-        kept = [item.name for item in fields(Record) if f"{label}/{item.name}" in arrays]
+        kept = [signal for signal in SIGNALS if f"{label}/{signal}" in arrays]
         return Record(**{name: arrays[f"{label}/{name}"] for name in kept})
 
     climates = {}

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import boptest_client
-import controllers
-import thermoforce_mpc
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
@@ -97,10 +94,10 @@ def digest(content: Mapping[str, Any]) -> str:
 def source_fingerprint() -> str:
     """Hash of the source files that made a result: within one version, a working tree changes."""
     total = hashlib.sha256()
-    for package in (thermoforce_mpc, controllers, boptest_client):
-        for root in map(Path, package.__path__):
-            for path in sorted(root.rglob("*.py")):
-                total.update(str(path.relative_to(root.parent)).encode() + path.read_bytes())
+    root = Path(__file__).resolve().parents[3]
+    for package in ("thermoforce_mpc", "controllers", "boptest_client"):
+        for path in sorted((root / package).rglob("*.py")):
+            total.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return total.hexdigest()[:16]
 
 

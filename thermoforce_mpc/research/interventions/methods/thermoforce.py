@@ -38,7 +38,7 @@ class SuperpositionPredictor:
 
     def __init__(self, model: ThermalModel, free_response: FreeResponse, note: str, exponent: float = 1.0) -> None:
         self.model, self.note, self.exponent = model, note, exponent
-        self._predictor = Predictor(model, free_response)
+        self._predictor = Predictor(model.operator, free_response)
 
     @property
     def modulated(self) -> bool:

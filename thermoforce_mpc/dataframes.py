@@ -1,0 +1,83 @@
+"""Tables of time stamps as arrays, and back: pandas at the door, seconds and numbers inside."""
+
+from __future__ import annotations
+
+import difflib
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from thermoforce_mpc.errors import DataError
+
+
+def new_year(index: pd.Index, what: str) -> pd.Timestamp:
+    """1 January 00:00 of the year in which `index` begins, in its zone's standard time: where `time_s` counts from.
+
+    Raises:
+        DataError: the index does not hold time stamps, is empty, or holds NaT.
+    """
+    return _stamped(index, what)[0]
+
+
+def _stamped(index: pd.Index, what: str) -> tuple[pd.Timestamp, pd.DatetimeIndex]:
+    """The new year of `index`, and itself; raises `DataError`, see `new_year`."""
+    if not isinstance(index, pd.DatetimeIndex):
+        raise DataError(
+            f"{what}: the index holds {index.dtype}, not time stamps; read it with "
+            "pd.read_csv(..., index_col=0, parse_dates=True) or set it with df.set_index(pd.to_datetime(df[column]))"
+        )
+    if index.empty:
+        raise DataError(f"{what}: the table has no rows")
+    if index.hasnans:
+        raise DataError(f"{what}: time stamp {int(np.flatnonzero(index.isna())[0])} is NaT; drop or mend that row")
+    return pd.Timestamp(year=index[0].year, month=1, day=1, tz=index.tz), index
+
+
+def seconds_since(origin: pd.Timestamp, index: pd.Index, what: str) -> NDArray[np.float64]:
+    """Seconds from `origin` to each stamp of `index`, shape (n,): elapsed time, so summer time makes no jump.
+
+    Raises:
+        DataError: the index holds no time stamps, or one of `origin` and `index` has a time zone and the other not.
+    """
+    _, at = _stamped(index, what)
+    if (at.tz is None) != (origin.tz is None):
+        has, has_not = (what, "the record") if at.tz is not None else ("the record", what)
+        raise DataError(f"time zones: {has} has one and {has_not} has none; use df.tz_localize(...) on the latter")
+    return np.asarray((at - origin) / pd.Timedelta(seconds=1), dtype=np.float64)
+
+
+def stamps(time_s: NDArray[np.float64], origin: pd.Timestamp | None) -> pd.Index:
+    """Time stamps of `time_s` (n,), in the zone of `origin`; the seconds themselves where there is no origin."""
+    if origin is None:
+        return pd.Index(time_s, name="time_s")
+    return pd.DatetimeIndex(origin + pd.to_timedelta(np.round(time_s, 3), unit="s"), name="time")
+
+
+def table(time_s: NDArray[np.float64], origin: pd.Timestamp | None, **columns: NDArray[np.float64]) -> pd.DataFrame:
+    """A table of `columns` (n,) by name over `stamps`."""
+    return pd.DataFrame(columns, index=stamps(time_s, origin))
+
+
+def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
+    """The numbers of a column, shape (n,), NaN where a cell is empty.
+
+    Raises:
+        DataError: there is no such column, or it holds text; names near misses and the columns there are.
+    """
+    if name not in df.columns:
+        known = [str(key) for key in df.columns]
+        close = difflib.get_close_matches(str(name), known, n=1)
+        hint = f", did you mean '{close[0]}'?" if close else ""
+        raise DataError(f"{what}: no column '{name}'{hint}; there are {', '.join(known)}")
+    try:
+        return np.asarray(pd.to_numeric(df[name]), dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"{what}: column '{name}' holds a cell that is no number ({error})") from error
+
+
+def series(df: pd.DataFrame, given: str | float | None, what: str) -> NDArray[np.float64]:
+    """A column by name, one number for all rows, or NaN for all where None is given; shape (n,). Raises `DataError`."""
+    if isinstance(given, str):
+        return column(df, given, what)
+    return np.full(len(df), np.nan if given is None else float(given))
