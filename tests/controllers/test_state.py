@@ -117,7 +117,7 @@ class Failing:
 @pytest.mark.parametrize("follow_steps", [0, 1])
 def test_minimum_times_hold_whatever_acts(follow_steps):
     for seed in range(3):
-        config = MPCConfig(step_s=900.0, horizon_h=6.0, fallback_levels={"follow_steps": follow_steps})
+        config = MPCConfig(step_s=900.0, horizon_h=6.0, fallback={"follow_steps": follow_steps})
         controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
         controller._base = replace(controller._base, solver=Failing(controller._base.solver, seed))
         house = SimpleHouse(T_start_C=20.6)

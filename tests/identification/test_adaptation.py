@@ -123,9 +123,9 @@ def test_gaps_are_bridged_and_a_block_full_of_them_is_not_looked_at(model, measu
     values = np.array(getattr(run, name))
     values[[3, 40]] = np.nan
     values[72:84] = np.nan
-    whole, holed = OnlineAdaptation(model, ON), OnlineAdaptation(model, ON)
-    whole.update(run)
-    holed.update(replace(run, **{name: values}))
+    adaptation = OnlineAdaptation(model, ON)
+    whole = adaptation.update(None, run)
+    holed = adaptation.update(None, replace(run, **{name: values}))
     assert [step.outcome for step in holed.steps].count("not measured") == 1
     assert holed.steps[6].outcome == "not measured"
     assert holed.steps[-1].gain * holed.steps[-1].heat == pytest.approx(

@@ -204,7 +204,7 @@ def _with_gaps(signal: str, *places: slice) -> Record:
     [
         (_with_gaps("T_out_C", slice(50, 51), slice(200, 220)), "run: bridged T_out_C: 21 values by a straight line"),
         (_with_gaps("solar_W_m2", slice(100, 120)), "run: bridged solar_W_m2: 20 values by a straight line"),
-        (_with_gaps("T_out_C", slice(150, 200)), "run: gaps in u or in the weather divide it into 2 blocks"),
+        (_with_gaps("T_out_C", slice(150, 200)), "run: gaps in u or in the weather divide it into 2 pieces"),
         (_with_gaps("u", slice(20, 21), slice(180, 190)), r"run: left out: run, 20 steps between gaps: 0\.21 days"),
     ],
     ids=["short gaps outdoors", "short gap of the sun", "long gap outdoors", "unknown levels"],

@@ -55,7 +55,7 @@ def model() -> ThermalModel:
 @pytest.fixture(scope="module")
 def run(model: ThermalModel) -> Callable[..., RunResult]:
     def run(faults: Mapping[int, Fault]) -> RunResult:
-        mpc = ThermoForceMPC(model, MPCConfig(horizon_h=24), free_response=LinearWeather())
+        mpc = ThermoForceMPC(model, MPCConfig(step_s=3600.0, horizon_h=24), free_response=LinearWeather())
         return run_closed_loop(FaultyPlant(faults), mpc, PERIOD)
 
     return run
