@@ -211,7 +211,11 @@ class ThermoForceMPC:
         """Put all numbers of this instance together."""
         c, boundary, T_free = self.config, context.boundary, context.free.median_C
         aims = c.objective
-        price = boundary.price_per_kWh[:-1] + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
+        boundary.check("lower_C", "upper_C", "price_per_kWh")
+        price = boundary.price_per_kWh[:-1]
+        if aims.carbon_price_per_kg:
+            boundary.check("emission_kg_per_kWh")
+            price = price + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(context, history))
         low, high = c.backoff_level, c.backoff_level_other
         if operator.sign < 0:

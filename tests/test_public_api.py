@@ -1,0 +1,180 @@
+"""The public names as someone uses them who knows pandas: the documented code runs, and mistakes are explained."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import thermoforce_mpc as tf
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = {"zone": "T_room", "outdoor": "T_out", "solar": "sun", "level": "u", "power": "P_el"}
+AHEAD = {"outdoor": "T_out", "solar": "sun"}
+LINEAR = tf.IdentificationConfig(modulation="linear")
+
+
+@pytest.fixture(scope="module")
+def tables() -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Four probed days of the embedded plant as a person would have them, and the forecast of the two days after."""
+    plant = EmbeddedPlant(synthetic_weather())
+    r = probe(plant, 20 * DAY_S, 4.0, seed=1, mode="heating")
+    index = pd.date_range("2025-01-21", periods=r.n_steps + 1, freq="15min", tz="Europe/Brussels", name="time")
+    columns = {"T_room": r.T_zone_C, "T_out": r.T_out_C, "sun": r.solar_W_m2, "u": [*r.u, None]}
+    df = pd.DataFrame(columns | {"P_el": [*r.power_W, None]}, index=index).astype(float)
+    b = plant.forecast(2 * DAY_S, 3600.0)
+    ahead = {"T_out": b.T_out_C, "sun": b.solar_W_m2, "T_min": b.lower_C, "T_max": b.upper_C}
+    forecast = pd.DataFrame(ahead, index=pd.date_range(index[-1], periods=b.n_steps + 1, freq="1h", name="time"))
+    return df, forecast
+
+
+@pytest.fixture(scope="module")
+def model(tables) -> tf.ThermalModel:
+    return tf.identify(tf.Record.from_dataframe(tables[0], **NAMES), config=LINEAR)
+
+
+def blocks(page: str) -> list[str]:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return re.findall(r"<!-- run-by-tests: tests/test_public_api\.py -->\n```python\n(.*?)```", text, re.S)
+
+
+@pytest.mark.parametrize(
+    ("page", "number"),
+    [("README.md", 0), ("docs/python.md", 0), ("docs/python.md", 1)],
+    ids=["readme", "table", "loop"],
+)
+def test_documented_code_runs(page, number, tables, tmp_path):
+    tables[0].to_csv(tmp_path / "room.csv")
+    tables[1].to_csv(tmp_path / "forecast.csv")
+    done = subprocess.run(
+        [sys.executable, "-c", blocks(page)[number]], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    if "plan" in blocks(page)[number]:
+        assert "2025-01-25 00:15:00+01:00" in done.stdout
+
+
+def test_every_public_name_is_there_and_import_loads_none_of_them():
+    code = (
+        "import sys, thermoforce_mpc; print(sorted(m for m in sys.modules if m.split('.')[0] in ('pandas', 'torch'))) "
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert all(getattr(tf, name) is not None for name in tf.__all__)
+    assert set(tf.__all__) <= set(dir(tf))
+    with pytest.raises(AttributeError, match="no attribute 'History'"):
+        _ = tf.History
+
+
+def test_a_prediction_is_free_plus_forced_with_its_band_and_times(tables, model):
+    df, forecast = tables
+    record = tf.Record.from_dataframe(df, **NAMES)
+    weather = tf.Boundary.from_dataframe(forecast, record, **AHEAD)
+    assert weather.step_s == record.step_s, "hourly rows are interpolated to the record's step"
+    off = model.predict(record, weather, 0.0, free_response=LinearWeather()).to_dataframe()
+    on = model.predict(record, weather, np.ones(weather.n_steps), free_response=LinearWeather()).to_dataframe()
+    assert off.index[0] == df.index[-1] + pd.Timedelta("15min")
+    np.testing.assert_allclose(off.T_zone_C, off.T_free_C + off.T_forced_K)
+    assert ((off.T_low_C <= off.T_zone_C) & (off.T_zone_C <= off.T_high_C)).all()
+    assert (on.T_zone_C > off.T_zone_C).all(), "heating heats"
+    assert "a day at full level changes the zone by +" in model.summary()
+    assert "2025-01-21 00:00:00+01:00 to 2025-01-25 00:00:00+01:00" in model.summary()
+
+
+def test_the_plan_is_that_of_the_registry_and_has_times(tables, model, tmp_path):
+    from controllers.registry import build_controller
+    from thermoforce_mpc.scenario.scenario import load_testcase
+
+    record = tf.Record.from_dataframe(tables[0], **NAMES)
+    weather = tf.Boundary.from_dataframe(tables[1], record, **AHEAD, lower="T_min", upper="T_max", price=0.25)
+    seen = tf.Observation(record, weather)
+    plan = tf.ThermoForceMPC(tf.load_model(model.save(tmp_path / "house"))).plan(seen)
+    ours = build_controller("thermoforce_mpc", {}, load_testcase("bestest_hydronic_heat_pump"), model).plan(seen)
+    assert plan.status == "solved", plan.why
+    np.testing.assert_array_equal(plan.u, ours.u)
+    table = plan.to_dataframe()
+    assert table.index[0] == tables[0].index[-1]
+    assert len(table) == 192
+    without = tf.Boundary.from_dataframe(tables[1], record, **AHEAD, lower=21, upper=24)
+    refused = tf.ThermoForceMPC(model).plan(tf.Observation(record, without))
+    assert refused.status == "thermostat"
+    assert "price_per_kWh is missing" in refused.why
+
+
+def test_what_was_not_measured_is_left_out(tables):
+    df = tables[0]
+    record = tf.Record.from_dataframe(df, zone="T_room", outdoor="T_out", level="u")
+    assert np.isnan(record.power_W).all()
+    assert (record.solar_W_m2 == 0).all()
+    model = tf.identify(record, config=LINEAR)
+    assert model.power is None
+    assert "energy cannot be planned" in model.summary()
+
+
+@pytest.mark.parametrize("day", ["2025-03-30", "2025-10-26"], ids=["23 h", "25 h"])
+def test_days_on_which_the_clock_changes_are_as_long_as_they_are(day):
+    index = pd.date_range(day, periods=2, freq="1D", tz="Europe/Brussels")
+    hours = pd.date_range(index[0], index[1], freq="1h")
+    df = pd.DataFrame({"T": 20.0, "out": 5.0, "u": 0.5}, index=hours)
+    record = tf.Record.from_dataframe(df, zone="T", outdoor="out", level="u")
+    assert record.n_steps == (23 if day == "2025-03-30" else 25)
+    assert list(record.stamps()) == list(hours)
+    assert record.slice(2, 5).stamps()[0] == hours[2]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda df: df.rename(columns={"T_out": "T_ouT"}), r"record: no column 'T_out', did you mean 'T_ouT'\?"),
+        (lambda df: df.reset_index(drop=True), r"record: the index holds int64, not time stamps.*parse_dates=True"),
+        (lambda df: df.drop(df.index[7]), r"a step of 1800 s among steps of 900 s.*resample"),
+        (lambda df: df.assign(T_room=df.T_room.astype(str) + " °C"), r"column 'T_room' holds a cell that is no number"),
+        (lambda df: df.iloc[:0], r"record: the table has no rows"),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_refused_with_what_to_do(tables, change, message):
+    with pytest.raises(DataError, match=message):
+        tf.Record.from_dataframe(change(tables[0]), **NAMES)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.tz_localize(None), "time zones: the record has one and forecast has none"),
+        (lambda f: f.iloc[3:], "the rows must begin there"),
+        (lambda f: f.iloc[::-1], "in order of time"),
+    ],
+)
+def test_a_forecast_that_does_not_follow_is_refused(tables, change, message):
+    record = tf.Record.from_dataframe(tables[0], **NAMES)
+    with pytest.raises(DataError, match=message):
+        tf.Boundary.from_dataframe(change(tables[1]), record, **AHEAD)
+
+
+def test_a_run_gives_kpis_and_trajectories_and_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    result = tf.run(
+        "bestest_hydronic_heat_pump", controller="thermostat", days=0.5, period="20", baselines=["native"],
+        progress=False,
+    )  # fmt: skip
+    assert list(result.kpis) == ["thermostat", "native"]
+    assert result.kpis["thermostat"]["cost_tot"] > 0
+    assert result.to_dataframe().T_zone_C.between(15, 30).all()
+    assert len(result.to_dataframe("native")) == 12
+    with pytest.raises(ConfigError, match="no run of 'natve', did you mean 'native'"):
+        result.to_dataframe("natve")
+    with pytest.raises(ConfigError, match="horizn"):
+        tf.run("bestest_hydronic_heat_pump", horizn=3)
+    assert list(tmp_path.iterdir()) == []
+    assert capsys.readouterr().out == ""
