@@ -57,11 +57,12 @@ def blocks(page: str) -> list[str]:
 def test_documented_code_runs(page, number, tables, tmp_path):
     tables[0].to_csv(tmp_path / "room.csv")
     tables[1].to_csv(tmp_path / "forecast.csv")
+    code = blocks(page)[number]
     done = subprocess.run(
-        [sys.executable, "-c", blocks(page)[number]], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
-    )  # fmt: skip
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 0, done.stderr
-    if "plan" in blocks(page)[number]:
+    if "plan" in code:
         assert "2025-01-25 00:15:00+01:00" in done.stdout
 
 
