@@ -12,10 +12,11 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, advance_together, emulator, heat_pump, refrigerant, schedule
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, refrigerant, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.kpis import compute_kpis
 from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.research.bench.plants_together import advance_together
 
 
 @pytest.fixture(scope="module")

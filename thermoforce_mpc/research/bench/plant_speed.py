@@ -13,7 +13,8 @@ import numpy as np
 
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, advance_together
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.research.bench.plants_together import advance_together
 
 _QUARTER_S = 900.0
 _TOGETHER = (1, 2, 4, 16)
