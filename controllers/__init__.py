@@ -1,4 +1,4 @@
-"""Everything that decides an action. `ThermoForceMPC` is loaded on first use: it brings CasADi along."""
+"""Controllers. Public names are imported on first use, since `ThermoForceMPC` loads CasADi."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exceptions of this package. A failed solve is not among them: it is a status on the `Plan`."""
+"""Exceptions of this package. A failed solve is not an exception but a status of the `Plan`."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from thermoforce_mpc.errors import ConfigError
 
 
 class ControllerConfigError(ConfigError):
-    """A controller cannot work with the options or the model it was given."""
+    """The options or the model do not fit the controller."""

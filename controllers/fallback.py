@@ -1,4 +1,4 @@
-"""What acts when a plan cannot be made: the previous plan one step on, then an on/off rule, then native control."""
+"""Fallback policy after a failed forecast or solve: previous plan, then an on/off rule, then native control."""
 
 from __future__ import annotations
 
@@ -15,48 +15,54 @@ from thermoforce_mpc.scenario.settings import StrictModel
 class FallbackConfig(StrictModel):
     """Options of the fallback policy."""
 
-    follow_steps: int = Field(3, ge=0, description="how many steps a previous plan is followed without a new one")
-    trust_K: float = Field(1.0, gt=0, description="a previous plan is dropped when its prediction is off by more, K")
-    setpoint_above_bound_K: float = Field(0.3, description="rule: set-point above the lower bound of the next hours, K")
-    look_ahead_h: float = Field(3.0, ge=0, description="rule: how far ahead the highest lower bound is looked for, h")
+    follow_steps: int = Field(3, ge=0, description="largest number of steps for which the previous plan is followed")
+    trust_K: float = Field(
+        1.0, gt=0, description="the previous plan is dropped when its predicted zone temperature is off by more, K"
+    )
+    setpoint_above_bound_K: float = Field(
+        0.3, description="on/off rule: set-point above the lower bound (cooling: below the upper), K"
+    )
+    look_ahead_h: float = Field(
+        3.0, ge=0, description="on/off rule: window ahead over which the tightest bound is taken, h"
+    )
 
 
 @dataclass(frozen=True)
 class GoodPlan:
-    """The last plan that was solved: when, its levels `u` (N,), the zone temperatures `T_zone_C` (N,) it foresaw."""
+    """The last solved plan: its time, s, levels `u` (N,) and predicted zone temperatures `T_zone_C` (N,), °C."""
 
     time_s: float
     u: Array
     T_zone_C: Array
 
     def age(self, time_s: float, step_s: float) -> int:
-        """How many steps ago it was made."""
+        """Age of the plan in steps of `step_s` seconds."""
         return round((time_s - self.time_s) / step_s)
 
 
 class FallbackPolicy:
-    """Says what to do when there is no new plan."""
+    """Level to apply when there is no new plan."""
 
     def __init__(self, config: FallbackConfig, step_s: float, level: float, mode: str) -> None:
         self.config, self.step_s, self.level, self.mode = config, step_s, level, mode
 
     def level_to_follow(self, good: GoodPlan | None, observation: Observation) -> float | None:
-        """The level the last good plan intended for now, or None when it is too old or its prediction was far off."""
+        """Level of the last solved plan for now; None when it is too old or its prediction error exceeds `trust_K`."""
         if good is None:
             return None
         age = good.age(observation.time_s, self.step_s)
         if not 1 <= age <= min(self.config.follow_steps, good.u.size - 1):
             return None
-        # A silent sensor says nothing about the plan; a wrong prediction does.
+        # A missing reading does not invalidate the plan; a prediction error does.
         off_by = abs(observation.T_zone_C - good.T_zone_C[age - 1])
         if math.isfinite(off_by) and off_by > self.config.trust_K:
             return None
         return min(max(float(good.u[age]), 0.0), self.level)
 
     def rule(self, observation: Observation) -> tuple[float | None, str]:
-        """Level of an on/off rule around the comfort bounds of the next hours, and why.
+        """Level of an on/off rule on the tightest comfort bound of the next hours, and the reason as text.
 
-        None, native control, while the sensor is silent.
+        The level is None (native control) while the zone temperature or the bounds are missing.
         """
         ahead = observation.boundary.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
         if self.mode == "heating":

@@ -1,4 +1,4 @@
-"""What a controller is given, checked before anything else: what is wrong here is a mistake of the caller."""
+"""Checks of a controller's inputs; a violation is an error of the caller and raises `DataError`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from thermoforce_mpc.errors import DataError
 
 State = TypeVar("State")
 
-# How far the length of a step may be off, s: the clocks of plants round.
+# Tolerance on step lengths, s: plants round their clocks.
 _CLOCK_TOLERANCE_S = 1.0
 
 
 def checked_state(state: object, kind: type[State]) -> State | None:
-    """`state` as a controller's own; raises `DataError` where it is another's."""
+    """`state` if it is None or of class `kind`; raises `DataError` otherwise."""
     if state is None or isinstance(state, kind):
         return state
     raise DataError(
@@ -26,10 +26,10 @@ def checked_state(state: object, kind: type[State]) -> State | None:
 
 
 def check_observation(observation: Observation, step_s: float, n_steps: int) -> None:
-    """Refuse an observation that does not fit a controller with steps of `step_s` seconds, `n_steps` of them ahead.
+    """Check that an observation fits a controller with `n_steps` steps of `step_s` seconds ahead.
 
     Raises:
-        DataError: the boundary forecast is too short, or its step or that of the history is another.
+        DataError: the boundary forecast is too short, or its step or that of the history is not `step_s`.
     """
     boundary, history = observation.boundary, observation.history
     if boundary.n_steps < n_steps:
@@ -42,6 +42,6 @@ def check_observation(observation: Observation, step_s: float, n_steps: int) -> 
         wrong = np.flatnonzero(~(np.abs(steps - step_s) <= _CLOCK_TOLERANCE_S))
         if wrong.size:
             raise DataError(
-                f"{what}: step {wrong[0]} of {steps.size} is {steps[wrong[0]]:g} s long, the controller's are"
+                f"{what}: step {wrong[0]} of {steps.size} is {steps[wrong[0]]:g} s long, expected"
                 f" {step_s:g} s: give it in steps of the controller's `step_s`"
             )

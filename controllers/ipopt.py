@@ -1,4 +1,4 @@
-"""The MPC problem as one parametric NLP over the exported operator, built once, re-solved by Ipopt (the reference)."""
+"""The MPC problem as a parametric NLP over the exported CasADi operator, built once and solved by Ipopt (reference)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Statuses with which Ipopt claims an optimum; anything else is a failed solve, whatever it left in u.
+# Statuses with which Ipopt reports an optimum; any other is a failed solve.
 _ACCEPTED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
 
 
 class IpoptConfig(StrictModel):
-    """Options of the solver."""
+    """Options of Ipopt."""
 
     max_iterations: int = Field(200, ge=1, description="iterations before a solve counts as failed")
     tolerance: float = Field(1e-8, gt=0, description="Ipopt's overall tolerance")
@@ -30,14 +30,14 @@ class IpoptConfig(StrictModel):
 
 
 class IpoptSolver:
-    """Solves `MPCProblem`s of one operator and shape."""
+    """Solves `MPCProblem`s of one operator and shape with Ipopt."""
 
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: IpoptConfig) -> None:
         """Build the NLP once."""
         self.operator, self.shape = operator, shape
         n, r, m = shape.n_steps, operator.order, shape.n_moves
-        # Without a kink inside the range the power is linear in u; the dynamics are linear where the heat is, too, and
-        # the gain does not see the decisions. Only then may Ipopt be told that derivatives are constant.
+        # Power is linear in u without a kink inside the range; the dynamics are linear if also heat is and the gain
+        # does not depend on the decisions. Only then are the derivatives constant.
         linear = shape.lowest_level >= shape.u_max
         heat = operator.heat_input.heat
         linear_dynamics = not operator.feedback_active and (heat is None or heat.lowest_level >= shape.u_max)
@@ -87,14 +87,14 @@ class IpoptSolver:
         self._ubx = np.concatenate([np.full(m, shape.u_max), free, np.full(n + extra, np.inf)])
         self._lbg = np.zeros(n * r + (2 + extra) * n)
         self._ubg = np.concatenate([np.zeros(n * r), np.full((2 + extra) * n, np.inf)])
-        # A kink makes the power concave in u and local optima possible. Its convex envelope on [0, u_max] is the
-        # straight line, so the linear problem, which has one optimum, gives a first guess near the best one.
+        # A kink makes the power concave in u, so local optima are possible. Its convex envelope on [0, u_max] is the
+        # straight line; that problem has one optimum, which is used as a second initial guess.
         on_off = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
         straight = replace(shape, lowest_level=shape.u_max)
         self._relaxed = None if linear else IpoptSolver(on_off, straight, config)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance from `guess` (N,). A failure is a value: `ok` is False and `problem` says why."""
+        """Solve one instance from `guess` (N,). On failure `ok` is False and `problem` has the reason."""
         guesses = [np.full(problem.n_steps, 0.3 * problem.u_max) if guess is None else guess]
         if self._relaxed:
             relaxed = self._relaxed.solve(straightened(problem), guess)
@@ -136,7 +136,7 @@ class IpoptSolver:
         return checked_solution(p, partial(p.modes_K, self.operator), u, float(result["f"]), status, iterations)
 
     def _complete(self, problem: MPCProblem, u: Array) -> Array:
-        """A first guess for all variables that is consistent with the first level of `u` in each move."""
+        """Initial guess for all variables, consistent with the first level of `u` (N,) in each move."""
         moves = u[self.shape.first_steps]
         u = moves[self.shape.move_of_step]
         F = problem.modes_K(self.operator, u)
@@ -146,7 +146,7 @@ class IpoptSolver:
 
 
 def straightened(problem: MPCProblem) -> MPCProblem:
-    """The problem with its power replaced by the straight line from off to `u_max`: its convex envelope in u."""
+    """The problem with the power replaced by its convex envelope in u, the straight line from 0 to `u_max`."""
     full = problem.power_W(np.full(problem.n_steps, problem.u_max))
     return replace(
         problem,

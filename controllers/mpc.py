@@ -1,4 +1,4 @@
-"""ThermoForce MPC: predict free and forced response, solve, check, act, and fall back with a reason when that fails."""
+"""ThermoForce MPC: predict free and forced response, solve, check the solution, convert it to blocks, or fall back."""
 
 from __future__ import annotations
 
@@ -26,20 +26,19 @@ from thermoforce_mpc.model.predictor import PredictionContext, Predictor, Predic
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
-# A bound nearer than this shapes the plan, K.
+# A bound nearer than this is reported as binding, K.
 _BINDING_K = 0.02
 
-# Planners kept for the models that online adaptation comes to; one that is needed again is built again.
+# Number of cached planners for adapted models; others are rebuilt when needed.
 _PLANNERS_KEPT = 4
 
 
 @dataclass(frozen=True)
 class MPCState:
-    """What the MPC knows of a run at its next plan.
+    """Controller state passed from one plan to the next.
 
-    `first_s` is when it took over, `peak_W` the highest mean power of a step since; `actuation` what the machine does;
-    `good` the last plan that was solved; `predictor` what the predictor and `adaptation` what online adaptation has
-    learned.
+    `first_s`: time of the first plan, s; `peak_W`: highest mean power of a step since, W; `actuation`: state of the
+    machine; `good`: last solved plan; `predictor`, `adaptation`: states of predictor and online adaptation.
     """
 
     first_s: float
@@ -52,7 +51,7 @@ class MPCState:
 
 @dataclass(frozen=True)
 class Planner:
-    """What predicts and plans with one thermal model; `operator` is the model's as the machine is actuated."""
+    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation mode."""
 
     model: ThermalModel
     predictor: Predictor
@@ -81,12 +80,12 @@ class ThermoForceMPC:
         free_response: FreeResponse | None = None,
         name: str = "thermoforce_mpc",
     ) -> None:
-        """Build the problem once.
+        """Build predictor and solver.
 
         Args:
             model: identified thermal model, at any step.
             config: options.
-            free_response: use this one instead of the one named in `config`.
+            free_response: replaces the free response named in `config`.
             name: name in reports.
 
         Raises:
@@ -104,7 +103,9 @@ class ThermoForceMPC:
                 f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
             )
         if model.power is None:
-            raise ControllerConfigError("the model was identified without measured power: energy cannot be planned")
+            raise ControllerConfigError(
+                "the model was identified without measured power: energy cost cannot be computed"
+            )
         self._actuation = Actuation(c.actuation)
         self._actuation.check_step(step_s)
         self._power = model.power.at_lowest_level(self._actuation.lowest_level)
@@ -132,23 +133,23 @@ class ThermoForceMPC:
 
     @property
     def step_s(self) -> float:
-        """How long a plan is followed, s."""
+        """Control step, s."""
         return self.model.operator.step_s
 
     @property
     def horizon_s(self) -> float:
-        """How far ahead the boundary forecast is needed, s."""
+        """Prediction horizon, s: required length of the boundary forecast."""
         return self._n_steps * self.step_s
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
-        """Decide for the next step.
+        """Plan for the next step.
 
-        What fails on the way (forecast, estimate, solver, whatever they raise) does not raise here: the fallback policy
-        acts and says why.
+        An exception of forecast, estimator or solver is not raised: the fallback policy decides, and `Plan.why` holds
+        the reason.
 
         Raises:
-            DataError: a mistake of the caller: the boundary forecast is too short, it or the history has another step
-                than the controller, or `state` is not from a plan of this controller.
+            DataError: error of the caller: the boundary forecast is too short, its step or that of the history is not
+                `step_s`, or `state` is not from a plan of this controller.
         """
         before = checked_state(state, MPCState) or MPCState(first_s=observation.time_s)
         check_observation(observation, self.step_s, self._n_steps)
@@ -163,18 +164,18 @@ class ThermoForceMPC:
             planner = self._planner(adaptation.model)
             predictor = now.predictor
             if predictor and now.adaptation and adaptation.model is not now.adaptation.model:
-                predictor = replace(predictor, forced=None)  # another operator says something else of the past, too
+                predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
             context = planner.predictor.context(
                 Observation(history, observation.boundary.head(self._n_steps)), predictor
             )
             problem = self._problem(planner.operator, context, history, now.peak_W)
-        except Exception as error:  # whatever a forecaster raises: the building must be kept
+        except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return self._fall_back(observation, now, f"no prediction ({_said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
         began = time.perf_counter()
         try:
             solution = planner.solver.solve(problem, self._guess(now.good, observation))
-        except Exception as error:  # the same for solvers
+        except Exception as error:  # likewise for solvers
             return self._fall_back(observation, now, f"the solver failed ({_said(error)})", "raised", context.seconds)
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
@@ -183,7 +184,7 @@ class ThermoForceMPC:
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
     def _planner(self, model: ThermalModel) -> Planner:
-        """The planner of `model`, from memory where it was built before."""
+        """The planner of `model`, from the cache if present."""
         for planner in (self._base, *self._adapted):
             if planner.model is model:
                 return planner
@@ -192,7 +193,7 @@ class ThermoForceMPC:
         return planner
 
     def _build_planner(self, model: ThermalModel) -> Planner:
-        # The plan's model has to match the actuation: in both, the machine switches below its lowest level.
+        # The operator must match the actuation: below the lowest level the machine switches.
         lowest = self._actuation.lowest_level
         operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
@@ -200,7 +201,7 @@ class ThermoForceMPC:
         return Planner(model, predictor, operator, build_solver(self.config, operator, self._actuation))
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
-        """The plan of the step before, one step on."""
+        """Warm start (N,): the plan of the previous step, shifted by one step; None without one."""
         if good is None or good.age(observation.time_s, self.step_s) != 1:
             return None
         return np.append(good.u[1:], good.u[-1])
@@ -208,7 +209,7 @@ class ThermoForceMPC:
     def _problem(
         self, operator: OperatorParameters, context: PredictionContext, history: Record, peak_W: float
     ) -> MPCProblem:
-        """Put all numbers of this instance together."""
+        """Assemble the numbers of this instance."""
         c, boundary, T_free = self.config, context.boundary, context.free.median_C
         aims = c.objective
         boundary.check("lower_C", "upper_C", "price_per_kWh")
@@ -226,7 +227,7 @@ class ThermoForceMPC:
             )
             for level, is_lower in ((low, True), (high, False))
         )
-        # Margins wider than half the band would turn the bounds around.
+        # Margins wider than half the band would swap the bounds.
         half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
         return MPCProblem(
             forced_state_K=context.forced_K,
@@ -248,10 +249,10 @@ class ThermoForceMPC:
         )
 
     def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
-        """Return water of a running machine over the steps, (N,), °C; NaN where the power does not know it.
+        """Return water temperature while running, (N,), °C; NaN where the power model does not depend on it.
 
-        The zone is taken to be where comfort ends or the free response carries it: to let the water follow
-        the planned temperature would make the problem bilinear for less than a percent of the power.
+        The zone temperature is taken as the free response clipped to the comfort band: using the planned temperature
+        would make the problem bilinear for less than 1 % of the power.
         """
         if self._power.water is None:
             return float("nan")
@@ -260,9 +261,9 @@ class ThermoForceMPC:
         return self._power.water.expected_C(history, held_C)
 
     def _terminal_price(self, operator: OperatorParameters, features: Array, cost_per_kW_h: float) -> Array:
-        """What a kelvin of each mode is worth at the end, (r,): only the slowest keeps its heat beyond the horizon.
+        """Terminal value of each mode, (r,), currency/K; zero except for the slowest, which stores heat longest.
 
-        At a terminal value of 1 a kelvin there is worth what it costs to make it in the last step.
+        At `terminal_value` 1 a kelvin is worth its production cost in the last step.
         """
         price = np.zeros(operator.order)
         drive = float(operator.drive(np.array([self._actuation.highest]), features[None])[0])
@@ -271,7 +272,7 @@ class ThermoForceMPC:
         return price
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
-        """The highest mean power of a step since this controller took over, W."""
+        """Highest mean power of a step since the first plan, W."""
         power = observation.history.power_W[-1:]
         if power.size and observation.time_s > before.first_s and np.isfinite(power[0]):
             return max(before.peak_W, float(power[0]))
@@ -333,7 +334,7 @@ class ThermoForceMPC:
 
 
 def _said(error: Exception) -> str:
-    """What an error says of itself: its name, too, where it is not one of ours."""
+    """Message of an error, with the class name if it is not an exception of this package."""
     return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
 
 
@@ -344,7 +345,7 @@ def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> Fre
 
 
 def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: FreeForecast) -> str:
-    """One sentence: which bound shapes the plan and when, and how wide the forecast is there."""
+    """One sentence: which bound is binding and when, and the width of the forecast's 80 % band there."""
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
     violated = int(np.argmax(slack_K))
     if slack_K[violated] > 1e-3:
@@ -353,7 +354,7 @@ def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: Free
         when = violated
     else:
         gap = np.minimum(T_zone_C - problem.lower_C, problem.upper_C - T_zone_C)
-        # The first of the bounds that bind, not the tightest: the next hours are spent on that one.
+        # The first binding bound, not the tightest: it determines the plan of the next hours.
         when = int(np.argmax(gap <= max(_BINDING_K, float(gap.min()))))
         if gap[when] > _BINDING_K:
             return (

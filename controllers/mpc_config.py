@@ -1,4 +1,4 @@
-"""Options of the MPC, as users write them."""
+"""Options of the MPC (scenario key `controller.options`)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def _options_in_words() -> str:
 
 
 class FreeResponseConfig(StrictModel):
-    """Which free response the plan is built on."""
+    """Free-response model that the plan is based on."""
 
-    name: str = Field("residual", description=f"one of {', '.join(free_response_options())}")
-    options: dict[str, Any] = Field(default_factory=dict, description=f"its options. {_options_in_words()}")
+    name: str = Field("residual", description=f"free-response model: one of {', '.join(free_response_options())}")
+    options: dict[str, Any] = Field(default_factory=dict, description=f"options of that model. {_options_in_words()}")
 
     @model_validator(mode="after")
     def _must_be_known(self) -> FreeResponseConfig:
@@ -43,24 +43,29 @@ class FreeResponseConfig(StrictModel):
 
 
 class ObjectiveConfig(StrictModel):
-    """What a plan pays for beside energy at the tariff."""
+    """Weights of the objective besides energy cost at the tariff."""
 
-    comfort_weight: float = Field(5.0, gt=0, description="price of one kelvin-hour of discomfort, currency/(K·h)")
+    comfort_weight: float = Field(5.0, gt=0, description="penalty on comfort violation, currency/(K·h)")
     carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
     peak_price_per_kW: float = Field(
-        0.0, ge=0, description="price of each kW by which the highest mean power of a step so far is exceeded"
+        0.0, ge=0, description="price of mean power over a step above the highest so far, currency/kW"
     )
     terminal_value: float = Field(
-        0.0, ge=0, le=1, description="worth of heat left in the building at the end, as a share of what it costs then"
+        0.0,
+        ge=0,
+        le=1,
+        description="value of heat stored at the end of the horizon, as a share of its cost in the last step",
     )
-    curvature: float = Field(1e-6, ge=0, description="tiny weight on u², makes the optimum unique")
+    curvature: float = Field(1e-6, ge=0, description="weight on u² per step, currency; makes the optimum unique")
 
 
 class MoveBlockingConfig(StrictModel):
-    """Move blocking: near moves are free, later ones are held."""
+    """Move blocking: one move per step at first, longer moves later."""
 
-    free_h: float = Field(12.0, gt=0, description="every step of the first hours is a move of its own, h")
-    hold_h: float = Field(1.0, gt=0, description="later moves are held for this long, h")
+    free_h: float = Field(
+        12.0, gt=0, description="length of the first part of the horizon, in which every step is its own move, h"
+    )
+    hold_h: float = Field(1.0, gt=0, description="length of each later move, h")
 
 
 class MPCConfig(StrictModel):
@@ -68,31 +73,32 @@ class MPCConfig(StrictModel):
 
     step_s: float | None = Field(900.0, ge=300, le=14400, description="control step, s; null: the step of the model")
     horizon_h: float = Field(48.0, gt=0, le=168, description="prediction horizon, h")
-    comfort_margin_K: float = Field(0.02, ge=0, le=2, description="how far inside the comfort bounds to stay, K")
+    comfort_margin_K: float = Field(0.02, ge=0, le=2, description="margin inside both comfort bounds, K")
     backoff_level: float = Field(
         0.25,
         gt=0,
         le=0.5,
-        description="chance level of the bound that acting keeps (heating: the lower): comfort is planned for this "
-        "quantile of the free forecast; 0.5: for the median",
+        description="chance level of the bound that actuation protects (heating: the lower): comfort is planned for "
+        "this quantile of the free forecast; 0.5: for the median",
     )
     backoff_level_other: float = Field(
         0.3,
         gt=0,
         le=0.5,
-        description="the same for the bound that only not acting keeps (heating: the upper, against the sun)",
+        description="chance level of the other bound (heating: the upper, exceeded by solar gains)",
     )
     backoff_violation_K: float | None = Field(
         0.0135,
         gt=0,
-        description="expected violation of a bound, K in the mean over the next 6 h, above which the chance levels are "
-        "lowered: it rules where forecasts are uncertain; null leaves it to the chance levels",
+        description="largest expected violation of a bound, K, mean over the next 6 h: the chance levels are lowered "
+        "until it holds, which matters where forecasts are uncertain; null: chance levels alone",
     )
-    backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a quantile, K")
+    backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a comfort bound, K")
     solver: Literal["auto", "qp", "semi_continuous", "ipopt", "search"] = Field(
         "auto",
-        description="qp: quadratic programme (duty); semi_continuous: one per first level (modulating); ipopt; search: "
-        "the paper's candidates; auto: the first of qp, semi_continuous and ipopt that fits the problem",
+        description="qp: quadratic programme (duty); semi_continuous: one QP per level of the first step (modulating); "
+        "ipopt: nonlinear programme; search: the paper's candidate trajectories; auto: the first of qp, "
+        "semi_continuous and ipopt that fits the problem",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
@@ -107,5 +113,5 @@ class MPCConfig(StrictModel):
     search: SearchConfig = SearchConfig()
 
     def n_steps(self, step_s: float) -> int:
-        """Steps of `step_s` seconds in the horizon."""
+        """Number of steps of `step_s` seconds in the horizon."""
         return round(self.horizon_h * HOUR_S / step_s)

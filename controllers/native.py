@@ -1,4 +1,4 @@
-"""The controller built into the plant: nothing is overwritten."""
+"""Native control: the controller built into the plant acts, no input is overwritten."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from thermoforce_mpc.scenario.settings import StrictModel
 class NativeConfig(StrictModel):
     """Options of the native controller."""
 
-    step_s: float = Field(3600.0, ge=60, le=86400, description="how often to look, s")
+    step_s: float = Field(3600.0, ge=60, le=86400, description="control step, s")
 
 
 class NativeController:
-    """Leaves the plant to its own control (BOPTEST: no overwrite is activated)."""
+    """Leaves the plant under its own control (BOPTEST: no overwrite is activated)."""
 
     name = "native"
 
@@ -24,14 +24,14 @@ class NativeController:
 
     @property
     def step_s(self) -> float:
-        """How long a plan is followed, s."""
+        """Control step, s."""
         return self.config.step_s
 
     @property
     def horizon_s(self) -> float:
-        """One step: no foresight is used."""
+        """One step, s: no forecast is used."""
         return self.config.step_s
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
-        """One block of native control; there is no state."""
+        """One block of native control; stateless."""
         return Plan((Block(None, self.step_s),), PlanStatus.RULE, "the plant's own controller acts")

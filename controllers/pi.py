@@ -1,8 +1,8 @@
-"""PI control of the zone temperature with anti-windup: what a well-kept building has, tunable, to be beaten.
+"""PI control of the zone temperature with anti-windup and optimal start (baseline).
 
-Setpoint tracking with a schedule known in advance: the reference is the lower comfort bound (cooling: the upper one)
-plus an offset, and a rise of the bound is anticipated by a lead time, as an optimal-start function does. The integral
-is held while it would drive the output further into saturation (conditional integration; Åström and Hägglund, Advanced
+The set-point is the lower comfort bound plus an offset (cooling: the upper bound minus it). A tighter bound is followed
+a lead time in advance, as by an optimal-start function. The integral is held while it would drive the output further
+into saturation (conditional integration; Åström and Hägglund, Advanced
 PID Control, 2006, section 3.5).
 """
 
@@ -29,16 +29,20 @@ class PIConfig(StrictModel):
     offset_K: float = Field(
         0.3, ge=-5, le=10, description="set-point above the lower comfort bound (cooling: below the upper), K"
     )
-    lead_h: float = Field(2.0, ge=0, le=24, description="a tighter bound is followed this long before it comes, h")
-    off_below: float = Field(0.15, ge=0, lt=1, description="output below this share switches the machine off")
+    lead_h: float = Field(
+        2.0, ge=0, le=24, description="lead time with which a tighter bound is followed in advance, h"
+    )
+    off_below: float = Field(0.15, ge=0, lt=1, description="output below which the machine is off, share of full")
     actuation: ActuationConfig = ActuationConfig()
-    step_s: float = Field(900.0, ge=300, le=86400, description="how often the controller looks, s")
-    mode: Literal["heating", "cooling"] = Field("heating", description="which bound is followed")
+    step_s: float = Field(900.0, ge=300, le=86400, description="control step, s")
+    mode: Literal["heating", "cooling"] = Field(
+        "heating", description="heating follows the lower comfort bound, cooling the upper"
+    )
 
 
 @dataclass(frozen=True)
 class PIState:
-    """The integral, as a share of full, and when it was last updated, s; what the machine does."""
+    """Integral, share of full output; time of its last update, s; state of the machine."""
 
     integral: float = 0.0
     time_s: float | None = None
@@ -46,7 +50,7 @@ class PIState:
 
 
 class PIController:
-    """Follows the comfort bound with a PI law.
+    """PI controller on the comfort bound.
 
     Raises:
         ControllerConfigError: the actuation does not fit the step.
@@ -61,17 +65,17 @@ class PIController:
 
     @property
     def step_s(self) -> float:
-        """How long a plan is followed, s."""
+        """Control step, s."""
         return self.config.step_s
 
     @property
     def horizon_s(self) -> float:
-        """As far as bounds are anticipated, at least one step, s."""
+        """Lead time rounded up to whole steps, at least one, s."""
         steps = max(1, math.ceil(self.config.lead_h * HOUR_S / self.step_s))
         return steps * self.step_s
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
-        """One step of the PI law; native control while the sensor is silent or the bounds are not known.
+        """One step of the PI law; native control while the zone temperature or the bounds are missing.
 
         Raises:
             DataError: `state` is not from a plan of a PI controller.
@@ -88,7 +92,7 @@ class PIController:
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
         integral = last.integral + c.kp * error_K * elapsed_s / c.ti_s
         asked = c.kp * error_K + integral
-        # Anti-windup: what would only deepen saturation is not integrated.
+        # Anti-windup: do not integrate further into saturation.
         if not ((0.0 < asked < 1.0) or (asked >= 1.0 and error_K < 0) or (asked <= 0.0 and error_K > 0)):
             integral = last.integral
         share = min(max(c.kp * error_K + integral, 0.0), 1.0)
@@ -98,7 +102,7 @@ class PIController:
         return Plan(blocks, PlanStatus.RULE, why, state=PIState(integral, observation.time_s, machine))
 
     def _target_C(self, observation: Observation) -> float:
-        """The tightest bound from now until the lead time is over, with the offset, °C."""
+        """Set-point: tightest bound within the lead time, with the offset, °C."""
         c, boundary = self.config, observation.boundary
         ahead = min(math.floor(c.lead_h * HOUR_S / self.step_s + 1e-9), boundary.lower_C.size - 1)
         if c.mode == "heating":

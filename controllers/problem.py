@@ -1,13 +1,13 @@
-"""The optimisation problem of one control step, as numbers: what every solver is given.
+"""The optimisation problem of one control step in numbers: input and output of every solver.
 
     minimise    sum_k  price_k · P_k(u_k) · Δt  +  w · s_k · Δt  +  ε u_k²  +  π · p  −  λ' F_N
     subject to  F_{k+1} = A F_k + g m(x_k) u_k            forced response (paper eq:operator)
                 lower_k - s_k ≤ T_free,k + F_k ≤ upper_k + s_k,   s_k ≥ 0,   0 ≤ u_k ≤ u_max
-                P_k(u_k) ≤ p_0 + p,   p ≥ 0                       peak power beyond what was reached already
+                P_k(u_k) ≤ p_0 + p,   p ≥ 0                       p: peak power above the highest so far, p_0
                 u_k = v_j for all steps k of move j               move blocking
 
-The free response T_free enters as a fixed vector. The slack s makes every instance feasible. λ values the heat that is
-left in the building at the end of the horizon.
+The free response T_free enters as a fixed vector. The slack s makes every instance feasible. λ is the value of the heat
+stored in the building at the end of the horizon.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
 
 J_PER_KWH = 3.6e6
-# Solvers count peak power in this unit, so that its constraints are of the size of the others.
+# Unit of peak power in solvers, W; scales its constraints like the others.
 PEAK_UNIT_W = 1000.0
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What an hour of discomfort is worth, and the tiny curvature that makes the optimum unique.
+    """Weights of the objective on comfort violation, curvature and peak power.
 
-    `comfort` currency/(K·h); `curvature` currency per step and u²; `peak` currency per W of peak power (mean over a
-    step) beyond the highest reached so far.
+    `comfort` currency/(K·h); `curvature` currency per step and u², makes the optimum unique; `peak` currency per W of
+    peak power (mean over a step) above the highest so far.
     """
 
     comfort: float
@@ -42,11 +42,11 @@ class Weights:
 
 @dataclass(frozen=True)
 class ProblemShape:
-    """What does not change from one instance to the next, so that a solver is built once.
+    """Structure shared by all instances, from which a solver is built once.
 
     `move_of_step` (N,) numbers the move each step belongs to (0 … M − 1, nondecreasing): steps of one move share one
-    level. `u_max` is the highest level; below `lowest_level` the machine switches. `peak` says whether peak power is
-    in the objective.
+    level. `u_max` is the highest level; below `lowest_level` the machine switches. `peak`: peak power is in the
+    objective.
     """
 
     move_of_step: NDArray[np.intp]
@@ -70,7 +70,7 @@ class ProblemShape:
         return np.searchsorted(self.move_of_step, np.arange(self.n_moves))
 
     def linear_in_u(self, operator: OperatorParameters) -> bool:
-        """Whether power and heat are proportional to u: then the problem is convex, a quadratic programme."""
+        """Whether power and heat are proportional to u, so that the problem is a convex quadratic programme."""
         if operator.feedback_active:  # the gain of an action depends on the actions before it
             return False
         heat = operator.heat_input.heat
@@ -94,12 +94,12 @@ def blocked_moves(n_steps: int, step_s: float, free_h: float, hold_h: float) -> 
 class MPCProblem:
     """Numbers of one instance over N steps, r modes.
 
-    `forced_state_K` (r,): F now. `features` (N, 4): raw features at the start of each step.
+    `forced_state_K` (r,): initial F. `features` (N, 4): raw features at the start of each step.
     (N,): `T_free_C`, `lower_C`, `upper_C` at the end of each step (margins already inside); `price_per_kWh`,
     `power_fixed_W` (while on) and `power_per_u_W` over each step. `u_max` is the highest level; below `lowest_level`
     the machine is on for the share u / `lowest_level` of a step, so the power is linear in u when the two are equal.
-    `terminal_price_per_K` (r,) is what a kelvin of each mode is worth at the end, currency/K; `peak_so_far_W` the
-    highest mean power over a step reached before.
+    `terminal_price_per_K` (r,): value of one kelvin of each mode at the end, currency/K; `peak_so_far_W`: highest mean
+    power over a step so far.
     """
 
     forced_state_K: Array
@@ -124,12 +124,12 @@ class MPCProblem:
 
     @property
     def price_per_W(self) -> Array:
-        """What one watt held over each step costs, currency/W, shape (N,)."""
+        """Cost of one watt held over each step, currency/W, shape (N,)."""
         return np.asarray(self.price_per_kWh * self.step_s / J_PER_KWH, dtype=np.float64)
 
     @property
     def comfort_price(self) -> float:
-        """What one kelvin of violation at the end of one step costs, currency/K."""
+        """Cost of one kelvin of violation at the end of one step, currency/K."""
         return self.weights.comfort * self.step_s / HOUR_S
 
     def power_W(self, u: Array) -> Array:
@@ -155,7 +155,7 @@ class MPCProblem:
         return self.cost_under(u, self.modes_K(operator, u))
 
     def cost_under(self, u: Array, modes: Array) -> Array:
-        """Objective for levels `u` (..., N) that lead to the forced state `modes` (..., N, r) K, currency, (...,)."""
+        """Objective for levels `u` (..., N) with forced state `modes` (..., N, r), K; currency, shape (...,)."""
         slack = self.slack_K(self.T_free_C + modes.sum(axis=-1))
         power = self.power_W(u)
         energy = (self.price_per_W * power).sum(axis=-1)
@@ -176,9 +176,9 @@ class MPCProblem:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver answers; `ok` only after its status, finiteness and bounds were checked.
+    """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
 
-    `u` (N,) levels (empty when not ok), `status` the solver's own word, `problem` what is wrong in one phrase.
+    `u` (N,): levels, empty when not ok; `status`: the solver's own status; `problem`: reason of a failure.
     """
 
     ok: bool
@@ -188,10 +188,10 @@ class Solution:
     problem: str = ""
 
 
-# Largest violation of 0 ≤ u ≤ u_max that is a solver's bound relaxation rather than an error.
+# Largest violation of 0 ≤ u ≤ u_max accepted as a solver's bound relaxation.
 _BOUND_TOLERANCE = 1e-6
-# How far the objective that a solver claims may lie below what its levels really cost: a solver that takes violated
-# constraints for satisfied ones claims too little.
+# Relative tolerance between a solver's objective and the recomputed one: they differ if the solver accepted violated
+# constraints.
 _CLAIM_TOLERANCE = 1e-4
 
 
@@ -204,10 +204,11 @@ def checked_solution(
     iterations: int,
     tolerance: float = _CLAIM_TOLERANCE,
 ) -> Solution:
-    """What a solver that reports success really found: refused unless finite, inside bounds and as cheap as claimed.
+    """Check the result of a solver that reports success.
 
-    All constraints but the bounds of u are soft, so levels inside the bounds are feasible; whether the solver solved
-    *this* problem shows in what the levels cost by our own rollout: `modes_of` gives the forced state (N, r) of levels.
+    The solution is refused unless it is finite, within the bounds of u, and its objective, recomputed by rollout,
+    agrees with `claimed`. All inequalities except the bounds of u are soft, so levels within them are feasible; a
+    different objective shows that another problem was solved. `modes_of` maps levels (N,) to forced states (N, r), K.
     """
     if u.shape != (problem.n_steps,) or not np.isfinite(u).all() or not np.isfinite(claimed):
         return Solution(

@@ -1,13 +1,13 @@
-"""The convex case of the MPC problem as a sparse quadratic qp_data: the fast path.
+"""The convex case of the MPC problem as a sparse quadratic programme: the fastest solver.
 
-A duty plan is proportional to u and the modulation m(x) does not see the decisions, so with free-state features the
-problem is a quadratic programme with constant structure. The r modes are eliminated beforehand: what matters for
-comfort is their sum y = Σ F_i, and that obeys one difference equation of order r, the transfer function of the modes,
+With duty actuation, power and heat are proportional to u and the modulation m(x) does not depend on the decisions, so
+the problem is a quadratic programme with constant structure. The r modes are eliminated: comfort depends on their sum
+y = Σ F_i only, which obeys one difference equation of order r, the transfer function of the modes,
 
     Π_i (1 − a_i q⁻¹) y_k  =  Σ_i g_i Π_{j≠i} (1 − a_j q⁻¹) d_k u_k,        q⁻¹ y_k = y_{k−1},
 
-with d_k = m(x_k) v(1, T_out,k). That is one variable and one equation a step instead of r of each. What a solver
-reports is checked by our own rollout, mode by mode, before it counts.
+with d_k = m(x_k) v(1, T_out,k). This takes one variable and one equation per step instead of r of each. Every solution
+is checked by a rollout of the r modes before it is accepted.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from thermoforce_mpc.model.operator.rollout import driven_rollout
 
 
 class SparsePattern:
-    """A sparse matrix whose values change and whose structure does not.
+    """Sparse matrix with constant structure and changing values.
 
-    Entries are addressed in the order given; those at the same place are added.
+    Entries are addressed in the order given; entries at the same position are summed.
     """
 
     def __init__(self, rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]) -> None:
@@ -47,7 +47,7 @@ class SparsePattern:
 class QPSolver:
     """Solves `MPCProblem`s of one operator and shape.
 
-    Variables: moves v (M), forced response y (N), slack s (N), and the peak where it is priced.
+    Variables: moves v (M), forced response y (N), slack s (N), and peak power if it is priced.
 
     Raises:
         ControllerConfigError: the problem is not convex (levels between off and `u_max` have their own efficiency).
@@ -76,7 +76,7 @@ class QPSolver:
         )
         self._response_entries = np.concatenate([np.full(now.size, denominator[lag]) for lag, now, _ in lagged])
         self._driven_lags = [lag for lag, *_ in driven]
-        # Without control the modes fade; the difference equation begins with their first r values.
+        # The first r equations contain the free decay of the initial modes.
         faded = operator.poles ** np.arange(1, min(operator.order, n) + 1)[:, None]
         self._begin = lfilter(denominator, [1.0], faded, axis=0)
         self._kept = operator.gains * operator.poles ** (n - 1 - step)[:, None]
@@ -102,7 +102,7 @@ class QPSolver:
         }
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance, without a guess. A failure is a value: `problem` says what each solver did."""
+        """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has each solver's reason."""
         if not problem.finite():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         drive = self.operator.drive(np.full(self.shape.n_steps, problem.u_max), problem.features) / problem.u_max
@@ -119,7 +119,7 @@ class QPSolver:
     def _attempt(self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Array) -> Solution:
         try:
             answer = self._solve_with[backend](qp_data)
-        except Exception as error:  # whatever a solver raises: the next one is tried
+        except Exception as error:  # on any exception the next solver is tried
             return Solution(False, np.empty(0), f"{backend}:raised", 0, f"raised {type(error).__name__}: {error}")
         status = f"{backend}:{answer.status}"
         if not answer.solved:
@@ -141,7 +141,7 @@ class QPSolver:
         A = self._dynamics.filled(np.concatenate([self._response_entries, *driven]))
         b = np.zeros(n)
         b[: self._begin.shape[0]] = self._begin @ p.forced_state_K
-        # What the moves leave in the modes at the end.
+        # Terminal value of the heat added by the moves.
         left = p.terminal_price_per_K
         kept = self._kept @ left * drive
         linear = np.zeros(self._n_variables)
@@ -157,10 +157,10 @@ class QPSolver:
             linear[-1] = p.weights.peak * PEAK_UNIT_W
         curvature = np.zeros(self._n_variables)
         curvature[moves] = 2.0 * p.weights.curvature * self._counts
-        # Counted in the largest price, so that no solver has to know the currency.
+        # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.
         unit = float(np.abs(linear).max()) or 1.0
         self._quadratic.data[:] = curvature / unit
-        constant = -float(left @ (operator.poles**n * p.forced_state_K))  # no move can change it
+        constant = -float(left @ (operator.poles**n * p.forced_state_K))  # independent of the moves
         return QPData(
             self._quadratic, linear / unit, A, b, self._bounds.filled(entries), row_low, row_high,
             self._x_low, self._x_high, unit, constant,

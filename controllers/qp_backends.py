@@ -16,20 +16,20 @@ QPBackend = Literal["piqp", "clarabel"]
 
 
 class QPConfig(StrictModel):
-    """Options of the quadratic qp_data."""
+    """Options of the quadratic programme solvers."""
 
     backends: tuple[QPBackend, ...] = Field(
         ("piqp", "clarabel"), min_length=1, description="solvers in the order in which they are tried"
     )
     tolerance: float = Field(1e-7, gt=0, description="absolute and relative tolerance of the solvers")
-    max_iterations: int = Field(100, ge=1, description="iterations before a solver is given up")
+    max_iterations: int = Field(100, ge=1, description="iterations before a solve counts as failed")
 
 
 @dataclass(frozen=True)
 class QPData:
-    """One quadratic qp_data: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high; Q is diagonal.
+    """One quadratic programme: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high; Q is diagonal.
 
-    The objective is counted in `unit`, and `constant` has been left out of it.
+    The objective in currency is `unit` times this one plus `constant`.
     """
 
     quadratic: sparse.csc_matrix
@@ -45,13 +45,13 @@ class QPData:
     constant: float
 
     def objective(self, x: Array) -> float:
-        """Objective at `x` with the constant, in the unit that the caller counts in."""
+        """Objective at `x` including the constant, currency."""
         return self.constant + self.unit * float(0.5 * x @ (self.quadratic.data * x) + self.linear @ x)
 
 
 @dataclass(frozen=True)
 class SolverResult:
-    """What a solver said."""
+    """Result of a backend."""
 
     solved: bool
     x: Array
@@ -67,19 +67,19 @@ class Piqp:
         self._solver: Any = None
 
     def __call__(self, q: QPData) -> SolverResult:
-        """Solve one programme; all of one solver have the same structure and the same bounds of x."""
+        """Solve one programme; all programmes of one instance share the structure and the bounds of x."""
         import piqp
 
-        solver, self._solver = self._solver, None  # of a solve that fails or raises nothing is carried on
+        solver, self._solver = self._solver, None  # after a failed solve the solver is set up again
         if solver is None:
             solver = piqp.SparseSolver()
             settings = solver.settings
             settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
-            # Kelvins, shares, and prices in units of the largest are scaled already.
+            # K, shares and prices relative to the largest are already well scaled.
             settings.preconditioner_iter = 0
-            # Longer steps towards the bounds than its 0.99 save an iteration.
+            # Longer steps towards the bounds than the default 0.99 save an iteration.
             settings.tau = 0.999
-            # The difference equation adds up what its rows leave over: they have to hold to more digits.
+            # Residuals of the difference equation accumulate over the rows, so they need a tighter tolerance.
             settings.reg_lower_limit = 1e-8
             settings.reg_finetune_lower_limit = 1e-10
             settings.eps_abs = settings.eps_rel = self._config.tolerance
@@ -97,13 +97,13 @@ class Piqp:
 
 
 class Clarabel:
-    """Clarabel, built anew for each instance: it is called only when the first solver failed."""
+    """Clarabel, set up for each instance: by default it is called only when PIQP failed."""
 
     def __init__(self, config: QPConfig) -> None:
         self._config = config
 
     def __call__(self, q: QPData) -> SolverResult:
-        """Solve one qp_data."""
+        """Solve one programme."""
         import clarabel
 
         eye = sparse.identity(q.linear.size, format="csc")

@@ -1,4 +1,4 @@
-"""All controllers by name. A new controller is one new file and one entry here."""
+"""Registry of controllers by name. A new controller needs one file and one entry in `REGISTRY`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller 
 
 @dataclass(frozen=True)
 class Entry:
-    """One controller: what it is, whether it needs an identified model, its defaults and how it is built."""
+    """Registry entry: summary, need for an identified model, option class, builder, and option defaults."""
 
     summary: str
     needs_model: bool
@@ -47,7 +47,7 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
     return Entry(summary, True, _mpc_config, _build_mpc, defaults)
 
 
-# The paper plans a day ahead on the median of one resolution of the forecaster, right to the comfort bound.
+# The paper's setting: 24 h horizon, median of one resolution of the forecaster, no margin to the comfort bound.
 _AS_PRINTED: dict[str, Any] = {
     "step_s": None,
     "horizon_h": 24.0,
@@ -61,28 +61,28 @@ _AS_PRINTED: dict[str, Any] = {
 
 REGISTRY: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
-        "weather-aware free response with a frozen forecaster, forced-response operator, on/off duty blocks, 15 min",
+        "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
     ),
     "thermoforce_hourly": _mpc_entry(
-        "the same with a level held over an hour, off or at least 0.7 (below that a heat pump loses most)",
+        "as thermoforce_mpc, level held for 1 h, off or at least 0.7 (heat pumps are inefficient below)",
         step_s=3600.0,
-        # An hour at 0.7 or more is much heat at once: rather a little late than on top of the sun.
+        # One hour at 0.7 or more is a large pulse of heat: heating late costs less than overheating with solar gains.
         comfort_margin_K=0.0,
         backoff_level=0.45,
         backoff_violation_K=None,
         actuation={"mode": "modulating", "lowest_level": 0.7},
     ),
     "thermoforce_paper": _mpc_entry(
-        "the paper's setting: frozen forecaster on T - F, level held over the test case's step, Ipopt",
+        "the paper's setting: frozen forecaster on T - F, level held for the test case's step, Ipopt",
         **_AS_PRINTED,
         solver="ipopt",
     ),
     "rc_mpc": _mpc_entry(
-        "the same as thermoforce_mpc with the free response of a linear RC model",
+        "as thermoforce_mpc, with the free response of a linear RC model",
         free_response={"name": "rc"},
     ),
     "candidate_search": _mpc_entry(
-        "the paper's search over candidate trajectories, level held over the step",
+        "the paper's search over candidate trajectories, level held for the step",
         **_AS_PRINTED,
         solver="search",
     ),
@@ -94,14 +94,14 @@ REGISTRY: dict[str, Entry] = {
         {},
     ),
     "pi": Entry(
-        "PI on the comfort bound with anti-windup and early start, on for a share of a step",
+        "PI on the comfort bound with anti-windup and optimal start, on/off blocks",
         False,
         lambda: PIConfig,
         lambda name, config, testcase, model: PIController(config),
         {},
     ),
     "native": Entry(
-        "the controller built into the plant",
+        "native controller of the plant",
         False,
         lambda: NativeConfig,
         lambda name, config, testcase, model: NativeController(config),
@@ -111,7 +111,7 @@ REGISTRY: dict[str, Entry] = {
 
 
 def find_entry(name: str) -> Entry:
-    """The entry called `name`; raises `ControllerConfigError` naming near misses and all known names."""
+    """The entry of `name`; raises `ControllerConfigError` with a suggestion and all known names."""
     if name not in REGISTRY:
         raise ControllerConfigError(
             f"unknown controller '{name}'{suggestion(name, REGISTRY)}; known: {', '.join(REGISTRY)}"
@@ -120,7 +120,7 @@ def find_entry(name: str) -> Entry:
 
 
 def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
-    """Validate the options of a controller; raises `ConfigError` naming each wrong key."""
+    """Validated options of a controller, defaults included; raises `ConfigError` naming each wrong key."""
     entry = find_entry(name)
     defaults: dict[str, Any] = dict(entry.defaults)
     if name == "native":

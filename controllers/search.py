@@ -1,4 +1,4 @@
-"""The paper's solver: roll out a set of candidate trajectories and take the cheapest (paper sec:deployment)."""
+"""The paper's solver: roll out a set of candidate trajectories and select the cheapest (paper sec:deployment)."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class SearchConfig(StrictModel):
-    """Which trajectories are tried: every level held for a first stretch, then every level for the rest."""
+    """Candidate trajectories: all pairs of a level for the first steps and a level for the rest."""
 
     levels: tuple[float, ...] = Field((0.0, 0.25, 0.5, 0.75, 1.0), min_length=2, description="levels tried, in [0, 1]")
     first_stretch_steps: tuple[int, ...] = Field(
-        (1, 2, 3, 4, 6, 8, 12, 18), min_length=1, description="lengths of the first stretch tried, steps"
+        (1, 2, 3, 4, 6, 8, 12, 18), min_length=1, description="numbers of first steps tried"
     )
 
 
 class CandidateSearch:
-    """Evaluates all candidates of the configuration, and the guess it is given, in one vectorised rollout."""
+    """Evaluates all candidates, and the guess if given, in one vectorised rollout."""
 
     def __init__(self, operator: OperatorParameters, n_steps: int, config: SearchConfig) -> None:
         self.operator = operator
         self._candidates = _two_level_trajectories(config, n_steps)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """The cheapest candidate. A failure is a value: `ok` is False and `problem` says why."""
+        """The cheapest candidate. On failure `ok` is False and `problem` has the reason."""
         candidates = np.unique(np.minimum(self._candidates, problem.u_max), axis=0)
         if guess is not None:
             candidates = np.vstack([candidates, guess])

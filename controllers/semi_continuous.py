@@ -1,9 +1,9 @@
-"""Plans for a machine whose level is held over a step and which is either off or at least at its lowest level.
+"""Solver for a machine whose level is held for a step and is either zero or at least its lowest level.
 
-Off or a level is a choice no convex problem can make. Only the first step is acted on, so only there the choice has to
-be exact: each of a few levels is tried in it, with its own heat and power, and the rest of the horizon is the convex
-problem of a machine that switches, which is the cheapest way to bring a given heat and what later steps can come near
-to by being off or on as a whole. That is one quadratic programme per level.
+The choice between off and on is not convex. Only the first step is applied, so only there it must be exact: each of a
+few levels is tried in the first step, with its own heat and power. The rest of the horizon is the convex problem of a
+switching machine: switching is the cheapest way to deliver a given heat, and later steps can approximate it by being
+fully off or on. This takes one quadratic programme per level.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class SemiContinuousConfig(StrictModel):
-    """Which levels are tried in the first step."""
+    """Levels tried in the first step."""
 
-    n_levels: int = Field(8, ge=2, le=50, description="levels from the lowest to the highest, besides off")
+    n_levels: int = Field(8, ge=2, le=50, description="number of levels from the lowest to the highest, besides off")
 
 
 class SemiContinuousSolver:
     """Solves `MPCProblem`s of one operator and shape by trying levels in the first step.
 
     Raises:
-        ControllerConfigError: the horizon is a single step, or the rest of the problem is not convex either.
+        ControllerConfigError: the horizon is a single step, or the rest of the problem is not convex.
     """
 
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: SemiContinuousConfig, qp: QPConfig):
@@ -52,7 +52,7 @@ class SemiContinuousSolver:
         self._later = QPSolver(switching, replace(shape, move_of_step=later, lowest_level=shape.u_max), qp)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """The cheapest first level with the best continuation, without a guess. A failure is a value."""
+        """Cheapest first level with its optimal continuation; `guess` is not used. On failure `ok` is False."""
         if not problem.finite():
             return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
         best, least, failures, iterations = None, np.inf, [], 0
@@ -71,7 +71,7 @@ class SemiContinuousSolver:
         level, solution = best
         T_out = problem.features[1:, OUTDOOR]
         u = np.concatenate([[level], held_level(self.operator.heat_input, solution.u, T_out, self.shape.u_max)])
-        # The levels must bring the heat that was planned in shares: their cost with that heat is what is claimed.
+        # The held levels must deliver the heat planned as shares: the claimed cost is theirs with that heat.
         after = after_first_step(problem, self.operator, level)
         planned = np.vstack([after.forced_state_K, after.modes_K(self._later.operator, solution.u)])
         claimed = float(problem.cost_under(u, planned))
@@ -80,7 +80,7 @@ class SemiContinuousSolver:
 
 
 def after_first_step(problem: MPCProblem, operator: OperatorParameters, level: float) -> MPCProblem:
-    """The problem that remains when the first step was held at `level`."""
+    """The problem that remains after the first step at `level`, N − 1 steps."""
     p = problem
     return replace(
         p,
@@ -97,7 +97,7 @@ def after_first_step(problem: MPCProblem, operator: OperatorParameters, level: f
 
 
 def first_step_cost(problem: MPCProblem, operator: OperatorParameters, level: float) -> float:
-    """What the first step costs at `level`: energy, discomfort at its end, and the peak it sets, currency."""
+    """Cost of the first step at `level`, currency: energy, comfort violation at its end, and increase of the peak."""
     p = problem
     power_W = _first_power_W(p, level)
     T = p.T_free_C[0] + operator.step(p.forced_state_K, np.asarray(level), p.features[0]).sum()
@@ -107,14 +107,14 @@ def first_step_cost(problem: MPCProblem, operator: OperatorParameters, level: fl
 
 
 def held_level(heat_input: HeatInput, share: Array, T_out_C: Array, u_max: float) -> Array:
-    """The level whose heat is that of running for `share` (N,) of the step at full level, shape (N,)."""
+    """Held level with the same heat as full level for `share` (N,) of the step, shape (N,)."""
     if heat_input.heat is None:
         return np.asarray(share, dtype=np.float64)
     heat = heat_input.heat
     fixed_W, per_u_W = heat.parts(T_out_C)
     wanted_W = np.asarray(share) * heat(np.ones_like(T_out_C), T_out_C)
     lowest_W = fixed_W + per_u_W * heat.lowest_level
-    # Heat that does not grow with the level is had at the lowest.
+    # Where heat does not increase with the level, the lowest level is used.
     above = np.maximum((wanted_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf), heat.lowest_level)
     below = wanted_W / (fixed_W / heat.lowest_level + per_u_W)
     return np.clip(np.where(wanted_W >= lowest_W, above, below), 0.0, u_max)

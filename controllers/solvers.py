@@ -1,4 +1,4 @@
-"""Which solver solves which problem: the one place where the choice is made."""
+"""Solver protocol and selection of the solver for a problem."""
 
 from __future__ import annotations
 
@@ -17,19 +17,18 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
 class Solver(Protocol):
-    """Anything that solves `MPCProblem`s of one operator and horizon."""
+    """Solver of `MPCProblem`s of one operator and horizon."""
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance; a failure is a value.
+        """Solve one instance; a failure is returned as a `Solution` with `ok` False.
 
-        `guess` (N,) are levels near the best ones, for those that begin somewhere. The same arguments give the same
-        answer, whatever was solved before.
+        `guess` (N,): warm start, used by iterative solvers. The result does not depend on instances solved before.
         """
         ...
 
 
 def build_solver(config: MPCConfig, operator: OperatorParameters, actuation: Actuation) -> Solver:
-    """The solver that `config` names, or the fastest that fits the problem, for plans over the horizon of `config`.
+    """The solver named in `config`, or for `auto` the fastest one that fits the problem, over the horizon of `config`.
 
     Raises:
         ControllerConfigError: the solver named does not fit the problem.

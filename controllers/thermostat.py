@@ -1,4 +1,4 @@
-"""On/off thermostat with a dead band and an optional weekday setback: the baseline every controller must beat."""
+"""On/off thermostat with a dead band and an optional weekday setback (baseline)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class Setback(StrictModel):
-    """A daily stretch during which the machine stays off, on weekdays only."""
+    """Daily period on weekdays during which the machine stays off."""
 
-    from_hour: float = Field(ge=0, le=24, description="hour of day the setback begins")
-    to_hour: float = Field(ge=0, le=24, description="hour of day it ends; earlier than from_hour: past midnight")
+    from_hour: float = Field(ge=0, le=24, description="hour of day at which the setback begins")
+    to_hour: float = Field(
+        ge=0, le=24, description="hour of day at which it ends; earlier than from_hour: on the next day"
+    )
     weekend_days: tuple[int, ...] = Field((4, 5), description="days of the year modulo 7 without setback (BOPTEST)")
 
     def active(self, time_s: float) -> bool:
-        """Whether the machine has to stay off at `time_s`."""
+        """Whether `time_s` is within the setback."""
         if int(time_s // DAY_S) % 7 in self.weekend_days:
             return False
         hour = (time_s % DAY_S) / HOUR_S
@@ -36,9 +38,11 @@ class ThermostatConfig(StrictModel):
     setpoint_C: float = Field(21.3, ge=0, le=40, description="centre of the dead band, °C")
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
-    step_s: float = Field(900.0, ge=60, le=86400, description="how often the thermostat looks, s")
-    mode: Literal["heating", "cooling"] = Field("heating", description="which side of the dead band needs the machine")
-    setback: Setback | None = Field(None, description="weekday hours during which the machine stays off")
+    step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
+    mode: Literal["heating", "cooling"] = Field(
+        "heating", description="heating: on below the dead band; cooling: on above it"
+    )
+    setback: Setback | None = Field(None, description="weekday hours during which the machine stays off; null: none")
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class ThermostatState:
 
 
 class Thermostat:
-    """Hysteresis on the zone temperature; heats (or cools) at one level."""
+    """On/off control of the zone temperature with hysteresis, at one level while on."""
 
     name = "thermostat"
 
@@ -58,16 +62,16 @@ class Thermostat:
 
     @property
     def step_s(self) -> float:
-        """How long a plan is followed, s."""
+        """Control step, s."""
         return self.config.step_s
 
     @property
     def horizon_s(self) -> float:
-        """One step: no foresight is used."""
+        """One step, s: no forecast is used."""
         return self.config.step_s
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
-        """On below the dead band, off above it, unchanged inside; native control while the sensor is silent.
+        """On below the dead band, off above it (cooling: reversed), unchanged inside; native control if T is missing.
 
         Raises:
             DataError: `state` is not from a plan of a thermostat.
@@ -77,7 +81,7 @@ class Thermostat:
         if not math.isfinite(T):
             why = "zone temperature missing: native control"
             return Plan((Block(None, self.step_s),), PlanStatus.RULE, why, state=last)
-        # How far the zone is on the side that needs the machine: below the set-point heating, above it cooling.
+        # Distance from the set-point on the side that needs the machine: below it heating, above it cooling.
         need_K = (c.setpoint_C - T) * (1.0 if c.mode == "heating" else -1.0)
         if c.setback and c.setback.active(observation.time_s):
             on, why = False, "setback"

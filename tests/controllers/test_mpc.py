@@ -167,7 +167,7 @@ def test_mistakes_of_the_caller_raise_before_anything_else():
         mpc.plan(Observation(seen.history, seen.boundary.head(23)))
     quarter = SimpleHouse()
     quarter.reset(10 * 86400.0, 2 * 86400.0)
-    with pytest.raises(DataError, match=r"boundary forecast: step 0 of 24 is 900 s long, the controller's are 3600 s"):
+    with pytest.raises(DataError, match=r"boundary forecast: step 0 of 24 is 900 s long, expected 3600 s"):
         mpc.plan(Observation(seen.history, quarter.forecast(24 * HOUR_S, 900.0)))
     fine = replace(seen.history, time_s=seen.history.time_s[-1] + 900.0 * np.arange(-seen.history.n_steps, 1))
     with pytest.raises(DataError, match=r"history: step 0 of 48 is 900 s long"):
