@@ -62,7 +62,7 @@ def test_every_command_has_help(name):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["run"], "say which building"),
+        (["run"], "no test case: give --testcase"),
         (["run", "--testcase", "bestest_hydronic_heatpump"], f"did you mean '{TESTCASE}'"),
         (["run", "--testcase", TESTCASE, "--controller", "termostat"], "did you mean 'thermostat'"),
         (["run", "--testcase", TESTCASE, "--price", "cheap"], "'constant', 'dynamic' or 'highly_dynamic'"),
@@ -126,7 +126,7 @@ def test_a_second_run_never_overwrites(simple, tmp_path):
     out.mkdir()
     (out / "precious").write_text("x")
     done = simple("--controller", "native", "--out", str(out))
-    assert "never overwrites" in str(done.exception)
+    assert "never overwritten" in str(done.exception)
     assert [path.name for path in out.iterdir()] == ["precious"]
 
 

@@ -1,4 +1,4 @@
-"""The command line. Commands are imported when they are called, so that help answers at once."""
+"""Command line `tf-mpc`. A command's module is imported when it is called, so that `--help` is fast."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from thermoforce_mpc.version import VERSION
 
 # name: (module, one line for the overview)
 _COMMANDS = {
-    "run": ("thermoforce_mpc.cli.run", "Control a building over a scored window and report how it went."),
-    "compare": ("thermoforce_mpc.cli.compare", "Run controllers side by side, on several windows and tariffs."),
-    "sweep": ("thermoforce_mpc.cli.sweep", "Trace cost against discomfort over an option of a controller."),
-    "identify": ("thermoforce_mpc.cli.identify", "Probe a building for a few days and save what was learned."),
-    "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, data it has seen."),
+    "run": ("thermoforce_mpc.cli.run", "Run a controller over a scored window and report KPIs."),
+    "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
+    "sweep": ("thermoforce_mpc.cli.sweep", "Vary one controller option and plot cost against discomfort."),
+    "identify": ("thermoforce_mpc.cli.identify", "Probe a building for a few days, identify and save a model."),
+    "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
-    "serve": ("thermoforce_mpc.cli.serve", "Offer the embedded plant to clients written for BOPTEST."),
-    "weather": ("thermoforce_mpc.cli.weather", "Get the weather of the real test case."),
-    "bench": ("thermoforce_mpc.cli.bench", "Measure parts of the package against their targets."),
-    "testcases": ("thermoforce_mpc.cli.testcases", "List the test cases and scenarios that ship."),
+    "serve": ("thermoforce_mpc.cli.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
+    "weather": ("thermoforce_mpc.cli.weather", "Download the weather file of the BOPTEST test case."),
+    "bench": ("thermoforce_mpc.cli.bench", "Run benchmarks and compare the results with their targets."),
+    "testcases": ("thermoforce_mpc.cli.testcases", "List the shipped test cases, scenarios and comparisons."),
 }
 
 
 class _LazyGroup(click.Group):
-    """A group that knows its commands by name and imports only the one that is called."""
+    """Click group that imports only the command that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
@@ -48,8 +48,9 @@ class _LazyGroup(click.Group):
 def cli() -> None:
     """Model predictive control of buildings.
 
-    The future temperature of a zone is its free response, forecast by a frozen time-series model, plus what our
-    actions add, a small operator identified from a few days of probing. Start here:
+    The predicted zone temperature is the sum of a free response (no control action), forecast by a frozen
+    time-series model, and a forced response, computed by a linear operator that is identified from a few days of
+    probing. To start:
 
     \b
       tf-mpc run --testcase bestest_hydronic_heat_pump
@@ -60,7 +61,7 @@ def cli() -> None:
 
 
 def main() -> None:
-    """Entry point: turns this package's errors into one message and an exit code."""
+    """Entry point: prints an error of this package as one message and exits with its code."""
     try:
         cli.main(standalone_mode=False)
     except click.ClickException as error:  # usage errors: exit code 2

@@ -1,4 +1,4 @@
-"""`tf-mpc bench NAME`: every figure in the documentation can be made again."""
+"""`tf-mpc bench NAME`: benchmarks that reproduce the figures in the documentation."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from rich.table import Table
 from thermoforce_mpc.simulation.run_folder import write_json
 
 
-@click.group(short_help="Measure parts of the package against their targets.")
+@click.group(short_help="Run benchmarks and compare the results with their targets.")
 def command() -> None:
-    """Measure parts of the package against their targets: tables, plots and JSON, failed targets shown as such."""
+    """Run a benchmark: print its table, check its targets, write plots and JSON."""
 
 
 _WIDTH_OF_FILES = 160
 _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
-_JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result here.")
-_QUICK = click.option("--quick", is_flag=True, help="A smaller version, for a first look.")
+_JSON = click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result to this JSON file.")
+_QUICK = click.option("--quick", is_flag=True, help="Smaller and faster version of the benchmark.")
 
 
 @command.command("plant")
 @click.option("--reference", required=True, type=_FOLDER, help="Folder with records of the real test case.")
-@click.option("--weather", type=click.Path(path_type=Path), help="Their weather file, if not in the folder.")
+@click.option("--weather", type=click.Path(path_type=Path), help="Weather file of the records, if not in the folder.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
 @_QUICK
 @_JSON
@@ -43,7 +43,7 @@ def plant_command(reference: Path, weather: Path | None, out: Path | None, quick
 @_QUICK
 @_JSON
 def operator_command(reference: Path, quick: bool, json_file: Path | None) -> None:
-    """Score identified operators on interventions they never saw, and time them against a plain loop."""
+    """Score identified operators on held-out interventions and time the rollout against a plain loop."""
     from thermoforce_mpc.research.bench.operator import run_operator_bench
 
     show(run_operator_bench(reference, quick=quick, progress=_progress), json_file)
@@ -53,7 +53,7 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
 @_QUICK
 @_JSON
 def probing_command(quick: bool, json_file: Path | None) -> None:
-    """Chosen probing against random, and adaptation to a weakening machine, on the embedded plant."""
+    """Compare designed with random probing, and test online adaptation to a loss of capacity, on the embedded plant."""
     from thermoforce_mpc.research.bench.probing import run_probing_bench
 
     show(run_probing_bench(quick=quick, progress=_progress), json_file)
@@ -63,7 +63,7 @@ def probing_command(quick: bool, json_file: Path | None) -> None:
 @_QUICK
 @_JSON
 def controller_command(quick: bool, json_file: Path | None) -> None:
-    """Time our solvers beside do-mpc on the same instances, and the parts of a control step (extra [bench])."""
+    """Time the solvers and do-mpc on the same instances, and each part of a control step (extra [bench])."""
     from thermoforce_mpc.research.bench.controller import run_controller_bench
 
     show(run_controller_bench(quick=quick, progress=_progress), json_file)
@@ -84,10 +84,10 @@ def free_response_command(
     quick: bool,
     json_file: Path | None,
 ) -> None:
-    """Forecast 24 h from many origins with every method, all given the same history (extra [bench]).
+    """Score 24 h free-response forecasts of every method from many origins, on the same history (extra [bench]).
 
-    Also: whether intervals hold over two weeks, how much of the error weather could explain at all (both left out with
-    --quick), how much history and how many resolutions of it are worth, and what a forecast costs.
+    Also measures the coverage of the intervals over two weeks and the share of the error that weather can explain
+    (both left out with --quick), the effect of history length and number of resolutions, and the time per forecast.
     """
     from thermoforce_mpc.research.bench.free_response import run_free_response_bench
 
@@ -108,7 +108,7 @@ def free_response_command(
 def backbones_command(
     backbones: str | None, reference: Path | None, out: Path | None, quick: bool, json_file: Path | None
 ) -> None:
-    """Compare forecasters raw and composed with the operator, 6 h ahead on controlled records."""
+    """Compare forecasters, alone and composed with the operator, 6 h ahead on records with control."""
     from thermoforce_mpc.research.bench.backbones import run_backbone_bench
 
     names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
@@ -133,23 +133,23 @@ def backbones_command(
     "--method", "methods", multiple=True, metavar="NAME", help="Only this method; may be given more than once."
 )
 @click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
-@click.option("--seed", default=1, show_default=True, help="Seed of the networks.")
-@click.option("--draw", default=1, show_default=True, help="Seed of occupants and probing: another suite of its kind.")
-@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes that work at once.")
+@click.option("--seed", default=1, show_default=True, help="Seed of network training.")
+@click.option("--draw", default=1, show_default=True, help="Seed of occupants and probing in the suite.")
+@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
 @click.option(
     "--data",
     "data_folder",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("runs/interventions-data"),
     show_default=True,
-    help="Where simulated pairs are kept for the next time.",
+    help="Folder in which simulated pairs are cached.",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("runs/interventions"),
     show_default=True,
-    help="Folder of the figures, the JSON and the HTML page.",
+    help="Folder for figures, JSON and HTML page.",
 )
 @_QUICK
 @_JSON
@@ -166,7 +166,7 @@ def interventions_command(
     quick: bool,
     json_file: Path | None,
 ) -> None:
-    """Score what methods say an action would change against paired EnergyPlus runs (extra [energyplus])."""
+    """Score predicted effects of interventions against paired EnergyPlus runs (extra [energyplus])."""
     from thermoforce_mpc.research.bench.interventions import run_interventions_bench
     from thermoforce_mpc.research.bench.interventions_studies import run_study
 
@@ -175,9 +175,7 @@ def interventions_command(
     if study == "validity":
         show(run_interventions_bench(data_folder, **options, methods=methods), json_file)
     elif methods:
-        raise click.UsageError(
-            "--method goes with the table of interventional validity; studies have their own methods"
-        )
+        raise click.UsageError("--method can only be used with --study validity; the other studies have fixed methods")
     else:
         show(run_study(study, data_folder, **options), json_file)
 
@@ -187,11 +185,11 @@ def _progress(line: str) -> None:
 
 
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:
-    """Print a bench's rows and targets, and write its JSON where asked."""
+    """Print the rows and targets of a benchmark; write its JSON where `json_file` is given."""
     console = Console(highlight=False)
-    if not console.is_terminal:  # a file has no edge
+    if not console.is_terminal:  # do not wrap tables in files
         console.width = _WIDTH_OF_FILES
-    # Rows that carry the same figures share a table.
+    # Consecutive rows with the same columns share a table.
     columns: tuple[str, ...]
     for columns, group in groupby(result["rows"], key=tuple):
         table = Table(title=f"bench {result['bench']}", title_justify="left")

@@ -1,4 +1,4 @@
-"""`tf-mpc compare`: controllers side by side."""
+"""`tf-mpc compare`: compare controllers on the same windows and tariffs."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from thermoforce_mpc.simulation.comparison.variants import comma_list, load_comp
 _CONTESTANTS = "thermoforce_mpc,thermostat,native"
 
 
-@click.command(short_help="Run controllers side by side.")
+@click.command(short_help="Compare controllers on several windows and tariffs.")
 @comparison_options
 @click.option("--controllers", metavar="A,B", help=f"Names (see `tf-mpc controllers`).  [default: {_CONTESTANTS}]")
-@click.option("--variants", metavar="FILE", help="Controllers with options: a YAML file or a shipped name.")
+@click.option("--variants", metavar="FILE", help="Controllers with options: YAML file or shipped name.")
 def command(**options: Any) -> None:
     """Run every controller on every window under every tariff, in parallel processes.
 
-    Each finished cell is kept in the folder under a hash of all that decides it; the same command again runs only
-    what is missing or failed. Cells that learn alike share one identification per window. Writes tables, CSV, JSON,
-    a plot of cost against discomfort and an HTML page, and says where a baseline wins.
+    A cell is one controller on one window under one tariff. Each finished cell is stored in the folder under a hash
+    of all its inputs; repeating the command runs only missing and failed cells. Cells with the same identification
+    settings share one model per window. Writes tables, CSV, JSON, a plot of cost against discomfort and an HTML page,
+    and reports where a baseline is cheaper or more comfortable than a model-based controller.
 
     \b
     Examples:
@@ -37,7 +38,7 @@ def command(**options: Any) -> None:
       tf-mpc compare --testcase bestest_hydronic_heat_pump --variants ablation --weather Brussels.mos
 
     \b
-    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are kept), 130 interrupted.
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 130 interrupted.
     """
     file = load_comparison(options["variants"]) if options["variants"] else None
     names: tuple[str, ...] = ()

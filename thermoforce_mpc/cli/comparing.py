@@ -1,4 +1,4 @@
-"""What `tf-mpc compare` and `tf-mpc sweep` share: options, progress, and the run itself."""
+"""Options, progress display and execution shared by `tf-mpc compare` and `tf-mpc sweep`."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from thermoforce_mpc.simulation.composition import check_window
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3
-# What fits 80 columns; the files have all.
+# KPIs that fit 80 columns; the files have all.
 _ON_CONSOLE = ("cost_tot", "tdis_tot", "ener_tot", "plan_ms", "fallbacks")
 
 Function = Callable[..., Any]
 
 
 def comparison_options(function: Function) -> Function:
-    """Options that say which cells, on which plant, and how they run."""
+    """Add the options that select cells, plant and parallel execution."""
     for option in reversed(
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
-            click.option("--config", metavar="FILE", help="Scenario to start from: a YAML file or a shipped name."),
+            click.option("--config", metavar="FILE", help="Base scenario: a YAML file or a shipped name."),
             click.option("--windows", metavar="A,B", help="peak_heat_day, typical_heat_day, or start days such as 44."),
             click.option("--prices", metavar="A,B", help="constant, dynamic, highly_dynamic.  [default: constant]"),
             click.option("--days", type=float, help="Scored days.  [default: 14]"),
@@ -52,8 +52,12 @@ def comparison_options(function: Function) -> Function:
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
             click.option("--jobs", type=click.IntRange(min=1), help="Parallel processes.  [default: one per core]"),
-            click.option("--out", type=click.Path(path_type=Path), help="Folder; what it holds already is kept."),
-            click.option("--quiet", is_flag=True, help="Only the table at the end."),
+            click.option(
+                "--out",
+                type=click.Path(path_type=Path),
+                help="Result folder; finished cells in it are reused.  [default: runs/...]",
+            ),
+            click.option("--quiet", is_flag=True, help="Print only the final tables."),
         ]
     ):
         function = option(function)
@@ -62,7 +66,7 @@ def comparison_options(function: Function) -> Function:
 
 @dataclass(frozen=True)
 class Axes:
-    """Over what variants are compared."""
+    """Windows, tariffs and forecast error levels over which variants are compared."""
 
     windows: tuple[str, ...]
     prices: tuple[str, ...]
@@ -70,10 +74,10 @@ class Axes:
 
 
 def axes_from(options: Mapping[str, Any], windows: Sequence[str] = (), prices: Sequence[str] = ()) -> Axes:
-    """The axes a command names, else those given here, else two windows under the constant tariff.
+    """The axes from a command's options, else the arguments, else two windows under the constant tariff.
 
     Raises:
-        ConfigError: a window, tariff or level that is not one, or one given twice.
+        ConfigError: an unknown window, tariff or error level, or one given twice.
     """
     chosen = comma_list(options["windows"], "--windows") if options["windows"] is not None else tuple(windows)
     chosen = chosen or ("peak_heat_day", "typical_heat_day")
@@ -90,7 +94,7 @@ def axes_from(options: Mapping[str, Any], windows: Sequence[str] = (), prices: S
 
 
 def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options under the names that `scenario_from` knows."""
+    """The options renamed to those that `scenario_from` expects."""
     assignments = list(options["assignments"])
     if options["identification_days"] is not None:
         assignments.insert(0, f"identification.days={options['identification_days']!r}")
@@ -108,14 +112,14 @@ def run_comparison(
     title: str,
     swept: Mapping[str, str] | None = None,
 ) -> int:
-    """Run what is not done yet, write and print the outcome.
+    """Run the cells that have no stored result, then write and print the outcome.
 
     Returns:
         The exit code: 0, or 3 where a cell has no result.
 
     Raises:
-        ConfigError: something given cannot be used; nothing has been run.
-        KeyboardInterrupt: interrupted; finished cells are kept.
+        ConfigError: an option is wrong; no cell has been run.
+        KeyboardInterrupt: interrupted; finished cells are stored.
     """
     cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties)
     testcase = load_testcase(base.testcase)
@@ -124,17 +128,19 @@ def run_comparison(
     say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
     found = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in found]
-    say(f"{len(cells)} cells: {len(cells) - len(todo)} done before and kept, {len(todo)} to run; {store.folder}")
+    say(f"{len(cells)} cells: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
     stale = sum(record.get("source") != source_fingerprint() for record in found.values())
     if stale:
-        say(f"Note: {stale} of the kept cells were made by other source code of this version; another --out reruns all")
+        say(
+            f"Note: {stale} stored cells were made by other source code of this version; use another --out to rerun all"
+        )
     jobs = options["jobs"] or os.cpu_count() or 1
     try:
         with CellProgress(console, len(todo), options["quiet"]) as progress:
             ran = run_cells(todo, store, jobs, progress)
     except KeyboardInterrupt:
         kept = sum(store.finished(cell) is not None for cell in cells)
-        click.echo(f"{kept} of {len(cells)} cells are kept in {store.folder}; the same command goes on there", err=True)
+        click.echo(f"{kept} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True)
         raise
     records = [_named(cell, {**found, **ran}[cell.key]) for cell in cells]
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
@@ -145,13 +151,13 @@ def run_comparison(
 
 
 def exit_with(code: int) -> None:
-    """Leave with `code` unless it is 0."""
+    """Exit with `code` unless it is 0."""
     if code:
         sys.exit(code)
 
 
 def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
-    """The tables and what they say."""
+    """Print the tables, the findings and the failed cells."""
     for group, members in grouped(rows).items():
         table = Table(title=group_title(group), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column("controller", overflow="fold", min_width=12)
@@ -172,7 +178,7 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
 
 
 class CellProgress:
-    """Bars on a terminal, one line per beginning and end elsewhere."""
+    """Progress of a comparison: bars on a terminal, else one line per start and end of a process."""
 
     def __init__(self, console: Console, n_cells: int, quiet: bool) -> None:
         self._console, self._n, self._quiet, self._ended = console, n_cells, quiet, 0
@@ -191,14 +197,14 @@ class CellProgress:
             self._progress.stop()
 
     def begun(self, title: str, days: float) -> None:
-        """A process has begun."""
+        """A process has started."""
         if self._progress:
             self._bars[title] = self._progress.add_task(title, total=days or None)
         elif not self._quiet:
-            self._print(f"begun   {title}")
+            self._print(f"started {title}")
 
     def day(self, title: str, day: float) -> None:
-        """A process has come to `day`."""
+        """A process has reached simulated day `day`."""
         if self._progress and title in self._bars:
             self._progress.update(self._bars[title], completed=day)
 
@@ -228,5 +234,5 @@ def _sayer(console: Console) -> Callable[[str], None]:
 
 
 def _named(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The record under the name that this comparison gives it: two names may mean the same run."""
+    """The record with the variant name of this comparison; two names may refer to the same run."""
     return {**record, "variant": cell.variant}

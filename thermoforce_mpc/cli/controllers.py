@@ -21,7 +21,7 @@ def command(name: str | None) -> None:
     if name is None:
         for known, entry in REGISTRY.items():
             click.echo(f"{known:18s} {entry.summary}")
-        click.echo("\ntf-mpc controllers NAME lists the options of one.")
+        click.echo("\n`tf-mpc controllers NAME` lists the options of a controller.")
         return
     entry = find_entry(name)
     click.echo(f"{name}: {entry.summary}\n")

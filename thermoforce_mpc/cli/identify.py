@@ -1,4 +1,4 @@
-"""`tf-mpc identify`: probe, learn, show, save."""
+"""`tf-mpc identify`: probe a plant, identify a model, print it and save it."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import identification_task, run_identification
 
 
-@click.command(short_help="Probe a building for a few days and save what was identified.")
+@click.command(short_help="Probe a building for a few days, identify and save a model.")
 @scenario_options
 @click.option("--probe-days", type=float, help="Days of probing, ending a week before --period.  [default: 3]")
-@click.option("--controller", metavar="NAME", help="Probe the way this controller will act.")
+@click.option("--controller", metavar="NAME", help="Probe at the levels that this controller uses.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("model"), show_default=True, help="Model folder.")
-@click.option("--overwrite", is_flag=True, help="Replace a model that is there already.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing model.")
 def command(**options: Any) -> None:
-    """Probe a building for a few days, identify what our actions do to it, show it and save it as a model folder.
+    """Probe a building for a few days, identify a thermal model, print it and save it as a model folder.
 
-    The probing chooses its actions for what can be identified from them, and keeps the zone near its comfort band. The
-    folder also gets a picture of the fit and of the step response with its uncertainty.
+    The probing signal is designed for identifiability and keeps the zone near its comfort band. The folder also holds
+    a plot of the fit and of the step response with its 90 % band.
 
     The probing days end where the warm-up of --period begins. Use the model with `tf-mpc run --model FOLDER`.
 
@@ -58,4 +58,4 @@ def command(**options: Any) -> None:
     from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification
 
     plot_identification(out / PLOT_NAME, model, records[0])
-    display.say(f"Fit and step response with its band: {out / PLOT_NAME}")
+    display.say(f"Plot of fit and step response: {out / PLOT_NAME}")

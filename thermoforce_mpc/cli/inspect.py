@@ -1,4 +1,4 @@
-"""`tf-mpc inspect MODEL`: what a saved model believes, what is proven about it, and what it has seen."""
+"""`tf-mpc inspect MODEL`: print parameters, certificate, scores and data ranges of a saved model."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 _SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
-# What the numbers of a model card mean, in the order in which they are told.
+# Meaning of the scores of a model card, in printing order.
 _MEANING = {
-    "explained_by_actuation": "share of the temperature's movement, beyond weather and drift, that the action explains",
-    "held_out_rollout_rmse_K": "error on held-out data, predicted up to a day ahead with the weather known, K",
+    "explained_by_actuation": "share of the temperature variation, beyond weather and drift, explained by the action",
+    "held_out_rollout_rmse_K": "RMSE on held-out data, predicted up to 24 h ahead with known weather, K",
     "held_out_order_1": "held-out error with one mode, in standard deviations of the assumed disturbances",
     "held_out_order_2": "the same with two modes",
     "held_out_order_3": "the same with three modes",
-    "residual_scale": "what stays unexplained, as a share of the assumed disturbances",
+    "residual_scale": "residual, as a share of the assumed disturbances",
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",
-    "neural_improvement_in_standard_errors": "what the network saves, in standard errors",
+    "neural_improvement_in_standard_errors": "improvement by the network, in standard errors",
     "modulation_kept": "network kept (1) or not (0)",
 }
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 
 
-@click.command(short_help="Show a saved model: parameters, certificate, data it has seen.")
+@click.command(short_help="Show a saved model: parameters, certificate, identification data.")
 @click.argument("model", type=click.Path(path_type=Path))
 def command(model: Path) -> None:
-    """Show the saved MODEL (a folder): its operator in physical terms, its certificate, its power model and its data.
+    """Show the saved MODEL (a folder): operator parameters, certificate, power model, scores and data ranges.
 
-    The certificate is proven again from the weights; a model that fails is refused with exit code 2.
+    The certificate is recomputed from the weights; a model that fails it is refused with exit code 2.
     """
     show_model(str(model), load_model(model), Console(highlight=False))
 
 
 def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
-    """Print a model in physical terms, with its certificate and what it has seen."""
+    """Print parameters, certificate, power model, scores and data ranges of a model."""
     operator, card = thermal.operator, thermal.card
     proof = certificate(operator, n_steps=round(48 * 3600 / operator.step_s))
     say = console.print
     say(f"{name}: order {operator.order}, {operator.parameters_in_words}, step {operator.step_s / 3600:g} h")
-    say(f"made from: {card.source}")
+    say(f"source: {card.source}")
     modes = Table(title="Modes of the forced response (± one standard deviation)", title_justify="left")
     for heading in ("mode", "time constant, h", "steady gain, K"):
         modes.add_column(heading, justify="right")
@@ -55,7 +55,7 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         modes.add_row(str(i), f"{tau:.2f}{_give_or_take(tau_sd)}", f"{gain:.2f}{_give_or_take(gain_sd)}")
     say(modes)
     if operator.order > 1 and operator.steady_gains_K[0] * operator.sign < 0:
-        say("  the first gain is of the other sign: it is the delay with which the others' heat arrives")
+        say("  the first gain has the opposite sign: it represents the delay of the heat of the other modes")
     _show_step_response(card.uncertainty, operator.sign, console)
     low, high = proof.modulation_bounds
     say(
@@ -65,11 +65,11 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     if proof.feedback:
         least, most = proof.feedback_slope_per_K
         say(
-            "  the modulation sees the predicted temperature; proven with its feedback v dm/dT within "
+            "  the modulation depends on the predicted temperature; proven for a feedback v dm/dT within "
             f"[{least:.4f}, {most:.4f}] per K, for the {len(proof.effect_low_K)} steps below"
         )
     effects = Table(
-        title=f"Full action for one step of {operator.step_s / 3600:g} h changes the zone by, K (proven interval)",
+        title=f"Zone response to full actuation for one step of {operator.step_s / 3600:g} h, K (proven interval)",
         title_justify="left",
     )
     effects.add_column("hours later", justify="right")
@@ -83,8 +83,8 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     if operator.heat_input.heat is not None:
         c0, c1, c2, c3 = operator.heat_input.heat.coefficients
         say(
-            f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full action above means "
-            f"{operator.heat_input.reference_W:.0f} W, as at {operator.heat_input.reference_C:g} °C outdoors"
+            f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full actuation above is "
+            f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:g} °C outdoors"
         )
     if thermal.power:
         c0, c1, c2, c3 = thermal.power.coefficients
@@ -96,16 +96,16 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         )
     rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}
     if card.scores:
-        say("How good it is:")
+        say("Scores:")
     in_order = [key for key in _MEANING if key in card.scores]
     for key in [*in_order, *(key for key in card.scores if key not in _MEANING)]:
         say(f"  {card.scores[key]:.3g}  {_MEANING.get(key, key)}")
     if rest:
-        say("In numbers of the operator: " + ", ".join(f"{key} {value:.4g}" for key, value in rest.items()))
+        say("Uncertainty of the operator parameters: " + ", ".join(f"{key} {value:.4g}" for key, value in rest.items()))
     seen = [f"{_UNITS.get(k, k)} {least:.4g} to {most:.4g}" for k, (least, most) in card.ranges.items() if k != "days"]
     if seen:
         days = card.ranges.get("days")
-        say(f"Seen{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(seen))
+        say(f"Data ranges{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(seen))
     for name, digest in card.data.items():
         say(f"  data {name}: sha256 {digest[:16]}")
     for note in card.notes:
@@ -117,11 +117,11 @@ def _give_or_take(sd: float | None) -> str:
 
 
 def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Console) -> None:
-    """The answer to full actuation as the linear fit has it, where the card says how sure it is."""
+    """Print the step response of the linear fit with its 90 % band, where the card has its standard deviations."""
     found = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not found:
         return
-    table = Table(title="Full action, held, changes the zone by, K (90 % band)", title_justify="left")
+    table = Table(title="Step response of the zone to full actuation, K (90 % band)", title_justify="left")
     for heading in ("hours later", "expected", "from", "to"):
         table.add_column(heading, justify="right")
     for hours in found:

@@ -1,4 +1,4 @@
-"""Options that several commands share, and how they become a scenario."""
+"""Options shared by several commands, and their conversion to a scenario."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Function = Callable[..., Any]
 
 
 def scenario_options(function: Function) -> Function:
-    """The options that say which building, plant and window; the command gets them as keyword arguments."""
+    """Add the options that select building, plant and window; the command gets them as keyword arguments."""
     for option in reversed(
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
@@ -31,12 +31,12 @@ def scenario_options(function: Function) -> Function:
             click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
             click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
             click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
-            click.option("--prices", metavar="FILE", help="CSV (time s, price per kWh): your highly dynamic tariff."),
+            click.option("--prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
             click.option(
                 "--forecast-uncertainty",
                 "uncertainty",
                 metavar="LEVEL",
-                help="BOPTEST's errors of the weather forecast: none, low, medium or high.",
+                help="BOPTEST's weather forecast errors: none, low, medium or high.",
             ),
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
@@ -47,10 +47,10 @@ def scenario_options(function: Function) -> Function:
 
 
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
-    """Build the scenario of a command from its file, `defaults`, its options, and `--set`, later ones winning.
+    """Build the scenario of a command from its file, `defaults`, its options and `--set`; later ones take precedence.
 
     Raises:
-        ConfigError: naming the file or option, the key and what is allowed.
+        ConfigError: a value is wrong; names the file or option, the key and the allowed values.
     """
     named: dict[str, Any] = {}
     for key in ("testcase", "period", "days", "price", "seed"):
@@ -69,7 +69,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
         plant |= {"kind": "boptest", "url": options["url"], "path": None}
     if options.get("fmu") is not None:
         if options.get("url") is not None:
-            raise click.UsageError("--url and --fmu are two plants: give one of them")
+            raise click.UsageError("--url and --fmu select different plants: give one of them")
         plant |= {"kind": "fmu", "path": options["fmu"]}
     if options.get("weather") is not None:
         plant["weather"] = options["weather"]
@@ -84,5 +84,5 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
     named = merge(defaults or {}, named)
     if path is None and "testcase" not in named:
-        raise click.UsageError("say which building: --testcase NAME, or --config FILE (see `tf-mpc testcases`)")
+        raise click.UsageError("no test case: give --testcase NAME or --config FILE (see `tf-mpc testcases`)")
     return load_scenario(path, merge(named, parse_overrides(options.get("assignments", ()))))

@@ -1,4 +1,4 @@
-"""`tf-mpc run`: the main job."""
+"""`tf-mpc run`: run a controller over a scored window and write a run folder."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.run import run_scenario
 
 
-@click.command(short_help="Control a building over a scored window.")
+@click.command(short_help="Run a controller over a scored window and report KPIs.")
 @scenario_options
-@click.option("--controller", metavar="NAME", help="Which controller decides (see `tf-mpc controllers`).")
+@click.option("--controller", metavar="NAME", help="Controller (see `tf-mpc controllers`).")
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
 @click.option("--backbone", metavar="NAME", help="Forecaster: shipped, a local directory, or a hub name.")
-@click.option("--baselines", metavar="A,B", help="Compare with these; '' for none.  [default: native,thermostat]")
+@click.option("--baselines", metavar="A,B", help="Baselines to run; '' for none.  [default: native,thermostat]")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder; must not exist.  [default: runs/...]")
-@click.option("--quiet", is_flag=True, help="Only the table at the end.")
+@click.option("--quiet", is_flag=True, help="Print only the final table.")
 def command(**options: Any) -> None:
-    """Control a building over a scored window and report how it went.
+    """Run a controller over a scored window and report KPIs.
 
-    Builds the plant, probes it for a few days and identifies what our actions do (or loads --model), runs the
-    controller over the window after seven days of native warm-up, runs the baselines on the same plant, weather and
-    window, prints the KPIs side by side and writes a run folder with a report.
+    Builds the plant, probes it for a few days and identifies a model (or loads --model), runs the controller over the
+    window after seven days of warm-up under native control, runs the baselines on the same plant, weather and window,
+    prints the KPIs of all controllers and writes a run folder with an HTML report.
 
     \b
     Examples:

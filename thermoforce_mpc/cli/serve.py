@@ -1,4 +1,4 @@
-"""`tf-mpc serve`: the embedded plant behind BOPTEST's REST protocol."""
+"""`tf-mpc serve`: serve the embedded plant over BOPTEST's REST protocol."""
 
 from __future__ import annotations
 
@@ -10,18 +10,28 @@ import click
 from thermoforce_mpc.errors import ConfigError
 
 
-@click.command(short_help="Offer the embedded plant to clients written for BOPTEST.")
+@click.command(short_help="Serve the embedded plant over BOPTEST's REST protocol.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0 takes a free one.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port; 0 picks a free one."
+)
 @click.option("--weather", default="synthetic", show_default=True, help="'synthetic', or a .mos or .epw file.")
-@click.option("--prices", type=click.Path(path_type=Path), help="CSV (time, price) with a highly dynamic tariff.")
-@click.option("--tests", type=click.IntRange(1, 100), default=8, show_default=True, help="Most tests at a time.")
-@click.option("--idle", type=click.FloatRange(1.0), default=900.0, show_default=True, help="Drop idle tests after, s.")
+@click.option("--prices", type=click.Path(path_type=Path), help="CSV (time s, price per kWh): highly dynamic tariff.")
+@click.option(
+    "--tests", type=click.IntRange(1, 100), default=8, show_default=True, help="Largest number of tests at a time."
+)
+@click.option(
+    "--idle",
+    type=click.FloatRange(1.0),
+    default=900.0,
+    show_default=True,
+    help="Seconds after which an idle test is dropped.",
+)
 def command(host: str, port: int, weather: str, prices: Path | None, tests: int, idle: float) -> None:
-    """Offer the embedded plant behind BOPTEST's REST protocol, as test case bestest_hydronic_heat_pump.
+    """Serve the embedded plant over BOPTEST's REST protocol, as test case bestest_hydronic_heat_pump.
 
-    Each test takes up to some 150 MB when a year is simulated in it. There is no authentication: keep to the loopback
-    address unless everybody who can reach this machine may use it. Stop with Ctrl-C.
+    A test takes up to about 150 MB of memory for a simulated year. There is no authentication: keep the loopback
+    address unless every machine that can reach this one may use the service. Stop with Ctrl-C.
     """
     try:
         from thermoforce_mpc.service.server import serve
@@ -37,7 +47,7 @@ def command(host: str, port: int, weather: str, prices: Path | None, tests: int,
     year = synthetic_weather() if weather == "synthetic" else load_weather(Path(weather))
     tariff = tariff_from_file(prices) if prices else None
     if not _is_loopback(host):
-        click.echo(f"Warning: {host} is open to other machines, without any authentication.", err=True)
+        click.echo(f"Warning: {host} can be reached from other machines; the service has no authentication.", err=True)
 
     def ready(url: str) -> None:
         click.echo(f"Serving bestest_hydronic_heat_pump ({year.name}) at {url}. Stop with Ctrl-C.")

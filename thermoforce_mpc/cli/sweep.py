@@ -1,4 +1,4 @@
-"""`tf-mpc sweep`: one controller over the values of one option."""
+"""`tf-mpc sweep`: run one controller for several values of one option."""
 
 from __future__ import annotations
 
@@ -21,16 +21,28 @@ from thermoforce_mpc.simulation.comparison.variants import comma_list, numeric_o
 _VALUES = "0.5,1,2,5,10,20"
 
 
-@click.command(short_help="Trace a Pareto front over an option.")
+@click.command(short_help="Vary one controller option and plot cost against discomfort.")
 @comparison_options
-@click.option("--controller", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Which is swept.")
-@click.option("--over", default="comfort_weight", show_default=True, metavar="KEY", help="Numeric option, dotted.")
-@click.option("--values", default=_VALUES, show_default=True, metavar="X,Y", help="Its values.")
-@click.option("--beside", default="thermostat,native", show_default=True, metavar="A,B", help="'' for none.")
+@click.option("--controller", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary.")
+@click.option(
+    "--over",
+    default="comfort_weight",
+    show_default=True,
+    metavar="KEY",
+    help="Numeric option (dotted name, or its last part if unique).",
+)
+@click.option("--values", default=_VALUES, show_default=True, metavar="X,Y", help="Values of the option.")
+@click.option(
+    "--beside",
+    default="thermostat,native",
+    show_default=True,
+    metavar="A,B",
+    help="Controllers run for comparison; '' for none.",
+)
 def command(**options: Any) -> None:
-    """Run one controller over the values of one of its options and plot cost against discomfort.
+    """Run one controller for several values of one option and plot cost against discomfort.
 
-    The same machinery as `tf-mpc compare`: parallel, resumable, one identification per window.
+    As `tf-mpc compare`: parallel processes, resumable, one identification per window.
 
     \b
     Examples:
@@ -39,7 +51,7 @@ def command(**options: Any) -> None:
       tf-mpc sweep --testcase bestest_hydronic_heat_pump --over horizon_h --values 12,24,48 --windows 44
 
     \b
-    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are kept), 130 interrupted.
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 130 interrupted.
     """
     base = scenario_from(scenario_options_from(options))
     testcase = load_testcase(base.testcase)

@@ -1,4 +1,4 @@
-"""`tf-mpc testcases`: what ships."""
+"""`tf-mpc testcases`: list the shipped test cases, scenarios and comparisons."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 
-@click.command(short_help="List the test cases, scenarios and comparisons that ship.")
+@click.command(short_help="List the shipped test cases, scenarios and comparisons.")
 def command() -> None:
-    """List the test cases, scenarios and comparisons that ship with the package, with their files."""
+    """List the shipped test cases, scenarios and comparisons, with their files."""
     click.echo("Test cases (--testcase NAME):")
     for name, path in named_configs("testcases").items():
         testcase = load_testcase(name)

@@ -15,9 +15,9 @@ from thermoforce_mpc.simulation.checks import validate_scenario
 @click.command(short_help="Check a scenario or test case file.")
 @click.argument("file", type=click.Path(path_type=Path))
 def command(file: Path) -> None:
-    """Check FILE, a scenario or a test case, and say what is wrong with it: file, key, and what is allowed.
+    """Check FILE, a scenario or a test case; an error names file, key and allowed values.
 
-    A file with an `actuator` is taken for a test case, any other for a scenario. The exit code is 2 when it is wrong.
+    A file with the key `actuator` is read as a test case, any other as a scenario. Exit code 2 when it is invalid.
     """
     data = read_yaml(file)
     if "actuator" in data:

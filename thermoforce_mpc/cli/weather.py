@@ -1,4 +1,4 @@
-"""`tf-mpc weather fetch`: the test case's own weather, for users who have a network."""
+"""`tf-mpc weather fetch`: download the weather file of the BOPTEST test case."""
 
 from __future__ import annotations
 
@@ -9,21 +9,19 @@ from pathlib import Path
 import click
 
 
-@click.group(short_help="Get the weather of the real test case.")
+@click.group(short_help="Download the weather file of the BOPTEST test case.")
 def command() -> None:
-    """Weather for the emulator. Without a file it runs in a synthetic year, which is no place."""
+    """Weather files for the emulator. Without a file it uses a synthetic year that represents no real place."""
 
 
 @command.command("fetch")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Folder to keep it in.  [default: the user's cache folder]"
-)
-@click.option("--url", metavar="URL", help="Another copy of the same file, such as a mirror's.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the file.  [default: the user's cache folder]")
+@click.option("--url", metavar="URL", help="URL of another copy of the file, such as a mirror.")
 def fetch_command(out: Path | None, url: str | None) -> None:
-    """Get BOPTEST's Brussels year (IWEC, by ASHRAE: for your own use) and print where it is.
+    """Download BOPTEST's Brussels weather year (IWEC, by ASHRAE: for your own use) and print its path.
 
-    It is downloaded once, checked by its values against the pinned fingerprint, and kept; a later call needs no
-    network.
+    The file is downloaded once, its values are checked against a pinned fingerprint, and it is cached; later calls
+    need no network.
 
     \b
     Example:
@@ -37,6 +35,6 @@ def fetch_command(out: Path | None, url: str | None) -> None:
 
 
 def cache_folder() -> Path:
-    """Where downloads are kept: `$XDG_CACHE_HOME/thermoforce-mpc`, by default in `~/.cache`."""
+    """Folder for downloads: `$XDG_CACHE_HOME/thermoforce-mpc`, by default in `~/.cache`."""
     root = os.environ.get("XDG_CACHE_HOME")
     return (Path(root) if root else Path.home() / ".cache") / "thermoforce-mpc"
