@@ -22,14 +22,14 @@ def test_an_existing_target_is_refused_untouched(tmp_path, what):
     else:
         out.mkdir()
         (out / "x").write_text("x")
-    with pytest.raises(ConfigError, match="never overwrites"):
+    with pytest.raises(ConfigError, match="never overwritten"):
         create_run_folder(out, "s")
     assert out.exists()
 
 
 def test_a_folder_that_cannot_be_made_is_one_error(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ConfigError, match="cannot make the run folder"):
+    with pytest.raises(ConfigError, match="cannot create the run folder"):
         create_run_folder(tmp_path / "file" / "below", "s")
 
 

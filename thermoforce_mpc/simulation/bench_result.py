@@ -1,4 +1,4 @@
-"""The one JSON shape of every bench: rows of figures, and targets that hold or are printed as not holding."""
+"""Common JSON format of all benchmarks: rows of figures, and targets with whether they are met."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thermoforce_mpc.simulation.run_folder import environment
 
 @dataclass(frozen=True)
 class Target:
-    """A goal and whether it was met: `value` must be at most (or at least) `goal`. NaN never holds."""
+    """Target of a benchmark: `value` must be at most (or at least) `goal`. NaN does not meet it."""
 
     name: str
     value: float
@@ -29,7 +29,7 @@ class Target:
 
 
 def bench_result(name: str, rows: Iterable[Mapping[str, Any]], targets: Iterable[Target]) -> dict[str, Any]:
-    """Put a bench's outcome together, with the command and the environment that made it."""
+    """Result of a benchmark as a JSON object, with command and environment."""
     return {
         "bench": name,
         "command": " ".join(["tf-mpc", *sys.argv[1:]]),

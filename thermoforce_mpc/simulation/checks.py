@@ -1,4 +1,4 @@
-"""What can be checked of a scenario before any work starts."""
+"""Checks of a scenario before a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thermoforce_mpc.simulation.identifying import identification_settings
 
 
 def validate_scenario(scenario: Scenario) -> TestCase:
-    """Check everything that can be checked before work starts; returns the test case. Raises `ConfigError`."""
+    """Check a scenario without running it; returns its test case. Raises `ConfigError`."""
     testcase = load_testcase(scenario.testcase)
     controller_config(scenario.controller.name, controller_options(scenario, scenario.controller.name), testcase)
     if find_entry(scenario.controller.name).needs_model:

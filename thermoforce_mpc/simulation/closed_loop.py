@@ -1,4 +1,4 @@
-"""The receding-horizon loop: measure, forecast, plan, act; nothing reaches the plant unchecked."""
+"""Closed loop of controller and plant: measure, forecast, plan, check, apply."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from thermoforce_mpc.data import Block, Boundary, Measurement, Observation, Peri
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant
 
-# A remainder shorter than this is a rounding of the clock, not a stretch of time to act in.
+# Tolerance on times, s: shorter remainders are rounding errors of the clock.
 _CLOCK_TOLERANCE_S = 1e-6
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One applied block: what was in force (bounds, price) and what came out of it."""
+    """One applied block: bounds and price in force, and the measurements at its end."""
 
     start_s: float
     duration_s: float
@@ -35,10 +35,10 @@ class Sample:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One plan with the observation it was made from, its blocks as applied, and what planning cost.
+    """One control step: plan, boundary forecast, applied blocks and computing times, s.
 
-    `notes` says which readings of the step (of the record before, too, at the first) were missing or not believed;
-    `samples` have them as the plant reported them.
+    `notes` lists the readings of the step that were missing or rejected (in the first step also those of the record
+    before it); `samples` holds the readings as reported by the plant.
     """
 
     index: int
@@ -56,9 +56,9 @@ class StepRecord:
 
 @dataclass(frozen=True)
 class RunResult:
-    """A finished closed loop: KPIs by BOPTEST's names, and everything needed to explain them.
+    """Result of a closed loop: KPIs by BOPTEST's names, all steps, and the wall time `seconds`.
 
-    `state` is that of the controller's last plan: with it the run can go on.
+    `state` is the controller state of the last plan; with it the run can be continued.
     """
 
     period: Period
@@ -75,7 +75,7 @@ class RunResult:
         return [sample for step in self.steps for sample in step.samples]
 
     def fallback_levels(self) -> dict[str, int]:
-        """How many plans each fallback level made, and how many were refused before the plant."""
+        """Number of plans by status, and of plans refused by the check before the plant."""
         counts = {status.value: 0 for status in PlanStatus}
         for step in self.steps:
             counts[step.plan.status.value] += 1
@@ -93,15 +93,15 @@ def run_closed_loop(
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
-    Here measurements enter what the controller sees: readings that cannot be are NaN there, see
-    `thermoforce_mpc.model.screening`, and where the plant does not report u, what was applied stands in for it.
+    Measurements are screened before they reach the controller: implausible readings become NaN (see
+    `thermoforce_mpc.model.screening`). Where the plant does not report u, the applied level is used.
 
     Args:
-        on_step: called after every control step (progress, live line).
-        allowed: what readings can be; by default what the model of the controller says, see `limits_of`.
+        on_step: called after every control step (progress display).
+        allowed: limits of plausible readings; by default those of the controller's model, see `limits_of`.
 
     Raises:
-        PlantError: the plant or its service failed; KPIs so far are lost with it.
+        PlantError: the plant or its service failed; the KPIs so far are lost.
     """
     began = time.perf_counter()
     start = plant.reset(period.start_s, period.warmup_s, price)
@@ -118,7 +118,7 @@ def run_closed_loop(
         observation = Observation(history, boundary)
         plan = controller.plan(observation, state)
         t2 = time.perf_counter()
-        # The record keeps what was decided and why; what the controller knows grows with the run and is kept once.
+        # Records do not hold the controller state, which grows with the run; only the latest is kept.
         plan, state = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s)
         samples: list[Sample] = []
@@ -146,21 +146,21 @@ def run_closed_loop(
         )
         doubts = ()
         steps.append(record)
-        if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and nobody plans after it
+        if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and no plan follows it
             history = history.extended(parts[-1][1].averaged_with(parts))
         if on_step:
             on_step(record)
-    # BOPTEST's time_rat: computing time per control step over the step. Ours alone, whatever the plant reports.
+    # BOPTEST's time_rat: computing time per control step over the step; replaces the plant's own value.
     time_rat = math.fsum(step.plan_seconds for step in steps) / len(steps) / controller.step_s if steps else math.nan
     kpis = plant.kpis() | {"time_rat": time_rat}
     return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began, state)
 
 
 def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple[Block, ...], str]:
-    """The blocks of `plan` cut to the window, or a step of native control and why where an action is unfit.
+    """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
-    The last gate before the plant: a level must be None or finite and in [0, 1], a duration finite and positive, and
-    all of them together one step.
+    Last check before the plant: a level must be None, or finite and in [0, 1]; a duration must be finite and positive;
+    the durations must sum to `step_s`.
     """
     native = (Block(None, min(step_s, remaining_s)),)
     for block in plan.blocks:
@@ -183,14 +183,14 @@ def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple
 
 
 def _with_level(measurement: Measurement, block: Block) -> Measurement:
-    """The measurement with the level that was applied where none was measured; native control is unknown, NaN."""
+    """The measurement with the applied level where u was not measured; under native control u stays NaN."""
     if block.u is None or not math.isnan(measurement.u):
         return measurement
     return replace(measurement, u=block.u)
 
 
 def _sample(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:
-    """The block with the bounds and the price in force when it began (forecast of the first step)."""
+    """Sample of one block, with the bounds and price in force at its start (from the forecast)."""
     # Bounds are looked up at the latest forecast instant not after the block's start.
     index = int(max((boundary.time_s <= start_s + _CLOCK_TOLERANCE_S).sum() - 1, 0))
     return Sample(

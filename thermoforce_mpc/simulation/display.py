@@ -1,4 +1,4 @@
-"""What a person sees while a run goes on: a live line on a terminal, a line per simulated day elsewhere."""
+"""Progress display of a run: a live line on a terminal, else one line per simulated day."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KPI_COLUMNS = {
 
 
 class LoopDisplay:
-    """Follows one closed loop: where the run stands at each step, and the plant's own KPIs at the end of each day."""
+    """Progress of one closed loop: state at each step, the plant's KPIs at the end of each day."""
 
     def __init__(
         self, console: Console, controller: str, period: Period, kpis: Kpis, currency: str, quiet: bool
@@ -51,7 +51,7 @@ class LoopDisplay:
             self._live.__exit__(None, None, None)
 
     def step(self, record: StepRecord) -> None:
-        """Take one control step in and show where the run stands."""
+        """Update the display with one control step."""
         self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT) or bool(record.refused)
         if self._quiet:
             return
@@ -80,7 +80,7 @@ class LoopDisplay:
 
 
 def _so_far(kpis: Mapping[str, float], currency: str) -> str:
-    """Cost and discomfort, where the plant knows them."""
+    """Cost and discomfort so far as text, where the plant reports them."""
     shown = (("cost_tot", ".4f", f" {currency}/m²"), ("tdis_tot", ".2f", " K·h"))
     return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in shown if key in kpis)
 
@@ -89,22 +89,22 @@ _FILE_WIDTH = 110
 
 
 class RunDisplay:
-    """Everything a run says: headline, stages, the loops, and the table at the end."""
+    """Console output of a run: messages, progress of the loops, and the KPI table."""
 
     def __init__(self, quiet: bool = False) -> None:
         self.console = Console(highlight=False)
         if not self.console.is_terminal:
-            # Nobody wraps a file: the table keeps its columns whole.
+            # Do not wrap tables in files.
             self.console.width = max(self.console.width, _FILE_WIDTH)
         self.quiet = quiet
 
     def say(self, text: str) -> None:
-        """One line for the reader."""
+        """Print `text` unless quiet."""
         if not self.quiet:
             self.console.print(text, soft_wrap=True, markup=False)
 
     def working(self, text: str) -> AbstractContextManager[object]:
-        """Shown while something takes a while."""
+        """Status text shown while the context is open."""
         if self.quiet:
             return nullcontext()
         if not self.console.is_terminal:
@@ -113,11 +113,11 @@ class RunDisplay:
         return self.console.status(text)
 
     def loop(self, controller: str, period: Period, kpis: Kpis, currency: str) -> LoopDisplay:
-        """A display for one closed loop; `kpis` gives the plant's so far."""
+        """Progress display of one closed loop; `kpis` returns the plant's KPIs so far."""
         return LoopDisplay(self.console, controller, period, kpis, currency, self.quiet)
 
     def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
-        """One row per controller, the best of each column marked with an asterisk."""
+        """Print one row of KPIs per controller; an asterisk marks the best of each column."""
         table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column("controller", no_wrap=True)
         best: dict[str, float] = {}
@@ -139,5 +139,5 @@ class RunDisplay:
 
 
 def _cell(key: str, value: float) -> str:
-    """Four digits, three for the small peak, and the computing time ratio in powers of ten."""
+    """`value` as text: four digits, three for peak power, exponential form for the computing time ratio."""
     return f"{value:{ {'time_rat': '.0e', 'pele_tot': '.3g'}.get(key, '.4g') }}"

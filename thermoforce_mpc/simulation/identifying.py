@@ -1,4 +1,4 @@
-"""Identification before a window: what decides it, the probing of the plant, and the model that comes of it."""
+"""Identification before a scored window: settings, probing of the plant, and the identified model."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
 
 @dataclass(frozen=True)
 class IdentificationTask:
-    """Everything that decides an identification before a window: `run_identification` is given nothing else.
+    """All inputs of an identification before a window; `run_identification` uses nothing else.
 
-    `period` is the window that must not be probed, `days` of probing end where its warm-up begins; `step_s` is the
-    model's; `seed` that of the probing and, in `plant`, of the forecast errors, which the choice of draws sees.
+    `period`: scored window, which is not probed; `days`: days of probing, which end where its warm-up begins;
+    `step_s`: step of the model, s; `seed`: seed of the probing and of the forecast errors in `plant`, which the
+    probing design uses.
     """
 
     testcase: TestCase
@@ -42,7 +43,7 @@ class IdentificationTask:
     identification: IdentificationConfig
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values of every field, for a key or a file."""
+        """All fields as JSON values, for a hash key or a file."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return {
             name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value
@@ -52,7 +53,7 @@ class IdentificationTask:
 
 @dataclass(frozen=True)
 class IdentifiedModel:
-    """A model and where it came from, for the manifest."""
+    """A model and its origin, for the manifest."""
 
     model: ThermalModel
     origin: Mapping[str, Any]
@@ -73,16 +74,16 @@ def identify_on(
 ) -> ThermalModel:
     """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
 
-    Early in the year the probing days are taken from the end of the year: a scored window is never probed.
+    If they would begin before the start of the year, the last days of the year are probed instead.
 
     Args:
         testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
         step_s: step of the model; by default the test case's.
-        on_step: told the share of the probing done.
-        on_record: given the record before anything is identified from it.
+        on_step: called with the share of the probing done.
+        on_record: called with the record before identification.
 
     Raises:
-        DataError: the record cannot identify; the message has numbers and advice.
+        DataError: the record is not sufficient for identification; the message has numbers and advice.
         PlantError: the plant failed.
     """
     from thermoforce_mpc.identification.pipeline import identify
@@ -113,9 +114,9 @@ def identify_on(
 def identification_settings(
     scenario: Scenario, testcase: TestCase, controller: str | None = None
 ) -> tuple[ProbingConfig, IdentificationConfig]:
-    """How a scenario probes and identifies for `controller`, by default its own; `ConfigError` names each wrong key.
+    """Probing and identification settings for `controller`, by default the scenario's; `ConfigError` names wrong keys.
 
-    Unless told otherwise the machine is probed the way that controller will run it, whoever it is compared with.
+    By default the machine is probed at the levels that this controller uses.
     """
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
@@ -124,7 +125,7 @@ def identification_settings(
     actuation = getattr(controller_config(name, controller_options(scenario, name), testcase), "actuation", None)
     defaults: dict[str, Any] = {}
     if actuation is not None and actuation.mode == "modulating":
-        # Levels between off and full have to be seen to be planned.
+        # Probe the intermediate levels that a plan can use.
         defaults["levels"] = (0.0, *np.linspace(actuation.lowest_level, 1.0, 5).round(3).tolist())
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
@@ -136,7 +137,7 @@ def identification_settings(
 
 
 def identification_task(scenario: Scenario, testcase: TestCase, controller: str | None = None) -> IdentificationTask:
-    """What decides the model that `controller`, by default the scenario's own, gets in this scenario.
+    """Identification task of `controller`, by default the scenario's own.
 
     Raises:
         ConfigError: a setting of the identification is wrong.
@@ -157,13 +158,13 @@ def identification_task(scenario: Scenario, testcase: TestCase, controller: str 
 def run_identification(
     task: IdentificationTask, plant: Plant, on_record: Callable[[Record], None] | None = None
 ) -> ThermalModel:
-    """Probe `plant`, which is that of `task`, and identify.
+    """Probe `plant`, which must be that of `task`, and identify a model.
 
     Args:
-        on_record: given the record before anything is identified from it.
+        on_record: called with the record before identification.
 
     Raises:
-        DataError: the record cannot identify.
+        DataError: the record is not sufficient for identification.
         PlantError: the plant failed.
     """
     check_window(task.period)
@@ -181,11 +182,11 @@ def run_identification(
 
 
 def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:
-    """The model of `controller`: the saved one that the scenario names, at its step, or one identified for it.
+    """Model of `controller`: the saved one named in the scenario, resampled to its step, or a newly identified one.
 
     Raises:
         ArtifactError: the saved model cannot be used.
-        DataError: the record cannot identify.
+        DataError: the record is not sufficient for identification.
         PlantError: the plant failed.
     """
     from thermoforce_mpc.model.thermal_model import load_model

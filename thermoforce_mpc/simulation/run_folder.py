@@ -1,4 +1,4 @@
-"""What a run leaves behind: one folder, never overwritten, complete enough to explain and repeat every number in it."""
+"""Run folder: configuration, trajectories, step log, KPIs and manifest of one run. Never overwritten."""
 
 from __future__ import annotations
 
@@ -25,37 +25,37 @@ _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "reque
 
 
 def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) -> Path:
-    """Make the folder of a run: `out` itself, or the next free `runs/<stem>-NNN`.
+    """Create the folder of a run: `out`, or the next free `runs/<stem>-NNN`.
 
     Raises:
-        ConfigError: `out` exists and is not an empty folder, or cannot be made.
+        ConfigError: `out` exists and is not an empty folder, or cannot be created.
     """
     try:
         if out is not None:
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
-                raise ConfigError(f"--out {out}: exists already; a run never overwrites, choose another folder")
+                raise ConfigError(f"--out {out}: exists already and is never overwritten; choose another folder")
             out.mkdir(parents=True, exist_ok=True)
             return out
         root.mkdir(parents=True, exist_ok=True)
         for number in range(1, 100_000):
             folder = root / f"{stem}-{number:03d}"
             try:
-                folder.mkdir()  # atomic: two runs at once get two folders
+                folder.mkdir()  # atomic: concurrent runs get different folders
             except FileExistsError:
                 continue
             return folder
     except OSError as error:
-        raise ConfigError(f"cannot make the run folder {out or root}: {error.strerror or error}") from error
+        raise ConfigError(f"cannot create the run folder {out or root}: {error.strerror or error}") from error
     raise ConfigError(f"{root}: no free run folder name left for {stem}")
 
 
 def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
-    """One row per applied block: what was in force, what was applied and what came of it (units in the names)."""
+    """One row per applied block: the fields of `Sample` (units in the names)."""
     return pd.DataFrame([asdict(sample) for step in steps for sample in step.samples])
 
 
 def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
-    """One row per plan: status, solver's word, timings, first predicted step and the sentence that explains it."""
+    """One row per plan: status, solver status, computing times, first predicted step, and reason."""
     rows = []
     for step in steps:
         plan = step.plan
@@ -87,7 +87,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
 
 
 def environment() -> dict[str, str]:
-    """Versions of everything that can change a number."""
+    """Versions of this package, Python, the platform and the packages that affect results."""
     found = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
     for name in _PACKAGES:
         try:
@@ -108,7 +108,7 @@ def write_results(
     command: Sequence[str],
     forecaster: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Write resolved configuration, trajectories, step log, KPIs and, last, the manifest with hashes of the others.
+    """Write resolved configuration, trajectories, step log, KPIs and the manifest with hashes of the other files.
 
     Returns:
         The content of `kpis.json`.
@@ -152,7 +152,7 @@ def write_results(
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
-    """Keep what was recorded of a run that could not finish; a file says that it is incomplete, and why."""
+    """Write the steps recorded before a run failed, and `INCOMPLETE.txt` with the reason."""
     for name, steps in records.items():
         if steps:
             trajectory_frame(steps).to_csv(folder / f"incomplete_trajectory_{name}.csv", index=False)
@@ -161,7 +161,7 @@ def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], rea
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON that is valid everywhere: NaN becomes null."""
+    """Write standard JSON: NaN and infinities become null."""
     text = json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 

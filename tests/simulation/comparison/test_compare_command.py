@@ -44,7 +44,7 @@ def test_cells_run_once_failed_ones_again_and_the_rest_goes_on(tmp_path):
     assert str(model) in by_name["broken"]["reason"]
     again = tf_mpc(*call, "--out", str(out))
     assert again.exit_code == 3, again.output
-    assert "3 cells: 2 done before and kept, 1 to run" in again.output
+    assert "3 cells: 2 already done, 1 to run" in again.output
     del contestants["broken"]
     variants.write_text(json.dumps({"variants": contestants, "windows": [44]}), encoding="utf-8")
     without = tf_mpc(*call, "--out", str(out))

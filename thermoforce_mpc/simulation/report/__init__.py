@@ -1,4 +1,4 @@
-"""The picture of a run: plots people look for, in one HTML file that needs nothing else."""
+"""HTML report of a run: tables and plots in one self-contained file."""
 
 from thermoforce_mpc.simulation.report.html import write_report
 

@@ -1,4 +1,4 @@
-"""Were the plans' predictions true? Plans are compared with what the plant then did, as far as plans were followed."""
+"""Prediction errors of plans and free forecasts against later measurements."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from thermoforce_mpc.simulation.closed_loop import RunResult
 
 
 def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 12.0, 24.0)) -> list[dict[str, Any]]:
-    """Error of the planned zone temperature at several horizons.
+    """Error of the planned zone temperature at several lead times.
 
-    Beyond the first step later plans deviate from the plan scored here, so the error holds both the forecast's
-    error and that deviation; the first step is a pure forecast error.
+    The error at the first step is a pure prediction error. Beyond it, the error also includes the difference between
+    the scored plan and the later plans that were applied.
 
     Returns:
-        One row per horizon with `hours`, `bias_K` (planned − measured), `rmse_K`, and the number `n` of plans scored.
+        One row per lead time with `hours`, `bias_K` (planned − measured), `rmse_K`, and the number `n` of plans scored.
     """
     measured = {round(step.time_s): step.T_zone_C for step in result.steps}
     rows = []
@@ -41,13 +41,13 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
 def free_forecast_scores(
     result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 24.0), settle_h: float = 48.0
 ) -> list[dict[str, Any]]:
-    """Error of the free forecasts, and how often their 80 % intervals held what came.
+    """Error of the free forecasts and coverage of their 80 % intervals.
 
-    The control-free temperature that came is that of the later plan made at the time in question, so later actions
-    do not disturb this score. Plans of the first `settle_h` hours are left out: corrections learn during them.
+    The reference is the free temperature `T_free_now_C` of the plan made at the forecast's target time, so later
+    actions do not affect the score. Plans of the first `settle_h` hours are left out, while corrections adapt.
 
     Returns:
-        One row per horizon with `hours`, `mae_K`, `coverage` (share) and the number `n` of forecasts scored.
+        One row per lead time with `hours`, `mae_K`, `coverage` (share) and the number `n` of forecasts scored.
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0

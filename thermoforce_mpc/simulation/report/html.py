@@ -1,4 +1,4 @@
-"""One self-contained HTML page per run: what was run, how it did, what happened, and what went wrong."""
+"""HTML report of a run, one self-contained file: setup, KPIs, plots, prediction errors and fallbacks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KPI_LABELS = {
 def write_report(
     folder: Path, *, kpis: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], currency: str
 ) -> Path:
-    """Write `report.html` into a run folder that holds its manifest already; `kpis` is the content of `kpis.json`."""
+    """Write `report.html` into a run folder that already holds its manifest; `kpis` is the content of `kpis.json`."""
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
@@ -57,7 +57,7 @@ def write_report(
 
 
 def page_environment() -> jinja2.Environment:
-    """Templates of all pages; a value that a template misses is an error."""
+    """Jinja environment of all pages; an undefined value in a template is an error."""
     return jinja2.Environment(
         loader=jinja2.PackageLoader("thermoforce_mpc.simulation.report", "templates"),
         autoescape=True,
@@ -66,7 +66,7 @@ def page_environment() -> jinja2.Environment:
 
 
 def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
-    """One row per KPI; the best value of a row is marked."""
+    """One row per KPI, with the best value of the row."""
     rows = []
     for key, (label, unit) in KPI_LABELS.items():
         values = [kpis.get(key) for kpis in everyone.values()]
@@ -79,7 +79,7 @@ def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> lis
 
 
 def _sentences(steps: pd.DataFrame) -> list[dict[Hashable, Any]]:
-    """The reasons of the first day's plans, one an hour: what a reader needs to learn how the controller thinks."""
+    """Reasons of the plans of the first 24 h, one per hour."""
     hour = ((steps.time_s - steps.time_s.iloc[0]) // HOUR_S).astype(int)
     hourly = steps[~hour.duplicated()]
     return hourly.head(24)[["time_s", "T_zone_C", "u_planned", "why"]].to_dict("records")

@@ -1,4 +1,4 @@
-"""The plots of a run as SVG text. Matplotlib's figure objects are used directly: no display, no global state."""
+"""Plots of a run as SVG text. Uses matplotlib figure objects directly, without display or global state."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BASELINE_COLOURS = ("#8a6d3b", "#6b5b95", "#3b7a8a", "#a05a7a", "#5a7d3b", "#c47
 
 
 def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: Mapping[str, pd.DataFrame]) -> str:
-    """Zone temperature in its comfort band, with the predicted free and forced parts below."""
+    """Zone temperature and comfort band, °C; below, predicted free response, °C, and forced response, K."""
     figure = Figure(figsize=(11, 6.2), layout="constrained")
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     day = _days(trajectory)
@@ -35,7 +35,7 @@ def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: M
     top.legend(loc="upper center", bbox_to_anchor=(0.5, 1.13), ncols=5, frameon=False)
     planned = steps.dropna(subset=["T_free_next_C"])
     if len(planned):
-        # A plan says what the *end* of its step will be, which is when the next plan is made.
+        # The first predicted values hold at the end of the plan's step.
         planned_day = _relative_days(planned.time_s, trajectory)
         below.plot(planned_day, planned.T_free_next_C, color=FREE, linewidth=1.1, label="free, °C")
         below.fill_between(
@@ -58,7 +58,7 @@ def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: M
 
 
 def actuation_plot(trajectory: pd.DataFrame, currency: str) -> str:
-    """Level, electric power, weather and price."""
+    """Actuator level, electric power, kW, outdoor temperature, °C, irradiance, W/m², and price."""
     figure = Figure(figsize=(11, 6.2), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True)
     day = _days(trajectory)
@@ -108,7 +108,7 @@ def _steps(axis: Axes, day: pd.Series, values: pd.Series, colour: str, label: st
 
 
 def _days(trajectory: pd.DataFrame, end: bool = False) -> pd.Series:
-    """Start (or end) of each block in days since the start of the window."""
+    """Start (or end) of each block in days since the first block."""
     time_s = trajectory.start_s + (trajectory.duration_s if end else 0.0)
     return _relative_days(time_s, trajectory)
 
@@ -118,7 +118,7 @@ def _relative_days(time_s: pd.Series, trajectory: pd.DataFrame) -> pd.Series:
 
 
 def _hourly_means(trajectory: pd.DataFrame) -> pd.DataFrame:
-    """Energy-true hourly means of the power, indexed by day at the middle of the hour."""
+    """Hourly means of the power, W, weighted by block duration, indexed by day at the middle of the hour."""
     hour = ((trajectory.start_s - trajectory.start_s.iloc[0]) // 3600).rename("hour")
     joules = (trajectory.power_W * trajectory.duration_s).groupby(hour).sum()
     seconds = trajectory.duration_s.groupby(hour).sum()
@@ -126,12 +126,12 @@ def _hourly_means(trajectory: pd.DataFrame) -> pd.DataFrame:
 
 
 def svg_text(figure: Figure) -> str:
-    """The figure as an SVG element with stable bytes: no creation date, text kept as text."""
+    """The figure as an SVG element with reproducible bytes (no creation date) and text as text."""
     for axis in figure.axes:
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
     buffer = io.StringIO()
     with rc_context({"svg.hashsalt": "thermoforce-mpc", "svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    # The XML prologue has no place inside an HTML body.
+    # Remove the XML prologue, which is not allowed inside an HTML body.
     return re.sub(r"^.*?(?=<svg)", "", buffer.getvalue(), flags=re.DOTALL)
