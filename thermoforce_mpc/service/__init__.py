@@ -1,1 +1,1 @@
-"""The embedded plant behind BOPTEST's REST protocol, for clients written for the real service."""
+"""REST service with BOPTEST's protocol over the embedded plant, for clients of the BOPTEST service."""

@@ -19,7 +19,7 @@ from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 from thermoforce_mpc.version import VERSION
 
 TESTCASE = "bestest_hydronic_heat_pump"
-# Of BOPTEST's own test cases; the service of BOPTEST holds others under other names.
+# Namespace of BOPTEST's own test cases.
 NAMESPACE = "ibpsa"
 
 _FORMS = ("multipart/form-data", "application/x-www-form-urlencoded")
@@ -44,13 +44,13 @@ _ENDPOINTS: dict[tuple[str, str], _Endpoint] = {
 def create_app(
     make_plant: Callable[[], EmbeddedPlant], *, most_tests: int = 8, idle_s: float = 900.0, most_bytes: int = 1_000_000
 ) -> Flask:
-    """The application.
+    """WSGI application of the service.
 
     Args:
         make_plant: builds the plant of a new test.
-        most_tests: how many tests may run at a time.
-        idle_s: after how long a test that is asked nothing is dropped, s.
-        most_bytes: longest request body.
+        most_tests: largest number of tests at a time.
+        idle_s: time without requests after which a test is dropped, s.
+        most_bytes: longest request body, bytes.
     """
     windows = _Windows(make_plant)
     sessions = Sessions(lambda: Session(make_plant(), windows.period), most=most_tests, idle_s=idle_s)
@@ -94,7 +94,7 @@ def create_app(
             reason = f"use {' or '.join(methods)}" if methods else "no such endpoint"
             return _envelope(405 if methods else 404, f"{request.method} /{verb}: {reason}.", None)
         body = _body(request)
-        # Up to release 0.6 a container held one test case, and paths had no test id.
+        # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
         with sessions.using(sessions.lone() if testid is None else testid) as session:
             reply = answer(session, body)
         return _envelope(200, reply.message, reply.payload)
@@ -122,7 +122,7 @@ def create_app(
 
 
 class _Windows:
-    """Scored windows of the weather, found once for all tests: that can take a simulated year."""
+    """Scored windows of the weather year, shared by all tests: finding one can take the simulation of a year."""
 
     def __init__(self, make_plant: Callable[[], EmbeddedPlant]) -> None:
         self._make_plant = make_plant
@@ -137,7 +137,7 @@ class _Windows:
 
 
 def _body(request: Request) -> dict[str, Any]:
-    """The request's values: a JSON object, or a form as older clients send it."""
+    """Values of the request body: a JSON object, or a form (older clients)."""
     text = request.get_data()
     if not text.strip():
         return {}
@@ -153,7 +153,7 @@ def _body(request: Request) -> dict[str, Any]:
 
 
 def _form(request: Request, text: bytes) -> dict[str, Any]:
-    """The fields of a form. By itself the framework takes a broken one for an empty one."""
+    """Fields of a form. Parsed here since Flask treats a malformed form as an empty one."""
     parser = request.make_form_data_parser()
     parser.silent, parser.stream_factory = False, _no_file
     try:
@@ -166,7 +166,7 @@ def _form(request: Request, text: bytes) -> dict[str, Any]:
 
 
 def _no_file(*_: Any, **__: Any) -> IO[bytes]:
-    raise ValueError("a file is no value")
+    raise ValueError("a file is not allowed as a value")
 
 
 def _envelope(status: int, message: str, payload: Any) -> Response:
@@ -178,13 +178,13 @@ def _json(status: int, content: Any) -> Response:
 
 
 def _whole(content: Any) -> Any:
-    """The same with integers for whole numbers: BOPTEST's replies pass through JavaScript, which knows no 3600.0."""
+    """`content` with whole floats as integers: BOPTEST's replies pass through JavaScript (3600, not 3600.0)."""
     if isinstance(content, float):
         return int(content) if content.is_integer() else content
     if isinstance(content, dict):
         return {key: _whole(value) for key, value in content.items()}
     if isinstance(content, list):
-        # Long series are lists of numbers: no call for each of them.
+        # Long series are lists of numbers: avoid one call per item.
         return [
             (int(item) if item.is_integer() else item) if isinstance(item, float) else _whole(item) for item in content
         ]

@@ -1,4 +1,4 @@
-"""The sockets of the service: whoever has something to ask gets in, however many connections say nothing."""
+"""Socket server of the service: idle connections are closed to admit new ones."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from typing import Any
 from waitress.adjustments import Adjustments  # type: ignore[import-untyped]
 from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
 
-# As many connections are kept. A client keeps one for all it asks, and makes another when that was closed.
+# Largest number of open connections. A client reuses one connection and reconnects when it was closed.
 MOST_CONNECTIONS = 200
-# After how long without a word a connection is closed, s.
+# Idle time after which a connection is closed, s.
 _SILENT_S = 60
 
 
 class Server(TcpWSGIServer):
-    """Where all connections are taken, the one that was silent longest makes room for the next.
+    """Waitress server that closes the connection idle for longest when `MOST_CONNECTIONS` are open.
 
-    Waitress by itself takes no more until some have been silent for minutes. Whoever sends a request slowly takes no
-    thread meanwhile: a request is given to one when it is complete.
+    Waitress itself accepts no more until some have been idle for minutes. A slow sender occupies no thread: a thread
+    gets a request when it is complete.
     """
 
     def handle_accept(self) -> None:
-        """Take a connection; called by the server's loop."""
+        """Accept a connection; called by the server's loop."""
         channels = list(self.active_channels.values())
         silent = [channel for channel in channels if not channel.requests and not channel.will_close]
         if len(channels) >= MOST_CONNECTIONS and silent:
-            # Closed by the loop, not here: it may just be about to read from it.
+            # Closed by the loop, not here: the loop may be about to read from it.
             min(silent, key=lambda channel: channel.last_activity).will_close = True
         super().handle_accept()
 
 
 def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int, most_bytes: int) -> Server:
-    """A server of `app` on a socket that is bound, answering up to `threads` requests at a time.
+    """Server of `app` on a bound socket, answering up to `threads` requests at a time.
 
     Args:
-        most_bytes: longest request body.
+        most_bytes: longest request body, bytes.
     """
     adjustments = Adjustments(
         threads=threads,
@@ -44,7 +44,7 @@ def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int,
         ident=None,
         channel_timeout=_SILENT_S,
         cleanup_interval=5,
-        # Never reached: `Server` keeps below it, but for those that are still being closed.
+        # Not reached: `Server` stays below it, except for connections that are being closed.
         connection_limit=2 * MOST_CONNECTIONS,
         # `select` fails where the process has more than 1024 files open.
         asyncore_use_poll=True,

@@ -1,7 +1,7 @@
-"""What the test case itself says about its points: part of the protocol, which clients show or search.
+"""Descriptions of the points of the test case, part of the protocol.
 
-Labels as the service of BOPTEST answers them (github.com/ibpsa/project1-boptest, replies of /inputs, /measurements and
-/forecast_points of `bestest_hydronic_heat_pump`), kept to the letter, slips of the pen included.
+Copied verbatim, including typing errors, from the replies of BOPTEST (github.com/ibpsa/project1-boptest) to /inputs,
+/measurements and /forecast_points of `bestest_hydronic_heat_pump`, since clients show or search them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MEASUREMENTS = {
     "reaTSetCoo_y": "Zone operative temperature setpoint for cooling",
     "reaCO2RooAir_y": "CO2 concentration in the zone",
 }
-# By the forecast's name of the signal that the weather station measures.
+# Weather station; keys are the forecast names of the signals.
 STATION = {
     "HDifHor": "Horizontal diffuse solar radiation measurement",
     "HDirNor": "Direct normal radiation measurement",

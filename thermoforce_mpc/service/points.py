@@ -1,4 +1,4 @@
-"""Every point of the test case: names, units and limits at the wire (BOPTEST test case documentation), and values."""
+"""Points of the test case: names, units and limits as in BOPTEST's documentation, and their values."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from thermoforce_mpc.service import descriptions
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS, measurement_name
 
 _KELVIN = 273.15
-# Occupants' gains, W a person: 60 % of the sensible part radiates.
+# Occupants' gains, W per person: 60 % of the sensible part is radiative.
 _RADIANT_W, _CONVECTIVE_W, _LATENT_W = 43.8, 29.2, 45.0
 
 
 @dataclass(frozen=True)
 class PointInfo:
-    """What the service tells about a point."""
+    """Unit, description and limits of a point."""
 
     unit: str | None
     description: str
@@ -29,13 +29,13 @@ class PointInfo:
     maximum: float | None = None
 
     def as_json(self, *, limits: bool) -> dict[str, str | float | None]:
-        """With limits for inputs and measurements, without for forecast points."""
+        """As JSON object, with limits (inputs and measurements) or without (forecast points)."""
         said: dict[str, str | float | None] = {"Description": self.description, "Unit": self.unit}
         return said | {"Minimum": self.minimum, "Maximum": self.maximum} if limits else said
 
 
 _OVERWRITE_UNIT = {"oveHeaPumY": "1", "oveTSet": "K", "ovePum": "1", "oveFan": "1"}
-# Column of the emulator's record that holds the signal in force, whoever decided it.
+# Column of the emulator's record with the applied signal, overwritten or native.
 INPUT_COLUMNS = {"oveHeaPumY_u": "level", "oveTSet_u": "T_setpoint", "ovePum_u": "pump", "oveFan_u": "fan"}
 
 INPUTS: dict[str, PointInfo] = {}
@@ -50,7 +50,7 @@ _MEASUREMENT_UNIT = {
     "reaPFan_y": "W",
     "reaPPumEmi_y": "W",
     "reaQHeaPumCon_y": "W",
-    "reaQHeaPumEva_y": "W",  # negative: out of the air
+    "reaQHeaPumEva_y": "W",  # negative: heat taken from the air
     "reaQFloHea_y": "W",
     "reaTSup_y": "K",
     "reaTRet_y": "K",
@@ -77,7 +77,7 @@ MEASUREMENT_POINTS: dict[str, PointInfo] = dict(
 
 
 def recorded_points(plant: EmbeddedPlant, names: list[str], record: Mapping[str, Array]) -> dict[str, Array]:
-    """Measurements and inputs at the samples of a record of the plant, with 'time'; names must be known."""
+    """Values of measurements and inputs, (n,), at the n samples of a plant record, with 'time'; names must be known."""
     time_s = record["time"]
 
     def series(name: str) -> Array:
@@ -89,8 +89,8 @@ def recorded_points(plant: EmbeddedPlant, names: list[str], record: Mapping[str,
             return WEATHER_SIGNALS[_STATION[name]].at(plant.weather, time_s)
         if name == _EVAPORATOR:
             return -record["Q_evaporator"]
-        # Left are the schedule's set-points: heating's follows from them with an offset, or is overwritten, and nothing
-        # follows cooling's in a house without cooling.
+        # Remaining: the set-points of the schedule. The heating control follows its set-point with an offset or an
+        # overwrite; the cooling set-point has no effect, since the house has no cooling.
         return schedule.set_points_C(schedule.occupied(time_s))[_SET_POINTS.index(name)] + _KELVIN
 
     return {name: series(name) for name in names} | {"time": time_s}
@@ -103,7 +103,7 @@ def _per_person(watts: float) -> _People:
     return lambda time_s: schedule.PEOPLE * watts * schedule.occupied_sample(time_s)
 
 
-# Unit, and value at times (n,) s, of what follows the clock.
+# Unit and value at times (n,), s, of the points that depend on time alone.
 _FORECAST_CLOCK: Mapping[str, tuple[str, _People]] = {
     "Occupancy[1]": ("number of people", _per_person(1.0)),
     "InternalGainsRad[1]": ("W", _per_person(_RADIANT_W)),
@@ -129,7 +129,7 @@ FORECAST_POINTS = {name: PointInfo(_FORECAST_UNIT[name], text) for name, text in
 
 
 def forecast_points(plant: EmbeddedPlant, names: list[str], horizon_s: float, interval_s: float) -> dict[str, Array]:
-    """Forecast of each point from now, with 'time'; dry bulb and global irradiance carry the scenario's errors."""
+    """Forecast of each point from now, with 'time'; TDryBul and HGloHor include the scenario's forecast errors."""
     steps = np.arange(int(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
     time_s: Array = plant.now_s + steps * interval_s
     erring: dict[str, Array] = {}

@@ -1,10 +1,10 @@
-"""How the service says no."""
+"""Exception for refused requests."""
 
 from __future__ import annotations
 
 
 class Refusal(Exception):
-    """A request that is answered with HTTP `status` and a message: what was wrong, and what would be right."""
+    """Refused request: HTTP `status` and a message with the error and the allowed values."""
 
     def __init__(self, status: int, message: str) -> None:
         super().__init__(message)

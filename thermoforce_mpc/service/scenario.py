@@ -1,4 +1,4 @@
-"""Forecast uncertainty as a scenario names it: one level for the temperature, another for the sun."""
+"""Forecast uncertainty of a BOPTEST scenario: separate levels for temperature and irradiance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LEVELS: tuple[Level, ...] = ("low", "medium", "high")
 
 
 class SeparateErrors(ForecastError):
-    """Errors of one level on the temperature and of another on the irradiance; None leaves the truth."""
+    """Forecast errors with one level for the temperature and one for the irradiance; None: no error."""
 
     def __init__(self, temperature: Level | None, solar: Level | None, seed: int) -> None:
         super().__init__(temperature or solar or "low", seed)
@@ -30,7 +30,7 @@ class SeparateErrors(ForecastError):
 
 
 def level(name: str, value: Any) -> Level | None:
-    """The level in a request; nothing, '' and 'none' mean a perfect forecast. Raises `Refusal`."""
+    """Level given in a request; None for null, '' and 'none' (perfect forecast). Raises `Refusal`."""
     if value in (None, "", "none"):
         return None
     for known in LEVELS:
@@ -40,7 +40,7 @@ def level(name: str, value: Any) -> Level | None:
 
 
 def forecast_error(temperature: Level | None, solar: Level | None, seed: int | None) -> ForecastError | None:
-    """The forecast errors of a scenario, or None when the forecast is perfect; without a seed, seed 0 is drawn."""
+    """Forecast errors of a scenario, or None for a perfect forecast; without a seed, seed 0 is used."""
     if temperature is None and solar is None:
         return None
     return SeparateErrors(temperature, solar, seed or 0)

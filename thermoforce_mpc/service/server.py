@@ -1,4 +1,4 @@
-"""Serving the application on a socket. Needs the extra `serve` (flask, waitress)."""
+"""Server of the application on a socket. Needs the extra `serve` (flask, waitress)."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ def build_server(
     most_tests: int = 8,
     idle_s: float = 900.0,
 ) -> Server:
-    """Bind the service; `run()` of what is returned serves until `close()`.
+    """Bind the service; `run()` of the returned server serves until `close()`.
 
     Args:
-        weather: the year that every test lives in.
-        host: address to listen on; anything but a loopback address lets others in, without any authentication.
-        port: 0 takes a free one (`effective_port` of what is returned).
-        highly_dynamic: tariff of that name; by default a synthetic one.
-        most_tests: how many tests may run at a time.
-        idle_s: after how long a test that is asked nothing is dropped, s.
+        weather: weather year of every test.
+        host: address to listen on; other than loopback, other machines have access without authentication.
+        port: port, or 0 for a free one (see `effective_port`).
+        highly_dynamic: tariff of that name; default: a synthetic one.
+        most_tests: largest number of tests at a time.
+        idle_s: time without requests after which a test is dropped, s.
 
     Raises:
-        ConfigError: a number out of its range.
+        ConfigError: `port`, `most_tests` or `idle_s` is out of range.
         PlantError: the address cannot be bound.
     """
     if not 0 <= port <= 65535:
         raise ConfigError(f"port {port}: expected 0 to 65535")
     if most_tests < 1 or not idle_s > 0:
         raise ConfigError("most_tests and idle_s must be positive")
-    # Bound here, since waitress leaves its own socket open when that fails.
+    # Bound here, since waitress leaves its own socket open when binding fails.
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         listening = socket.create_server((host, port), family=family)
     except OSError as error:
-        # Python adds the address to the system's words, which are enough here.
+        # Without the address that Python appends to the system's message.
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
         raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose another address or port") from error
     app = create_app(_plants(weather, highly_dynamic), most_tests=most_tests, idle_s=idle_s, most_bytes=_MOST_BYTES)
-    # One test simulates for long, others ask the same test and wait: with a thread for each, some are always free.
+    # One thread per admitted request, plus free ones: long simulations do not block other requests.
     threads = most_tests * MOST_ASKING + _FREE_THREADS
     return serve_on(listening, app, threads=threads, most_bytes=_MOST_BYTES)
 
@@ -75,7 +75,7 @@ def serve(
     idle_s: float = 900.0,
     on_ready: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve until interrupted; `on_ready` is told the base URL. Arguments and errors as for `build_server`."""
+    """Serve until interrupted; `on_ready` is called with the base URL. Arguments and errors as for `build_server`."""
     server = build_server(
         weather, host=host, port=port, highly_dynamic=highly_dynamic, most_tests=most_tests, idle_s=idle_s
     )
@@ -94,9 +94,9 @@ def effective_port(server: Server) -> int:
 
 
 def _plants(weather: Weather, highly_dynamic: Tariff | None) -> Callable[[], EmbeddedPlant]:
-    """Plants that share what never changes: what the weather does to each surface takes a while to work out."""
+    """Builder of plants that share constant data, such as the precomputed irradiance on each surface."""
     first = EmbeddedPlant(weather, highly_dynamic=highly_dynamic)
-    # The first wet bulb compiles psychrolib, which takes seconds that no client should wait for.
+    # The first wet bulb temperature compiles psychrolib, which takes seconds: done here, not in a request.
     WEATHER_SIGNALS["TWetBul"].at(weather, np.zeros(1))
 
     def another() -> EmbeddedPlant:

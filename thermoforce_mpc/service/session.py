@@ -1,7 +1,7 @@
-"""One test: an embedded plant with a step, a scenario and overwritten inputs, driven by requests.
+"""One test of the service: an embedded plant with control step, scenario and overwritten inputs.
 
-Every public method is one endpoint: it takes the request's values as they came and returns `Reply(message, payload)`,
-or raises `Refusal`. Semantics follow the BOPTEST service.
+Every public method is one endpoint: it takes the values of the request and returns `Reply(message, payload)`, or raises
+`Refusal`. Semantics follow the BOPTEST service.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.scenario import forecast_error, level
 
 DEFAULT_STEP_S = 3600.0
-# What one answer and one test may hold, so that memory stays bounded.
+# Limits that bound memory: values per reply, samples per test.
 MOST_VALUES = 5_000_000
 _MOST_SAMPLES = 400 * 2880
 _PERIODS = ("peak_heat_day", "typical_heat_day")
 
 
 class Reply(NamedTuple):
-    """A message for people and a payload for machines."""
+    """Message and payload of a reply."""
 
     message: str
     payload: Any
 
 
 class Session:
-    """A running test. Not for several threads at once: the caller holds the lock."""
+    """A running test. Not thread-safe: the caller holds the lock."""
 
     def __init__(self, plant: EmbeddedPlant, period: Callable[[str], Period]) -> None:
-        """`period` finds the scored window of a name; it may take a simulated year the first time."""
+        """`period` returns the scored window of a name; the first call may simulate a year."""
         self._plant = plant
         self._period = period
         self._step_s = DEFAULT_STEP_S
@@ -63,7 +63,7 @@ class Session:
         }
         self._overwrites: dict[str, float] = {}
         self._active: dict[str, bool] = {}
-        # Which inputs were overwritten, and since when: one entry where that changed.
+        # Activated overwrites and the time since when, s: one entry per change.
         self._switched_s: list[float] = []
         self._switches: list[Mapping[str, bool]] = []
         self._n_steps = 0
@@ -71,7 +71,7 @@ class Session:
         self._answered_s: float | None = None
 
     def inputs(self) -> Reply:
-        """Names and limits of the inputs."""
+        """Names, units and limits of the inputs."""
         return Reply("The inputs.", {name: info.as_json(limits=True) for name, info in INPUTS.items()})
 
     def measurements(self) -> Reply:
@@ -85,17 +85,17 @@ class Session:
         return Reply("The forecast points.", points)
 
     def step(self) -> Reply:
-        """Length of a step, s."""
+        """Control step, s."""
         return Reply("The control step.", self._step_s)
 
     def set_step(self, body: Mapping[str, Any]) -> Reply:
-        """Set the length of a step: a millisecond or more, less than a year."""
+        """Set the control step, s: from 1 ms to 364 days."""
         step_s = _number(body, "step", low=LEAST_STEP_S, high=364 * 86400.0)
         self._step_s = step_s
         return Reply("The control step was set.", {"step": step_s})
 
     def initialize(self, body: Mapping[str, Any]) -> Reply:
-        """Start at `start_time` after `warmup_period` of native control; with `final_time` it ends there."""
+        """Start at `start_time`, s, after `warmup_period`, s, of native control; `final_time`, s, ends the test."""
         start_s = _number(body, "start_time", low=0.0)
         warmup_s = _number(body, "warmup_period", low=0.0)
         final_s = _number(body, "final_time") if body.get("final_time") else math.inf
@@ -108,7 +108,7 @@ class Session:
     def set_scenario(self, body: Mapping[str, Any]) -> Reply:
         """Change the scenario; a `time_period` initialises the test.
 
-        Price and time period stay as they are when not named; uncertainties and seed do not. Other keys mean nothing.
+        Price and time period are kept when not given; uncertainties and seed are reset. Other keys are ignored.
         """
         price = body.get("electricity_price")
         if price and price not in self._plant.tariff_names:
@@ -137,16 +137,19 @@ class Session:
         return Reply("The scenario was set.", payload)
 
     def advance(self, body: Mapping[str, Any]) -> Reply:
-        """Simulate one step with the inputs given; those not named keep what they had since the initialisation."""
+        """Simulate one step with the given inputs; others keep their values since the initialisation."""
         self._count_wait()
         overwrites, active, notes = self._read_inputs(body)
         now_s = self._plant.now_s
         if self._end_s - now_s < LEAST_STEP_S:
             return Reply("End of test case scenario time period reached.", {})
         step_s = min(self._step_s, self._end_s - now_s)
-        # A step of less than 30 s leaves a sample as well.
+        # A step of less than 30 s also adds a sample.
         if (now_s + step_s - self._plant.begin_s) / STEP_S + self._n_steps > _MOST_SAMPLES:
-            raise Refusal(400, "This test holds as long a record as it may; initialize it again, or select another.")
+            raise Refusal(
+                400,
+                "The record of this test has reached its largest length; initialize the test again, or select another.",
+            )
         forced = {name: overwrites.get(name, NEVER_GIVEN) for name, on in active.items() if on}
         with _refusing():
             self._plant.advance_points(forced, step_s)
@@ -160,7 +163,7 @@ class Session:
         return Reply("".join(f"{note};" for note in reversed(notes)) or message, self._state())
 
     def forecast(self, body: Mapping[str, Any]) -> Reply:
-        """Forecast of `point_names` from now to `horizon` every `interval`."""
+        """Forecast of `point_names` from now to `horizon`, s, every `interval`, s."""
         names = _names(body, FORECAST_POINTS, "forecast points")
         horizon_s = _number(body, "horizon", low=0.0)
         interval_s = _number(body, "interval", low=1.0)
@@ -176,7 +179,7 @@ class Session:
         return Reply("The forecast.", _lists(series))
 
     def results(self, body: Mapping[str, Any]) -> Reply:
-        """What was recorded of `point_names` between `start_time` and `final_time`, warm-up included."""
+        """Recorded values of `point_names` between `start_time` and `final_time`, s, warm-up included."""
         names = _names(body, {**MEASUREMENT_POINTS, **INPUTS}, "inputs and measurements")
         start_s = _number(body, "start_time", finite=False)
         final_s = _number(body, "final_time", finite=False)
@@ -196,7 +199,7 @@ class Session:
             names = ("cost_tot", "emis_tot", "ener_tot", "idis_tot", "pele_tot", "tdis_tot")
             kpis = dict.fromkeys(names, 0.0)
         wait = self._waited / self._n_waits if self._n_waits else None
-        # A house with electricity only: no gas, no district heat.
+        # Electricity only: no gas, no district heat.
         extra = {"pgas_tot": None, "pdih_tot": None, "time_rat": wait}
         return Reply("The key performance indicators.", dict(sorted((kpis | extra).items())))
 
@@ -215,7 +218,7 @@ class Session:
             self._plant.use(s["electricity_price"], error)
 
     def _state(self) -> dict[str, float | None]:
-        """All measurements and inputs now."""
+        """Current values of all measurements and inputs."""
         now_s = self._plant.now_s
         series = self._recorded([*MEASUREMENT_POINTS, *INPUTS], now_s, now_s)
         return {name: _plain(values[-1]) for name, values in series.items()}
@@ -226,8 +229,8 @@ class Session:
         record = self._plant.recorded(start_s, final_s)
         _check_size(len(names), record["time"].size)
         series = recorded_points(self._plant, [name for name in names if name not in switches], record)
-        # A sample belongs to the step that ends there or later; nothing was overwritten before the first. Only what
-        # was in force in the time asked for is looked at.
+        # A sample belongs to the step that ends there or later; nothing was overwritten before the first step. Only the
+        # switches in force within the requested time are searched.
         first, last = bisect_left(self._switched_s, start_s), bisect_left(self._switched_s, final_s)
         in_force = [{} if first == 0 else self._switches[first - 1], *self._switches[first:last]]
         step = np.searchsorted(self._switched_s[first:last], series["time"])
@@ -251,7 +254,7 @@ class Session:
             info = INPUTS[key]
             overwrites[name] = min(max(number, info.minimum or 0.0), info.maximum or 0.0)
             if overwrites[name] != number:
-                # In the service's own words: clients look for them.
+                # Wording of the BOPTEST service, which clients search for.
                 side = "above maximum" if number > overwrites[name] else "below minimum"
                 notes.append(
                     f"WARNING: value of {number} for {key} is {side} of {overwrites[name]}.  Using {overwrites[name]}. "
@@ -259,7 +262,7 @@ class Session:
         return overwrites, active, notes
 
     def _count_wait(self) -> None:
-        """Time the client took between two steps, over the length of a step: their mean is `time_rat`."""
+        """Add the client's time between two steps over the length of a step; the mean is `time_rat`."""
         if self._answered_s is not None:
             self._waited += (time.monotonic() - self._answered_s) / self._step_s
             self._n_waits += 1
@@ -267,7 +270,7 @@ class Session:
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """What the plant finds wrong with a value is the client's to mend."""
+    """Turn an `InputError` of the plant into a `Refusal` (400)."""
     try:
         yield
     except InputError as error:
@@ -282,7 +285,7 @@ def _number(
     try:
         value = float(body[key])
     except OverflowError:
-        raise Refusal(400, f"Invalid value of {key}: an integer of that many digits is too large.") from None
+        raise Refusal(400, f"Invalid value of {key}: the integer is too large.") from None
     except (TypeError, ValueError):
         raise Refusal(400, f"Invalid value {body[key]!r} of {key}: expected a number.") from None
     if math.isnan(value) or (finite and math.isinf(value)):
@@ -303,7 +306,7 @@ def _switch(key: str, value: Any) -> bool:
 
 
 def _seed(value: Any) -> int | None:
-    """The seed; nothing, '' and 0 mean none. Text is refused, as by the service, a whole number such as 5.0 is not."""
+    """Seed of a request; None for null, '' and 0. As in BOPTEST, text is refused and whole floats are allowed."""
     if not value:
         return None
     if not isinstance(value, int | float) or value < 0 or value != value // 1:
@@ -317,7 +320,7 @@ def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list
         names = [names]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise Refusal(400, f"Invalid point_names {names!r}: expected a list of names of {what}.")
-    # Time comes with every answer, asked for or not.
+    # Every reply contains time.
     names = [name for name in names if name != "time"]
     wrong = [name for name in names if name not in known]
     if wrong:
@@ -327,7 +330,7 @@ def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list
 
 def _check_size(n_names: int, n_samples: float) -> None:
     if (n_names + 1) * (n_samples + 1) > MOST_VALUES:
-        raise Refusal(400, f"More than {MOST_VALUES} values asked for at once: name fewer points or a shorter time.")
+        raise Refusal(400, f"More than {MOST_VALUES} values in one request: give fewer points or a shorter time.")
 
 
 def _lists(series: Mapping[str, Array]) -> dict[str, list[float | None]]:
@@ -338,5 +341,5 @@ def _lists(series: Mapping[str, Array]) -> dict[str, list[float | None]]:
 
 
 def _plain(value: float) -> float | None:
-    """JSON has no NaN."""
+    """Value for JSON, with None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None

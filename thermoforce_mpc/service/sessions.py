@@ -1,4 +1,4 @@
-"""The tests that are running: made, found, stopped, and dropped when idle."""
+"""Registry of running tests: start, look up, stop, and drop when idle."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.session import Session
 
-# As many requests of one test are taken at a time; the others wait for the first.
+# Largest number of requests of one test admitted at a time; they are answered one after another.
 MOST_ASKING = 2
 _LONE = "the one test of clients that know no test ids"
 
 
 class UnknownTestid(Exception):
-    """No such test: stopped, dropped when idle, or never was."""
+    """Unknown test id: stopped, dropped when idle, or never started."""
 
 
 @dataclass
@@ -30,17 +30,17 @@ class _Entry:
 
 
 class Sessions:
-    """At most `most` tests at a time; one that is not asked anything for `idle_s` makes room. Safe between threads."""
+    """At most `most` tests at a time; one without requests for `idle_s`, s, is dropped. Thread-safe."""
 
     def __init__(self, make: Callable[[], Session], *, most: int, idle_s: float) -> None:
         self._make, self._most, self._idle_s = make, most, idle_s
         self._entries: dict[str, _Entry] = {}
-        # Stopped while they were still simulating, which nothing can cut short.
+        # Stopped tests that are still simulating, which cannot be interrupted.
         self._ending: list[_Entry] = []
         self._lock = threading.Lock()
 
     def select(self) -> str:
-        """Start a test; returns its id. Raises `Refusal` (503) when all are taken."""
+        """Start a test; returns its id. Raises `Refusal` (503) when `most` tests are running."""
         with self._lock:
             self._drop_idle()
             testid = str(uuid.uuid4())
@@ -48,10 +48,9 @@ class Sessions:
             return testid
 
     def lone(self) -> str:
-        """The test of clients that know no test ids: made when first asked for, then kept, however idle.
+        """Id of the test of clients without test ids: started on the first request, never dropped when idle.
 
-        Such a client would not notice that its test was dropped and another begun. Raises `Refusal` (503) when all
-        are taken.
+        Such a client could not detect that its test was replaced. Raises `Refusal` (503) when `most` tests are running.
         """
         with self._lock:
             self._drop_idle()
@@ -66,18 +65,18 @@ class Sessions:
             del self._entries[testid]
 
     def check(self, testid: str) -> None:
-        """Say that the test exists, without waiting for it. Raises `UnknownTestid`."""
+        """Check that the test exists, without waiting for it. Raises `UnknownTestid`."""
         with self._lock:
             self._entry(testid).used_s = time.monotonic()
 
     @contextmanager
     def using(self, testid: str) -> Iterator[Session]:
-        """The test, for one request at a time. Raises `UnknownTestid`, or `Refusal` (503) when too many wait for it."""
+        """The test, locked for one request. Raises `UnknownTestid`, or `Refusal` (503) when too many requests wait."""
         with self._lock:
             entry = self._entry(testid)
             if entry.asking >= MOST_ASKING:
                 raise Refusal(503, "This test is busy: an earlier request is still being answered; ask again later.")
-            # From here on it is not idle, though the request may still wait for another one.
+            # Not idle from here on, though the request may still wait for another one.
             entry.asking += 1
         try:
             with entry.lock:

@@ -1,4 +1,4 @@
-"""The weather as the test case's weather station and forecast name it, in units of the wire."""
+"""Weather signals with the names and units of the test case's forecast and weather station."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ psychrolib.SetUnitSystem(psychrolib.SI)
 
 
 class WeatherSignal(NamedTuple):
-    """A signal: unit, and its value at times (n,) s."""
+    """Weather signal: unit, and function of its values (n,) at times (n,), s."""
 
     unit: str
     at: Callable[[Weather, Array], Array]
@@ -42,7 +42,7 @@ def _declination(weather: Weather, time_s: Array) -> Array:
 
 
 def _hour_angle(weather: Weather, time_s: Array) -> Array:
-    """Not brought back to ±π: like the solar time, it goes on from day to day."""
+    """Hour angle, rad, not wrapped to ±π: like solar time, it increases from day to day."""
     return sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h).hour_angle
 
 
@@ -56,12 +56,12 @@ def _sky_K(weather: Weather, time_s: Array) -> Array:
 
 
 def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
-    """Of dry bulb, relative humidity and pressure as their own points give them (ASHRAE Fundamentals 2017, ch. 1)."""
+    """Wet bulb temperature, K, from dry bulb, relative humidity and pressure (ASHRAE Fundamentals 2017, ch. 1)."""
     dry_C, humidity = weather.at("T_dry_C", time_s), weather.at("relative_humidity", time_s)
     return np.asarray(psychrolib.GetTWetBulbFromRelHum(dry_C, humidity, _PRESSURE_PA)) + _KELVIN
 
 
-# By the names of the forecast.
+# Keys: forecast names.
 WEATHER_SIGNALS: dict[str, WeatherSignal] = {
     "HDifHor": WeatherSignal("W/m2", _column("diffuse_W_m2")),
     "HDirNor": WeatherSignal("W/m2", _column("normal_W_m2")),
@@ -90,5 +90,5 @@ WEATHER_SIGNALS: dict[str, WeatherSignal] = {
 
 
 def measurement_name(signal: str) -> str:
-    """How the weather station names what the forecast calls `signal`."""
+    """Weather station name of the forecast signal `signal`."""
     return f"weaSta_reaWea{signal[0].upper()}{signal[1:]}_y"
