@@ -49,8 +49,8 @@ def cli() -> None:
     """Model predictive control of buildings.
 
     The predicted zone temperature is the sum of a free response (no control action), forecast by a frozen
-    time-series model, and a forced response, computed by a linear operator that is identified from a few days of
-    probing. To start:
+    time-series model, and a forced response, computed by an operator with few parameters that is identified from a
+    few days of probing. To start:
 
     \b
       tf-mpc run --testcase bestest_hydronic_heat_pump

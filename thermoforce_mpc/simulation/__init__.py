@@ -1,1 +1,1 @@
-"""Closed loops on plants, their reports and comparisons."""
+"""Closed-loop runs on plants, their reports and comparisons."""

@@ -1,1 +1,1 @@
-"""Controllers side by side: every controller on every window under every tariff, in parallel processes, resumable."""
+"""Comparison of controllers on windows and tariffs, in parallel processes, resumable."""

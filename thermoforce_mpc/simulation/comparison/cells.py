@@ -1,4 +1,4 @@
-"""One cell of a comparison: a contestant on one window under one tariff. Its key says what decides its result."""
+"""Cells of a comparison: one variant on one window under one tariff and forecast error level, with its hash key."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from thermoforce_mpc.simulation.identifying import IdentificationTask, identific
 from thermoforce_mpc.simulation.run_folder import file_sha256
 from thermoforce_mpc.version import VERSION
 
-# Changed whenever a cell's file or what decides a result changes, so that no old file is taken for a new one.
+# Increased whenever the cell file or the inputs of a result change, so that files of old formats are not reused.
 FORMAT = 2
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A run to be made: `scenario` decides its result, `key` is its hash.
+    """One run of a comparison: `scenario` determines its result, `key` is the hash of all its inputs.
 
-    `task` is the identification it needs (None: no model, or a saved one) and `identification_key` its hash; cells that
-    would probe and identify alike share one.
+    `task` is the identification it needs (None: no model, or a saved one) and `identification_key` its hash; cells with
+    equal identification settings share one model.
     """
 
     variant: str
@@ -43,12 +43,12 @@ class Cell:
 
     @property
     def title(self) -> str:
-        """How a reader knows it."""
+        """Name of the cell in progress output."""
         return f"{self.variant} · {self.window} · {self.price}{self._forecasts}"
 
     @property
     def identification_title(self) -> str:
-        """How a reader knows its identification."""
+        """Name of its identification in progress output."""
         days = self.scenario.identification.days
         return f"identifying · {self.variant} · {self.window} · {days:g} days{self._forecasts}"
 
@@ -58,7 +58,7 @@ class Cell:
 
     @property
     def group(self) -> tuple[str, str, str]:
-        """Window, tariff and forecast error: cells of one group are compared with each other."""
+        """Window, tariff and forecast error level; cells of one group are compared with each other."""
         return self.window, self.price, self.uncertainty
 
 
@@ -69,7 +69,7 @@ def expand(
     prices: Sequence[str],
     uncertainties: Sequence[str] = ("none",),
 ) -> list[Cell]:
-    """All cells, validated; raises `ConfigError` naming the variant and the key that is wrong."""
+    """All cells, validated; raises `ConfigError` naming the variant and the wrong key."""
     hash_of = _FileHashes()
     cells: list[Cell] = []
     for window in windows:
@@ -85,14 +85,14 @@ def expand(
 
 
 def digest(content: Mapping[str, Any]) -> str:
-    """Sixteen hexadecimal digits that identify `content`, whatever the order of its keys."""
+    """Hash of `content`, 16 hexadecimal digits, independent of the order of its keys."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @functools.cache
 def source_fingerprint() -> str:
-    """Hash of the source files that made a result: within one version, a working tree changes."""
+    """Hash of the source files, 16 hexadecimal digits; distinguishes working trees of one version."""
     total = hashlib.sha256()
     root = Path(__file__).resolve().parents[3]
     for package in ("thermoforce_mpc", "controllers", "boptest_client"):
@@ -102,7 +102,7 @@ def source_fingerprint() -> str:
 
 
 class _FileHashes:
-    """Hashes of input files and saved models: what counts is their content, not where they lie."""
+    """Content hashes of input files and saved models, cached by path."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
@@ -122,10 +122,11 @@ class _FileHashes:
 
 
 def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
-    """The cell of a scenario. Keys are hashes of all that a run or an identification is given, nothing picked out.
+    """The cell of a scenario. Its keys are hashes of all inputs of the run and of the identification.
 
-    A controller without a model is not told how others learn, so that its runs are the same beside any of them. A
-    model also depends on the code that made it: it is not shown as a result of its own, so nobody would be told.
+    For a controller without a model the identification settings are not part of the key, so that its runs are reused
+    beside any other controller. The key of an identification includes the source hash: models have no result file of
+    their own in which a change of the source code could be reported.
     """
     testcase = validate_scenario(scenario)
     controller = scenario.controller.name
@@ -156,7 +157,7 @@ def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[st
 
 
 def _files_named(options: Any, hash_of: Callable[[str], str]) -> dict[str, str]:
-    """Hashes of the files and folders that options name, such as a forecaster's checkpoint, by their paths."""
+    """Content hashes, by path, of files and folders named in options, such as a forecaster's checkpoint."""
     if isinstance(options, Mapping | list):
         parts = options.values() if isinstance(options, Mapping) else options
         return {path: found for part in parts for path, found in _files_named(part, hash_of).items()}

@@ -1,4 +1,4 @@
-"""What a comparison leaves for people and programs: table (Markdown, CSV), JSON, plot (SVG, PNG) and an HTML page."""
+"""Output files of a comparison: table (Markdown, CSV), JSON, plot (SVG, PNG) and HTML page."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ def write_outcome(
     """Write `table.md`, `table.csv`, `results.json`, `pareto.svg`, `pareto.png` and `comparison.html` into `folder`.
 
     Args:
-        folder: of the comparison.
-        records: outcomes of its cells.
+        folder: folder of the comparison.
+        records: results of its cells.
         name: 'compare' or 'sweep', for the JSON.
         title: heading of the page and the table.
-        currency: of the test case.
-        swept: label by variant of the points that belong on one line.
+        currency: currency of the test case.
+        swept: labels, by variant, of the points connected by a line.
 
     Returns:
-        The content of `results.json`, in the shape of every bench.
+        The content of `results.json`, in the format of `bench_result`.
     """
     from thermoforce_mpc.simulation.comparison.plots import pareto_figure, save_png
     from thermoforce_mpc.simulation.report.html import page_environment
@@ -98,7 +98,7 @@ def headings(currency: str) -> list[str]:
 
 
 def shown_figures(row: Row) -> list[str]:
-    """The figures of a row as text, the best cost and discomfort of its group marked by an asterisk."""
+    """The figures of a row as text; an asterisk marks the best cost and discomfort of its group."""
     texts = []
     for key in HEADINGS:
         value = row[key]
@@ -111,7 +111,7 @@ def shown_figures(row: Row) -> list[str]:
 
 
 def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]) -> str:
-    """The tables as Markdown, followed by what they say."""
+    """The tables as Markdown, followed by the findings `says`."""
     lines = [f"# {title}", ""]
     for group, members in grouped(rows).items():
         lines += [f"## {group_title(group)}", ""]
@@ -121,7 +121,7 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
             front = " (front)" if row["pareto"] else ""
             lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row)) + " |")
         lines.append("")
-    lines += ["`*` best of its table; (front): no other is both as cheap and as comfortable.", ""]
+    lines += ["`*`: best of its table; (front): on the Pareto front of cost and discomfort.", ""]
     lines += [f"- {text}" for text in says]
     lines += [
         f"- failed: {row['controller']}, {row['window']}, {row['price']}: {row['reason']}" for row in failures(rows)
@@ -146,7 +146,7 @@ def _shown(members: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What each variant is, once: controller, its options and its identification where they differ from defaults."""
+    """One entry per variant: controller, options, step and, if it uses a model, identification settings."""
     seen: dict[str, dict[str, Any]] = {}
     for record in records:
         scenario = record["scenario"]

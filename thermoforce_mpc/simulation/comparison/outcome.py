@@ -1,4 +1,4 @@
-"""What came of a comparison: flat rows, who is best, who is beaten by nobody, and where a baseline wins."""
+"""Evaluation of a comparison: one row per cell, best values, Pareto front, and cells that a baseline dominates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thermoforce_mpc.simulation.comparison.store import DONE
 
 COST, DISCOMFORT = "cost_tot", "tdis_tot"
 KPIS = (COST, DISCOMFORT, "ener_tot", "emis_tot", "pele_tot")
-# Two results nearer than this, relative for the cost and in K·h for the discomfort, are equal.
+# Tolerances within which two results are equal: relative for cost, K·h for discomfort.
 _COST_TIE, _DISCOMFORT_TIE_KH = 1e-4, 0.005
 _AS_PLANNED = {PlanStatus.SOLVED.value, PlanStatus.RULE.value}
 
@@ -21,8 +21,8 @@ Row = dict[str, Any]
 def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
     """One flat row per cell, in the order given; units as in the KPIs of BOPTEST, times in s and ms.
 
-    `best_cost`, `best_discomfort` and `pareto` (no other cell is as cheap and as comfortable and better in one) are
-    said within each window, tariff and forecast error. Failed cells have None for every figure and a `reason`.
+    `best_cost`, `best_discomfort` and `pareto` (no other cell dominates it) refer to the cells of one group.
+    Failed cells have None for every figure and a `reason`.
     """
     rows = [_row(record) for record in records]
     for group in grouped(rows).values():
@@ -35,7 +35,7 @@ def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
 
 
 def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
-    """Rows by window, tariff and forecast error, in their order."""
+    """Rows grouped by window, tariff and forecast error level, in their order."""
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["window"], row["price"], row["uncertainty"]), []).append(row)
@@ -43,7 +43,7 @@ def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
 
 
 def group_title(group: tuple[str, str, str]) -> str:
-    """How a reader knows a group."""
+    """Title of a group in tables and plots."""
     window, price, uncertainty = group
     day = f"day {window}" if window[:1].isdigit() else window
     return f"{day}, {price} tariff" + ("" if uncertainty == "none" else f", {uncertainty} forecast error")
@@ -59,10 +59,10 @@ def dominates(one: Row, other: Row) -> bool:
 
 
 def verdicts(rows: Iterable[Row]) -> list[str]:
-    """Sentences, one or more per group: who is best, and every model-based controller that a baseline beats.
+    """Findings, one or more sentences per group: best values, and comparisons that a baseline wins.
 
-    A baseline is a controller without a model. It wins where it dominates; where it is only cheaper or only more
-    comfortable, that is said too.
+    A baseline is a controller without a model. It beats a model-based controller where it dominates it; a baseline that
+    is only cheaper or only more comfortable is listed too.
     """
     lines: list[str] = []
     for group, members in grouped(rows).items():
@@ -85,7 +85,7 @@ def verdicts(rows: Iterable[Row]) -> list[str]:
 
 
 def cost_targets(rows: Iterable[Row]) -> list[Target]:
-    """For each model-based cell: its cost over the thermostat's (else the cheapest baseline's), at most 1."""
+    """One target per model-based cell: cost relative to the thermostat (else the cheapest baseline), at most 1."""
     targets: list[Target] = []
     for group, members in grouped(rows).items():
         done = [row for row in members if row["status"] == DONE]
@@ -101,7 +101,7 @@ def cost_targets(rows: Iterable[Row]) -> list[Target]:
 
 
 def failures(rows: Iterable[Row]) -> list[Row]:
-    """The rows without result."""
+    """The rows of failed cells."""
     return [row for row in rows if row["status"] != DONE]
 
 

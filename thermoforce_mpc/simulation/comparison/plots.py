@@ -1,4 +1,4 @@
-"""Cost against discomfort, one panel per window and tariff. Down and to the left is better."""
+"""Plot of cost against discomfort, one panel per group (window, tariff, forecast error level)."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.report.plots import BASELINE_COLOURS, FORCED, INK, QUIET
 
 _PANEL_INCHES, _COLUMNS = (5.5, 4.3), 2
-# Discomfort spans orders of magnitude and may be zero.
+# Linear range of the symmetric logarithmic axis: discomfort spans orders of magnitude and may be zero.
 _LINEAR_BELOW_KH = 0.5
-# Names stand beside their points where few do, else in a legend.
+# Up to this many points are labelled directly; more get a legend.
 _MOST_LABELS = 5
 _MARKERS = "o^Dv<>ph"
 
 
 def pareto_figure(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None) -> Figure:
-    """The figure.
+    """Figure with one panel per group.
 
     Args:
-        rows: of `outcome_rows`; failed ones are left out.
-        currency: for the axis.
-        swept: label by controller for points that belong on one line, in the order of the line.
+        rows: result of `outcome_rows`; failed cells are left out.
+        currency: currency of the cost axis.
+        swept: labels, by controller, of the points connected by a line, in its order.
     """
     done = [row for row in rows if row["status"] == DONE]
     groups = grouped(done)
@@ -61,7 +61,7 @@ def pareto_figure(rows: Sequence[Row], currency: str, swept: Mapping[str, str] |
 
 
 def save_png(figure: Figure, path: str) -> None:
-    """Write the figure with stable bytes."""
+    """Write the figure as PNG with reproducible bytes."""
     figure.savefig(path, format="png", dpi=130, metadata={"Software": None})
 
 

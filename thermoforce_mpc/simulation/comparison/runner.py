@@ -1,7 +1,7 @@
-"""Runs the cells of a comparison in parallel processes, each cell in one of its own.
+"""Parallel execution of the cells of a comparison, one process per cell.
 
-A process that dies (memory, a crash inside a solver) takes one cell with it, not the pool; every process computes on
-one thread, so that parallel cells do not fight for the cores and give the same numbers as alone.
+A process that dies (out of memory, crash inside a solver) fails one cell only. Every process computes on one thread, so
+that parallel cells do not compete for cores and their results do not depend on the number of jobs.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ _LEAVE_S = 5.0
 
 
 class Watcher(Protocol):
-    """Is told how a comparison goes."""
+    """Receives progress of a comparison."""
 
     def begun(self, title: str, days: float) -> None:
-        """A process has begun; it will simulate `days`."""
+        """A process has started; it will simulate `days`."""
         ...
 
     def day(self, title: str, day: float) -> None:
-        """A process has come to `day`."""
+        """A process has reached simulated day `day`."""
         ...
 
     def ended(self, title: str, record: Mapping[str, Any] | None, reason: str, seconds: float) -> None:
-        """A process has ended: with the record of a cell, or (an identification) None; `reason` where it failed."""
+        """A process has ended after `seconds`. `record` is None for an identification; `reason` is empty on success."""
         ...
 
 
 @dataclass(frozen=True)
 class _Task:
-    """One process: the closed loop of `cell`, or (`learns`) the identification it needs."""
+    """One process: the closed loop of `cell`, or, if `learns`, the identification it needs."""
 
     cell: Cell
     learns: bool = False
@@ -63,13 +63,13 @@ class _Running:
 
 
 def run_cells(cells: Sequence[Cell], store: Store, jobs: int, watcher: Watcher) -> dict[str, dict[str, Any]]:
-    """Run `cells`, at most `jobs` at a time; identifications come first, each once.
+    """Run `cells`, at most `jobs` at a time; identifications run first, each once.
 
     Returns:
-        The record of each cell by key: its result, or why it has none.
+        The record of each cell by key: its result, or the reason of its failure.
 
     Raises:
-        KeyboardInterrupt: processes are ended; what had been finished is in the store.
+        KeyboardInterrupt: processes are terminated; finished cells are in the store.
     """
     ready: deque[_Task] = deque()
     waiting: dict[str, list[_Task]] = {}
@@ -102,7 +102,7 @@ def run_cells(cells: Sequence[Cell], store: Store, jobs: int, watcher: Watcher) 
             return
         found = None if reason else store.finished(cell)
         if found is None:
-            reason = reason or f"the process ended well but left no result in {store.cell_path(cell)}"
+            reason = reason or f"the process succeeded but wrote no result to {store.cell_path(cell)}"
         records[cell.key] = found or fail(cell, reason)
         watcher.ended(task.title, records[cell.key], reason, seconds)
 
@@ -137,7 +137,7 @@ def _start(task: _Task, store: Store) -> _Running:
 
 
 def _listen(running: _Running, watcher: Watcher) -> None:
-    """Take in all that a process has said."""
+    """Receive all pending messages of a process."""
     while not running.channel.closed and running.channel.poll():
         try:
             kind, value = running.channel.recv()
@@ -151,7 +151,7 @@ def _listen(running: _Running, watcher: Watcher) -> None:
 
 
 def _outcome(running: _Running) -> str:
-    """Empty where the process reached its end, else why not."""
+    """Empty if the process succeeded, else the reason of its failure."""
     if running.answer is None:
         code = running.process.exitcode
         return f"its process died ({f'signal {-code}' if code and code < 0 else f'exit code {code}'})"
@@ -160,7 +160,7 @@ def _outcome(running: _Running) -> str:
 
 
 def _end(running: Sequence[_Running]) -> None:
-    """End processes that still run: politely, then not."""
+    """Terminate running processes; kill those that are alive after `_LEAVE_S` seconds."""
     for r in running:
         r.process.terminate()
     for r in running:
@@ -172,7 +172,7 @@ def _end(running: Sequence[_Running]) -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes started inside compute on one thread: libraries read these variables when they are loaded."""
+    """Set the variables that limit processes started inside to one thread (read when libraries are loaded)."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:

@@ -1,6 +1,6 @@
 """The folder of a comparison: one JSON file per finished cell and one saved model per identification.
 
-Files appear whole or not at all, so a comparison can be stopped at any time and taken up again.
+Files are written atomically, so a comparison can be stopped at any time and resumed.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ DONE, FAILED = "done", "failed"
 
 
 class Store:
-    """Finished cells and models of one comparison."""
+    """Stored cells and models of one comparison."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the folder; raises `ConfigError` where that cannot be."""
+        """Create the folder; raises `ConfigError` if that fails."""
         self.folder = folder
         try:
             for sub in ("cells", "models"):
                 (folder / sub).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"--out {folder}: cannot be made ({error.strerror or error})") from error
+            raise ConfigError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
 
     def cell_path(self, cell: Cell) -> Path:
-        """Where a cell's result belongs."""
+        """Path of a cell's result."""
         stem = "-".join(re.sub(r"[^A-Za-z0-9_.=]+", "_", word) for word in (cell.variant, cell.window, cell.price))
         return self.folder / "cells" / f"{stem[:100]}-{cell.key}.json"
 
     def model_path(self, identification_key: str) -> Path:
-        """Where the model of an identification belongs."""
+        """Path of the model of an identification."""
         return self.folder / "models" / identification_key
 
     def finished(self, cell: Cell) -> dict[str, Any] | None:
-        """What an earlier call left of this cell, or None where it failed, was never made or cannot be read."""
-        # Names of variants are for readers: the same run under another name is the same run.
+        """Stored result of this cell, or None if it failed, was not run or cannot be read."""
+        # Found by key alone: the variant name does not affect the result.
         for path in sorted((self.folder / "cells").glob(f"*-{cell.key}.json")):
             try:
                 record = json.loads(path.read_text(encoding="utf-8"))
@@ -55,12 +55,12 @@ class Store:
         return None
 
     def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
-        """Keep a cell's outcome, whole or not at all."""
+        """Store a cell's record atomically."""
         write_atomically(self.cell_path(cell), record)
 
 
 def write_atomically(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON aside and move it in place."""
+    """Write JSON to a temporary file and move it to `path`."""
     handle, aside = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
     os.close(handle)
     try:

@@ -1,4 +1,4 @@
-"""What is compared: controllers with options, each under a name. Read from names on the command line or a YAML file."""
+"""Variants of a comparison: named controllers with options, from the command line or a YAML file."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
 
 
 class Variant(StrictModel):
-    """One contestant: a controller with options, and how it learns."""
+    """One variant: a controller with options and identification settings."""
 
     controller: str = Field(description="name in the registry, see `tf-mpc controllers`")
     options: dict[str, Any] = Field(default_factory=dict, description="options of that controller")
-    step_s: float | None = Field(None, ge=300, le=14400, description="control step, s; by default its own")
+    step_s: float | None = Field(None, ge=300, le=14400, description="control step, s; null: the controller's own")
     identification: dict[str, Any] = Field(
-        default_factory=dict, description="laid over the scenario's `identification`: model, days, probing, options"
+        default_factory=dict,
+        description="keys that override the scenario's `identification`: model, days, probing, options",
     )
 
 
 class ComparisonFile(StrictModel):
-    """A YAML file of variants; `windows`, `prices` and `scenario` are defaults that the command's options replace."""
+    """YAML file of variants; `windows`, `prices` and `scenario` are defaults for the options of the command."""
 
-    variants: dict[str, Variant] = Field(min_length=1, description="contestants by name")
+    variants: dict[str, Variant] = Field(min_length=1, description="variants by name")
     windows: tuple[str, ...] = Field((), description="peak_heat_day, typical_heat_day, or start days such as 44")
     prices: tuple[Price, ...] = Field((), description="tariffs")
     scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
@@ -54,13 +55,13 @@ class ComparisonFile(StrictModel):
 
 
 def load_comparison(name: str) -> ComparisonFile:
-    """Read a comparison file: the name of a shipped one or a path; raises `ConfigError`."""
+    """Read a comparison file, given by path or shipped name; raises `ConfigError`."""
     path = find_config("comparisons", name)
     return validate(ComparisonFile, read_yaml(path), str(path))
 
 
 def variants_by_name(controllers: Sequence[str], file: ComparisonFile | None) -> dict[str, Variant]:
-    """The variants of a file, then the controllers named, each with the registry's defaults.
+    """The variants of a file, then the named controllers with the registry's defaults.
 
     Raises:
         ConfigError: an unknown controller, nothing to compare, or a name given twice.
@@ -99,7 +100,7 @@ def swept_variants(controller: str, key: str, values: Sequence[float], testcase:
 
 
 def numeric_option(controller: str, key: str) -> str:
-    """The dotted name of a numeric option of `controller` that `key` means; raises `ConfigError` naming all."""
+    """Dotted name of the numeric option `key` of `controller`; raises `ConfigError` listing all of them."""
     known = _numeric_leaves(find_entry(controller).config())
     if key in known:
         return key
@@ -107,7 +108,7 @@ def numeric_option(controller: str, key: str) -> str:
     if len(meant) == 1:
         return meant[0]
     if meant:
-        raise ConfigError(f"--over {key}: more than one option is called that; say which: {', '.join(meant)}")
+        raise ConfigError(f"--over {key}: more than one option has this name; give one of: {', '.join(meant)}")
     raise ConfigError(
         f"--over {key}: controller '{controller}' has no such numeric option{suggestion(key, known)}; "
         f"known: {', '.join(known) or 'none'}"
@@ -115,7 +116,7 @@ def numeric_option(controller: str, key: str) -> str:
 
 
 def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, uncertainty: str) -> Scenario:
-    """The scenario that one cell of the comparison runs: `base` with this contestant, window, tariff and forecasts.
+    """Scenario of one cell: `base` with this variant, window, tariff and forecast error level.
 
     Raises:
         ConfigError: the variant's `identification` has wrong keys.
@@ -136,7 +137,7 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
 
 
 def price_names(text: str) -> tuple[str, ...]:
-    """Tariffs from a comma list; raises `ConfigError` for one that is not known."""
+    """Tariffs from a comma-separated list; raises `ConfigError` for an unknown one."""
     names = comma_list(text, "--prices")
     for name in names:
         if name not in PRICES:
@@ -147,7 +148,7 @@ def price_names(text: str) -> tuple[str, ...]:
 
 
 def comma_list(text: str, option: str) -> tuple[str, ...]:
-    """Words of a comma list; raises `ConfigError` where it is empty or has a word twice."""
+    """Words of a comma-separated list; raises `ConfigError` if it is empty or has a word twice."""
     words = tuple(word.strip() for word in text.split(",") if word.strip())
     if not words:
         raise ConfigError(f"{option}: expected names separated by commas")
@@ -165,7 +166,7 @@ def _nested(key: str, value: float) -> dict[str, Any]:
 
 
 def _numeric_leaves(model: type[BaseModel], prefix: str = "") -> list[str]:
-    """Dotted names of all fields of `model` that hold a number, nested models included."""
+    """Dotted names of all numeric fields of `model`, nested models included."""
     found: list[str] = []
     for name, field in model.model_fields.items():
         options: Mapping[Any, None] = dict.fromkeys((field.annotation, *getattr(field.annotation, "__args__", ())))

@@ -1,4 +1,4 @@
-"""What one process of a comparison does: identify a model, or run one closed loop and keep its result."""
+"""Processes of a comparison: identify a model, or run one closed loop and store its result."""
 
 from __future__ import annotations
 
@@ -24,42 +24,42 @@ from thermoforce_mpc.simulation.composition import build_plant, controller_optio
 from thermoforce_mpc.simulation.identifying import model_for, run_identification
 from thermoforce_mpc.version import VERSION
 
-# What a worker tells the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
+# Message of a worker to the parent: ("day", days simulated), and at the end ("done", "") or ("failed", reason).
 Message = tuple[str, float | str]
 
 
 def learn(cell: Cell, folder: Path, channel: Connection) -> None:
-    """Process: probe and identify for `cell`, save the model in the comparison's folder."""
+    """Process: probe and identify for `cell` and save the model in the comparison's folder."""
     _answer(channel, lambda: _identify(cell, Store(folder)))
 
 
 def run(cell: Cell, folder: Path, channel: Connection) -> None:
-    """Process: run the closed loop of `cell`, keep its result (or the reason why there is none)."""
+    """Process: run the closed loop of `cell` and store its result; a failure is sent to the parent."""
     _answer(channel, lambda: _run(cell, Store(folder), channel))
 
 
 def failure(cell: Cell, reason: str) -> dict[str, Any]:
-    """The record of a cell without result."""
+    """Record of a failed cell."""
     return _head(cell) | {"status": FAILED, "reason": reason}
 
 
 def _answer(channel: Connection, work: Callable[[], None]) -> None:
-    """Do `work` and tell the parent how it ended. Only the parent decides what an interrupt means."""
+    """Do `work` and send its outcome to the parent. SIGINT is ignored: the parent handles interrupts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     message: Message = (DONE, "")
     try:
         work()
     except ThermoForceError as error:
         message = (FAILED, str(error))
-    except Exception as error:  # the other cells go on, and this one's record says what happened
+    except Exception as error:  # recorded as failure of this cell; other cells continue
         message = (FAILED, f"{type(error).__name__}: {error}")
-    with suppress(OSError):  # the parent is gone: nobody to tell
+    with suppress(OSError):  # the parent has exited
         channel.send(message)
         channel.close()
 
 
 def _identify(cell: Cell, store: Store) -> None:
-    """Whatever this uses is in `cell.task`, whose hash the model is kept under."""
+    """Identify and save the model of `cell`; uses only `cell.task`, whose hash is the model's key."""
     task = cell.task
     assert task is not None
     assert cell.identification_key is not None
@@ -128,7 +128,7 @@ def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
 
 
 def _seconds(steps: Sequence[StepRecord], total: float) -> dict[str, float]:
-    """Where the time went: totals over the run, medians per step, the planner's own parts among them."""
+    """Computing times, s: totals over the run, and medians per step of the plan and its parts."""
     plans = [step.plan_seconds for step in steps]
     parts = {name for step in steps for name in step.plan.seconds}
     medians = {
