@@ -1,4 +1,4 @@
-"""Typed client for the BOPTEST REST protocol; knows nothing about control."""
+"""Typed client for the BOPTEST REST protocol; contains no control code."""
 
 from boptest_client.client import BoptestClient
 from boptest_client.errors import (

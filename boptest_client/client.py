@@ -1,4 +1,4 @@
-"""A synchronous client for one test of a BOPTEST service."""
+"""Synchronous client for one test of a BOPTEST service."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CLOCK_TOLERANCE_S = 1e-3
 
 
 class BoptestClient:
-    """One selected test case. Use it as a context manager: the test is stopped however the block ends.
+    """One selected test case. As a context manager it stops the test when the block ends, also after an exception.
 
     ```python
     with BoptestClient("http://127.0.0.1:8000", "bestest_hydronic_heat_pump") as test:
@@ -37,7 +37,7 @@ class BoptestClient:
         measured = test.advance({"oveHeaPumY_u": 0.5, "oveHeaPumY_activate": 1})
     ```
 
-    Every method raises a `BoptestError` that names the endpoint. Not for use from several threads.
+    All errors are `BoptestError`s that name the endpoint. Not thread-safe.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class BoptestClient:
         return self._transport.url
 
     def version(self) -> str:
-        """Version of the service; different versions give different results for the same test case."""
+        """Version of the service. Results of a test case differ between versions."""
         endpoint = f"GET {self.url}/version"
         answer = self._mapping(endpoint, self._transport.call("GET", "version", repeatable=True).payload)
         if "version" not in answer:
@@ -77,7 +77,7 @@ class BoptestClient:
         return str(answer["version"])
 
     def testcases(self) -> tuple[str, ...]:
-        """Names of the test cases the service offers."""
+        """Names of the available test cases."""
         answer = self._transport.call("GET", "testcases", repeatable=True).payload
         try:
             return tuple(sorted(str(item["testcaseid"]) for item in answer))
@@ -85,7 +85,7 @@ class BoptestClient:
             raise ProtocolError(f"GET {self.url}/testcases", f"not a list of test cases: {answer!r:.120}") from error
 
     def name(self) -> str:
-        """Name of the test case as the service tells it."""
+        """Name of the test case as reported by the service."""
         answer = self._mapping(self._at("name"), self._get("name"))
         if "name" not in answer:
             raise ProtocolError(self._at("name"), f"no name in {answer!r}")
@@ -108,15 +108,15 @@ class BoptestClient:
         return self._points("forecast_points")
 
     def scenario(self) -> Scenario:
-        """The scenario in force."""
+        """Current scenario."""
         return Scenario.from_json(self._mapping(self._at("scenario"), self._get("scenario")))
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
         """Set the scenario.
 
         Returns:
-            The first measurements where the scenario names a `time_period`, which initialises the test (7 days of
-            warm-up, two scored weeks); otherwise nothing.
+            The first measurements if the scenario names a `time_period`, which initialises the test (7 days of
+            warm-up, two scored weeks); otherwise an empty dictionary.
         """
         answer = self._mapping(self._at("scenario"), self._put("scenario", scenario.as_json()))
         if scenario.time_period is None:
@@ -124,7 +124,7 @@ class BoptestClient:
         return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
 
     def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
-        """Start at `start_time_s` after `warmup_period_s` of the embedded control; returns the first measurements."""
+        """Start at `start_time_s` after `warmup_period_s` under embedded control; returns the first measurements."""
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
         return self._timed("initialize", self._numbers("initialize", self._put("initialize", body)))
 
@@ -142,14 +142,14 @@ class BoptestClient:
         self._step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Simulate one step; returns measurements and inputs at its end, empty once the scenario is over.
+        """Simulate one step; returns measurements and inputs at its end, empty after the end of the scenario.
 
-        When the answer is lost, the time recorded at the service tells whether the step was simulated: if so, its end
-        is read from the record; if not, it is sent again. What the service finds odd (a value out of its limits and
-        clipped, say) is logged as a warning.
+        If the answer is lost, the recorded time shows whether the step was simulated. If it was, the values at its end
+        are read from the record; if not, the request is repeated. Messages of the service (for example about a
+        clipped input) are logged as warnings.
 
         Raises:
-            AdvanceInterrupted: no answer came, and whether the step was simulated cannot be told.
+            AdvanceInterrupted: no answer, and it is unknown whether the step was simulated.
         """
         body = dict(inputs or {})
         for _ in range(self._transport.config.retries + 1):
@@ -165,13 +165,13 @@ class BoptestClient:
                 continue
             if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
                 _LOG.warning("advance: %s", answer.message)
-            # Nothing to tell: the scenario is over.
+            # An empty payload marks the end of the scenario.
             over = answer.payload is None or answer.payload == {}
             return {} if over else self._timed("advance", self._numbers("advance", answer.payload))
-        raise AdvanceInterrupted(interrupted.endpoint, f"{interrupted.message}, again and again") from interrupted
+        raise AdvanceInterrupted(interrupted.endpoint, f"{interrupted.message}, in every attempt") from interrupted
 
     def forecast(self, point_names: Sequence[str], horizon_s: float, interval_s: float) -> dict[str, list[float]]:
-        """Forecast of each point and of 'time', which rises, from now to `horizon_s` every `interval_s`."""
+        """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`."""
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
         series = self._series("forecast", self._put("forecast", body), [*point_names, "time"])
         if not series["time"] or any(a == b for a, b in pairwise(series["time"])):
@@ -179,22 +179,22 @@ class BoptestClient:
         return series
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
-        """What was recorded of each point, and 'time', between two times, warm-up included; 30-s samples.
+        """Recorded values of each point and 'time', s, between two times, warm-up included, at 30-s samples.
 
-        The service fails (500) where nothing is recorded between the two, as past the present.
+        The service answers with status 500 if nothing is recorded between the two, for example in the future.
         """
         body = {"point_names": list(point_names), "start_time": start_s, "final_time": final_s}
         return self._series("results", self._put("results", body), [*point_names, "time"])
 
     def kpi(self) -> dict[str, float | None]:
-        """Key performance indicators since the end of the warm-up; None where the test case has none."""
+        """Key performance indicators since the end of the warm-up; None for those the test case does not compute."""
         values = self._numbers("kpi", self._get("kpi"))
         if not values:
-            raise ProtocolError(self._at("kpi"), "there is no indicator in it")
+            raise ProtocolError(self._at("kpi"), "the answer contains no indicator")
         return {key: None if math.isnan(value) else value for key, value in values.items()}
 
     def stop(self) -> None:
-        """Stop the test and free its worker; safe to call twice, and no error when the test is gone already."""
+        """Stop the test and free its worker; no error if called twice or if the test no longer exists."""
         if self._stopped:
             return
         self._stopped = True
@@ -217,7 +217,7 @@ class BoptestClient:
             self._stop_quietly()
 
     def _stop_quietly(self) -> None:
-        """Stop while another error is under way, which must not be hidden by this one."""
+        """Stop during the handling of another error, which a failure to stop must not replace."""
         try:
             self.stop()
         except BoptestError as failed:
@@ -226,7 +226,7 @@ class BoptestClient:
     def _select(self) -> str:
         path = f"testcases/{self.testcase}/select"
         try:
-            # Repeating a selection whose answer was lost would leave an orphan behind.
+            # Not repeated: a selection whose answer was lost may have started a test that nobody would stop.
             answer = self._transport.call("POST", path, {}, repeatable=False).payload
             if not isinstance(answer, dict) or "testid" not in answer:
                 raise ProtocolError(f"POST {self.url}/{path}", f"no testid in {answer!r:.120}")
@@ -239,7 +239,7 @@ class BoptestClient:
         return str(answer["testid"])
 
     def _offered(self) -> str:
-        """What the service offers, for a message; some services do not tell."""
+        """Available test cases, for an error message; empty if the service does not list them."""
         try:
             return f"; the service offers {', '.join(self.testcases())}"
         except BoptestError:
@@ -255,16 +255,16 @@ class BoptestClient:
             time.sleep(min(_POLL_S, timeout_s))
 
     def _timed(self, what: str, state: dict[str, float]) -> dict[str, float]:
-        """The state that `what` answered, which must say when it is."""
+        """The state in the answer to `what`, which must contain a finite 'time'."""
         if not math.isfinite(state.get("time", math.nan)):
             raise ProtocolError(self._at(what), "the measurements have no time")
         self._time_s = state["time"]
         return state
 
     def _state_after(self, lost: ConnectionLost | ServiceTimeout) -> dict[str, float]:
-        """The state at the end of a step whose answer was lost, or nothing when the step was not simulated.
+        """The state at the end of a step whose answer was lost, or an empty one if the step was not simulated.
 
-        The worker answers in the order it was asked, so what it records now includes the step, if that arrived.
+        The worker handles requests in order, so its record already includes the step if the request arrived.
         """
         unknown = f"{lost.message}; whether the step was simulated is unknown, start the run again"
         try:
@@ -284,11 +284,11 @@ class BoptestClient:
         return self._transport.call("GET", f"{what}/{self.testid}", repeatable=True).payload
 
     def _put(self, what: str, body: dict[str, Any]) -> Any:
-        # Setting the same thing twice, or asking twice, changes nothing.
+        # All PUT requests of the protocol are idempotent.
         return self._transport.call("PUT", f"{what}/{self.testid}", body, repeatable=True).payload
 
     def _at(self, what: str) -> str:
-        """The endpoint of this test called `what`, for a message."""
+        """Address of the endpoint `what` of this test, for an error message."""
         return f"{self.url}/{what}/{self.testid}"
 
     def _points(self, what: str) -> dict[str, Point]:
@@ -305,7 +305,7 @@ class BoptestClient:
         return answer
 
     def _numbers(self, what: str, answer: Any) -> dict[str, float]:
-        # JSON has no NaN: the service writes null.
+        # JSON has no NaN; the service writes null.
         try:
             return {
                 key: math.nan if value is None else float(value)

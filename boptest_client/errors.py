@@ -1,16 +1,16 @@
-"""The client's errors, as a tree one can catch at any height.
+"""Error hierarchy of the client.
 
 BoptestError
 ├── BadAddress            the base URL is not an http(s) address
-├── TransportError        no usable answer came
+├── TransportError        no usable answer
 │   ├── ConnectError        no connection was made: nothing was sent
 │   ├── ConnectionLost      the connection broke before the answer was complete
 │   ├── ServiceTimeout      no answer in time
-│   └── AdvanceInterrupted  no answer to a step, and the state of the test could not be told
-├── ProtocolError         an answer came, but not BOPTEST's envelope
-└── ServiceError          the service said no
-    ├── RequestRejected     400: what was asked is wrong
-    ├── UnknownTest         the test case or test is not known there (any more)
+│   └── AdvanceInterrupted  no answer to a step, and the state of the test is unknown
+├── ProtocolError         the answer does not follow the BOPTEST protocol
+└── ServiceError          the service answered with an error
+    ├── RequestRejected     400: invalid request
+    ├── UnknownTest         the test case or test does not exist (any more)
     └── InternalError       500 and above
 """
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 
 class BoptestError(Exception):
-    """Base of all errors of this client; `endpoint` says which request, `message` what happened."""
+    """Base of all errors of this client; `endpoint` names the request, `message` the failure."""
 
     def __init__(self, endpoint: str, message: str) -> None:
         super().__init__(f"{endpoint}: {message}")
@@ -30,7 +30,7 @@ class BadAddress(BoptestError):
 
 
 class TransportError(BoptestError):
-    """No usable answer came from the service."""
+    """No usable answer from the service."""
 
 
 class ConnectError(TransportError):
@@ -46,11 +46,11 @@ class ServiceTimeout(TransportError):
 
 
 class AdvanceInterrupted(TransportError):
-    """No answer came to a step, and whether it was simulated could not be found out: start the run again."""
+    """No answer to a step, and it is unknown whether it was simulated: start the run again."""
 
 
 class ProtocolError(BoptestError):
-    """The answer is not what the protocol says."""
+    """The answer does not follow the BOPTEST protocol."""
 
 
 class ServiceError(BoptestError):
@@ -62,12 +62,12 @@ class ServiceError(BoptestError):
 
 
 class RequestRejected(ServiceError):
-    """The service found the request wrong (400)."""
+    """The service rejected the request (400)."""
 
 
 class UnknownTest(ServiceError):
-    """The test case or test is not known there (any more): stopped, timed out, or never was."""
+    """The test case or test does not exist: unknown name, stopped, or timed out."""
 
 
 class InternalError(ServiceError):
-    """The service failed inside (500 and above)."""
+    """The service failed internally (500 and above)."""

@@ -1,4 +1,4 @@
-"""One HTTP request to the service: timeouts, the envelope, and repeats of what is safe to repeat."""
+"""HTTP requests to the service: time limits, unpacking of the JSON envelope, and retries of repeatable requests."""
 
 from __future__ import annotations
 
@@ -35,10 +35,14 @@ Method = Literal["GET", "PUT", "POST"]
 
 @dataclass(frozen=True)
 class TransportConfig:
-    """How patient the client is. Times in s; long steps and long warm-ups of a real test case take minutes.
+    """Time limits and retries of requests. Long steps and warm-ups of a real test case take minutes.
 
-    `read_timeout_s` bounds a silence, and with `connect_timeout_s` added the whole of a request: a peer that sends a
-    byte now and then is never silent.
+    Attributes:
+        connect_timeout_s: time limit for making a connection, s.
+        read_timeout_s: time limit between two received bytes, s; `connect_timeout_s + read_timeout_s` also limits the
+            whole request, since a peer that sends single bytes would never exceed the first limit.
+        retries: repeats of a failed request.
+        backoff_s: pause before the first repeat, s; it doubles with each.
     """
 
     connect_timeout_s: float = 5.0
@@ -57,7 +61,7 @@ class TransportConfig:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the service answered: the payload (the whole JSON where there is no envelope) and its message."""
+    """Answer of the service: the payload (the whole JSON if there is no envelope) and the message."""
 
     payload: Any
     message: str
@@ -81,9 +85,9 @@ class Transport:
     def call(self, method: Method, path: str, body: dict[str, Any] | None = None, *, repeatable: bool) -> Answer:
         """Send one request and return the answer.
 
-        A connection that could not be made is tried again, with growing pauses: nothing was sent. One that broke later
-        is tried again only when `repeatable`. A time-out never is: the service may still be at work on the first.
-        Until the service has answered once, nothing is tried again after `connect_timeout_s`: the address may be wrong.
+        A failed connection attempt is repeated with growing pauses, since nothing was sent. A connection that broke
+        later is repeated only if `repeatable`. A timed-out request is not repeated, since the service may still work
+        on it. Until the first answer there are no retries after `connect_timeout_s`, since the address may be wrong.
 
         Raises:
             BoptestError: see `boptest_client.errors`.
@@ -121,7 +125,7 @@ class Transport:
                     allow_redirects=False,
                 )
             except Exception as error:
-                if cut.is_set():  # whatever breaks in the libraries below when their connection does
+                if cut.is_set():  # the libraries below raise various errors when their connection is closed
                     raise late from error
                 if isinstance(error, requests.RequestException):
                     raise self._failure(endpoint, error) from error
@@ -158,7 +162,7 @@ class Transport:
 
 
 class _CuttableAdapter(HTTPAdapter):
-    """Knows its sockets, so that whoever waits on one can be set free: time-outs of sockets count silence alone."""
+    """HTTP adapter that can close its open sockets after a total time; socket timeouts only limit single reads."""
 
     def __init__(self) -> None:
         self._sockets: weakref.WeakSet[socket.socket] = weakref.WeakSet()
@@ -183,7 +187,7 @@ class _CuttableAdapter(HTTPAdapter):
 
     @contextmanager
     def cut_after(self, seconds: float) -> Iterator[threading.Event]:
-        """Cut all connections after `seconds` unless the block has ended by then; the event tells whether that was."""
+        """Close all connections after `seconds` unless the block has ended; the event is set if they were closed."""
         cut = threading.Event()
 
         def act() -> None:
@@ -208,7 +212,7 @@ def _service_error(endpoint: str, status: int, message: str) -> ServiceError:
 
 
 def _reason(content: Any, text: str) -> str:
-    """The service's own words: `message` (and a payload that explains it), a list of `errors`, or the bare text."""
+    """Error text of an answer: `message` and last line of the payload, list of `errors`, or first 300 characters."""
     if isinstance(content, dict):
         if content.get("message"):
             detail = content.get("payload")
@@ -220,10 +224,10 @@ def _reason(content: Any, text: str) -> str:
 
 
 def _never_connected(error: BaseException) -> bool:
-    """Whether the request failed before a connection stood (name not found, refused, no route)."""
+    """Whether the request failed before a connection was made (name not found, refused, no route)."""
     seen: BaseException | None = error
     while seen is not None:
-        # By name: urllib3 is a dependency of requests, not of ours.
+        # Compared by name, since urllib3 is not a direct dependency.
         if type(seen).__name__ in ("NewConnectionError", "NameResolutionError", "ConnectTimeoutError"):
             return True
         reason = getattr(seen, "reason", None)
@@ -232,7 +236,7 @@ def _never_connected(error: BaseException) -> bool:
 
 
 def _root(error: BaseException) -> BaseException:
-    """The innermost reason of a chain of network errors."""
+    """The innermost error of a chain of network errors."""
     while error.__context__ is not None:
         error = error.__context__
     return error

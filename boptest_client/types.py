@@ -1,4 +1,4 @@
-"""What the client returns and takes: frozen, typed, in the units of the wire (kelvin, W, s)."""
+"""Frozen data types of the client, in the units of the protocol (K, W, s)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Point:
-    """An input, measurement or forecast point; unit and limits are None where the service gives none."""
+    """An input, measurement or forecast point; unit and limits are None if the service gives none."""
 
     name: str
     unit: str | None
@@ -33,9 +33,9 @@ class Point:
 class Scenario:
     """A test scenario.
 
-    `electricity_price` is 'constant', 'dynamic' or 'highly_dynamic'; `time_period` a scored window of the test case,
-    such as 'peak_heat_day'; the uncertainties 'low', 'medium' or 'high'. None leaves price and time period as they
-    are, and means no uncertainty: the service forgets uncertainties and seed that are not named again.
+    `electricity_price` is 'constant', 'dynamic' or 'highly_dynamic'; `time_period` is a scored window of the test
+    case, such as 'peak_heat_day'; the uncertainties are 'low', 'medium' or 'high'. None keeps the present price and
+    time period, but resets uncertainty and seed: the service drops those that a request does not name.
     """
 
     electricity_price: str | None = None
@@ -46,11 +46,11 @@ class Scenario:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Scenario:
-        """Read the payload of GET scenario; keys this client does not know are left out."""
+        """Read the payload of GET scenario; keys unknown to this client are ignored."""
         return cls(**{name: data.get(name) for name in cls.__dataclass_fields__})
 
     def as_json(self) -> dict[str, Any]:
-        """All five keys, as the service wants them."""
+        """All five keys, as the service expects them."""
         return asdict(self)
 
 

@@ -1,4 +1,4 @@
-"""Ask the predictor what actions would do: the effect of one alternative, and a fan of constant levels."""
+"""Predict the effect of actions: one hour of full heat against none, and five constant levels over a day."""
 
 import numpy as np
 

@@ -1,11 +1,11 @@
-"""Draw what the predictor believes: free and forced parts of a day, and the same day under five levels of action.
+"""Plot a prediction of one day: its free and forced parts, and its course under five constant actuator levels.
 
     python interventions_figures.py                    on the embedded plant
     python interventions_figures.py FOLDER             on a recorded run: the first excite_*.csv.gz of FOLDER
                                                        (columns as in the reference of `tf-mpc bench operator`)
 
-Writes decomposition.png and counterfactuals.png into the current folder, or into --out. The dashed line of both is the
-same forecaster given the measured temperature itself: it cannot tell one action from another.
+Writes decomposition.png and counterfactuals.png into the current folder, or into --out. The dashed line in both is the
+forecast from the measured temperature by the same forecaster, without the operator; it does not depend on the action.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SHOWN_H = 48
 
 @dataclass(frozen=True)
 class Situation:
-    """A model, what was measured until now, what the next day's weather will be, and what then happened."""
+    """Model, observation at one instant, and actions `u` (24,) and temperatures `truth_C` (24,) of the next day."""
 
     model: ThermalModel
     observation: Observation
@@ -44,7 +44,7 @@ class Situation:
 
 
 def on_the_emulator() -> Situation:
-    """Three days of probing, then one day of levels that nobody planned."""
+    """Identify from three days of probing on the embedded plant, then simulate a day of random levels (3 h each)."""
     plant = EmbeddedPlant(synthetic_weather())
     window = plant.period("peak_heat_day")
     model = identify_on(plant, before=window, days=3)
@@ -56,10 +56,10 @@ def on_the_emulator() -> Situation:
 
 
 def on_a_record(folder: Path) -> Situation:
-    """Three days of a run to identify from, and a day of it a week later."""
+    """Identify from the first three days of a recorded run; the predicted day is its eleventh."""
     found = sorted(folder.glob("excite_*.csv.gz"))
     if not found:
-        raise SystemExit(f"{folder}: no excite_*.csv.gz there")
+        raise SystemExit(f"{folder}: no excite_*.csv.gz found")
     record = read_run(found[0])
     run = record.resample(round(HOUR_S / record.step_s))
     model = identify([cut(record, 0.0, 3.0)], floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S, source=found[0].name)
@@ -116,10 +116,10 @@ def main() -> None:
     def rmse(forecast: np.ndarray) -> float:
         return float(np.sqrt(np.mean((forecast - situation.truth_C) ** 2)))
 
-    print(f"{situation.name}: the day after now, known actions and weather")
+    print(f"{situation.name}: forecast of one day with known actions and weather")
     print(f"RMSE over 24 h: free + forced {rmse(predicted.total_C):.2f} K, forecaster alone {rmse(raw_C):.2f} K")
     spread = fan.total_C[-1] - fan.total_C[0]
-    print(f"u = 1 instead of 0 makes {spread[5]:.1f} K after 6 h and {spread[23]:.1f} K after 24 h")
+    print(f"effect of u = 1 against u = 0: {spread[5]:.1f} K after 6 h, {spread[23]:.1f} K after 24 h")
     print(f"figures: {options.out / 'decomposition.png'}, {options.out / 'counterfactuals.png'}")
 
 

@@ -1,4 +1,4 @@
-"""Use the controller class alone: identify on the embedded plant, then ask for one plan."""
+"""Use the controller class without a simulation loop: identify on the embedded plant and compute one plan."""
 
 from controllers import ThermoForceMPC
 from thermoforce_mpc.boundary.weather import synthetic_weather

@@ -1,9 +1,9 @@
-"""What is a changing price worth? The plan made for it, against the bill of the plan made for a constant price.
+"""Saving by planning for a varying tariff: its cost against that of a controller that plans for a constant price.
 
     python examples/tariff_worth.py [WEATHER.mos [PRICES.csv [START_DAY [DAYS]]]]
 
-Without files: the synthetic year and the synthetic highly dynamic tariff, four days from the peak. Heat in store at the
-end is nobody's gain, so short windows tell less than two weeks.
+Without files: synthetic weather and highly dynamic tariff, four days from the peak heat day. Heat stored at the end is
+not credited, so results of short windows are less reliable than those of two weeks.
 """
 
 import sys
@@ -29,7 +29,7 @@ model = identify_on(plant, before=window, days=3, testcase=testcase)
 
 
 def cost(price: str) -> dict[str, float]:
-    """Run the default controller under `price`; its bill under every tariff, EUR/m²."""
+    """Run the default controller under `price` and return its energy cost under every tariff, EUR/m²."""
     run_closed_loop(plant, build_controller("thermoforce_mpc", {}, testcase, model), window, price)
     bills = {}
     for name in plant.tariff_names:
@@ -42,4 +42,4 @@ constant = cost("constant")
 print(f"constant: {constant['constant']:.4f} EUR/m2")
 for price in plant.tariff_names:
     if price != "constant":
-        print(f"{price}: {cost(price)[price]:.4f} EUR/m2; the constant tariff's plan would cost {constant[price]:.4f}")
+        print(f"{price}: {cost(price)[price]:.4f} EUR/m2; planned for a constant price: {constant[price]:.4f}")

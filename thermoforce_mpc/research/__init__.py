@@ -1,1 +1,1 @@
-"""Benches, interventional suite and pretraining. A user of the product need not enter."""
+"""Benches, interventional suite, baselines and pretraining. Not needed to run a controller."""

@@ -1,8 +1,8 @@
-"""The paper's two-stage estimator for many buildings at once, with the results of one after another.
+"""The paper's two-stage estimator for many buildings in one batch; results agree with `two_stage.fit_two_stage`.
 
-A stock of buildings is identified by the same small regressions, so what takes time is the overhead of each. Here the
-sums over time are taken for all buildings together, and the boxed regression of the first stage is solved by trying
-every combination of bounds: the optimum of a convex problem is the best of the admissible candidates.
+Identifying a stock of buildings one by one is dominated by the overhead of each small regression. Here the sums over
+time are computed for all buildings together. The box-constrained regression of the first stage is solved by enumerating
+all active sets: the optimum of a convex problem is the best of the admissible candidates.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from thermoforce_mpc.identification.two_stage import (
 )
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
-# How far outside of the box a candidate may be by rounding, as a share of the bound.
+# Tolerance of the box for rounding, as a share of the bound.
 _ROUNDING = 1e-9
 
 
@@ -36,12 +36,12 @@ def fit_two_stage_many(
     u_off: float = 0.02,
     time_constant_h: tuple[float, float] = (1.0, 240.0),
 ) -> list[TwoStageFit]:
-    """Estimate eq:arx for every run, each of its own building; see `two_stage.fit_two_stage` for the estimator.
+    """Estimate eq:arx for every run, one building each; see `two_stage.fit_two_stage` for the estimator.
 
     Args:
-        runs: one run per building, of any lengths and with one step.
+        runs: one run per building, of any lengths, all with the same step.
         actuators: v(u, T_out) of each building; the identity by default.
-        sign: +1 heating, −1 cooling, of all.
+        sign: +1 heating, −1 cooling, for all buildings.
         u_off: control up to which a step counts as off.
         time_constant_h: box of the pole as time constants, h.
 
@@ -106,7 +106,7 @@ def fit_two_stage_many(
 
 
 def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Array, NDArray[np.bool_]]:
-    """T, its rise, mean weather, u and drive (6, buildings, steps), zeros where not both ends were measured; where."""
+    """T, its rise, mean T_out and solar, u, drive (6, buildings, steps; zeros at gaps of T) and mask of valid steps."""
     n = max(run.n_steps for run in runs)
     sampled = np.full((3, len(runs), n + 1), np.nan)
     u = np.zeros((len(runs), n))
@@ -127,11 +127,11 @@ def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Ar
 
 
 def _boxed(normal: Array, moment: Array, low: Array, high: Array) -> Array:
-    """Minimisers (b, p) of x'Nx − 2m'x in a box, `normal` (b, p, p), `moment` (b, p): the best of all active sets."""
+    """Minimisers (b, p) of x'Nx − 2m'x in a box by enumeration of active sets; `normal` (b, p, p), `moment` (b, p)."""
     b, p = moment.shape
     best: Array = np.asarray(np.linalg.solve(normal, moment[..., None])[..., 0], dtype=np.float64)
     outside = np.flatnonzero(((best < low) | (best > high)).any(axis=1))
-    if outside.size < b:  # most buildings are inside: only the others need the search
+    if outside.size < b:  # only solutions outside of the box need the search
         if outside.size:
             best[outside] = _boxed(normal[outside], moment[outside], low, high)
         return best

@@ -60,7 +60,7 @@ def test_what_was_simulated_is_read_back_and_damage_is_noticed(simulated, folder
     arrays["heating_chicago/probe/1/probed/u"] = arrays["heating_chicago/probe/1/probed/u"] + 1e-12
     np.savez_compressed(file, **arrays)
     try:
-        with pytest.raises(DataError, match=r"do not have the hash .* simulate again"):
+        with pytest.raises(DataError, match=r"do not match the hash .* simulate again"):
             load_or_simulate(TINY, folder)
     finally:
         file.write_bytes(kept)

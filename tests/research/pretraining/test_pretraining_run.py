@@ -72,7 +72,7 @@ def test_an_interrupted_run_ends_with_the_same_weights(trained, tmp_path, monkey
     monkeypatch.setattr(training, "save_checkpoint", real)
     lines = []
     pretrain(tmp_path, TINY, lines.append)
-    assert lines[0] == "going on at step 2"
+    assert lines[0] == "resuming at step 2"
     whole, resumed = weights(trained[0]), weights(tmp_path)
     assert whole.keys() == resumed.keys()
     for name, tensor in whole.items():

@@ -1,1 +1,1 @@
-"""Plain forecasters that the benches compare the product's free responses with. One file per method."""
+"""Baseline forecasters that the benches compare with the free responses of the package. One file per method."""

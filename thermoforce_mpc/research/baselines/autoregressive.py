@@ -1,8 +1,8 @@
-"""Linear autoregression on the control-free series (ridge), with or without the weather forecast (ARX).
+"""Ridge autoregression on the control-free series, with or without the weather forecast (ARX).
 
-Not statsmodels' `AutoReg`: it takes no gaps, which a sixth of the windows of a measured house have, and fitted to what
-comes after the last gap alone 49 lags are up to a fifth worse over 24 h. On windows without gaps the two are alike, the
-ridge 1 % better in the mean.
+statsmodels' `AutoReg` is not used because it accepts no gaps. A sixth of the windows of a measured house have gaps;
+fitted only to the data after the last gap, 49 lags are up to a fifth worse over 24 h. On windows without gaps both
+methods are similar (the ridge is 1 % better in the mean).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _EQUATIONS_PER_UNKNOWN = 2.0
 class Autoregressive:
     """Ridge regression of the next change on the last `lags` values; iterated over the horizon.
 
-    With `weather`, outdoor temperature and irradiance (means over the step) enter as well, from the forecast ahead.
-    Fitted anew at each call on the history given, so nothing of the future is ever seen.
+    With `weather`, the forecasts of outdoor temperature, °C, and irradiance, W/m² (means over the step) are inputs as
+    well. The model is refitted at each call to the given history only.
     """
 
     def __init__(self, lags: int = 26, ridge: float = 1e-2, *, weather: bool = False) -> None:
@@ -40,7 +40,7 @@ class Autoregressive:
         """See `FreeResponse.forecast`.
 
         Raises:
-            DataError: too little history for the number of lags, gaps in its end, or weather that is not finite.
+            DataError: too little history for the number of lags, gaps in the last lags, or weather that is not finite.
         """
         free = checked_free(free_C, history)
         lags, n = self.lags, boundary.n_steps
@@ -51,7 +51,7 @@ class Autoregressive:
             self._exogenous(boundary.T_out_C, boundary.solar_W_m2),
         )
         if not np.isfinite(ahead).all():
-            raise DataError("weather forecast has values that are not finite")
+            raise DataError("autoregression: the weather forecast has values that are not finite")
         if free.size <= lags:
             raise DataError(f"autoregression of {lags} lags: only {free.size} values of history")
         windows = np.lib.stride_tricks.sliding_window_view(free, lags)[:-1]
@@ -92,7 +92,7 @@ class Autoregressive:
         return np.stack(columns, axis=1)
 
     def _past_errors(self, free: Array, past: Array, n: int, roll: Callable[[Array, Array, int], Array]) -> Array:
-        """Errors of the fitted model over the history, from starts a few hours apart, shape (starts, n)."""
+        """In-sample errors of the fitted model from starts a few hours apart, K, shape (starts, n)."""
         starts = np.arange(self.lags, free.size - n, max(1, n // 8))
         starts = np.array([s for s in starts if np.isfinite(free[s - self.lags : s]).all()], dtype=int)
         if starts.size == 0:
@@ -104,6 +104,6 @@ class Autoregressive:
 
 
 def _regressors(windows: Array, weather: Array) -> Array:
-    """Shape (last values relative to the last one), level and weather, shape (k, lags + e)."""
+    """Regressors, shape (k, lags + e): differences to the last value, last value, weather."""
     last = windows[:, -1:]
     return np.hstack([windows[:, :-1] - last, last, weather])

@@ -1,4 +1,4 @@
-"""Exponential smoothing, damped trend and daily season: ETS(A, Ad, A) of Hyndman and Athanasopoulos 2021, ch. 8."""
+"""Exponential smoothing, damped trend and daily season: ETS(A, Ad, A), Hyndman and Athanasopoulos 2021, ch. 8."""
 
 from __future__ import annotations
 
@@ -15,28 +15,29 @@ from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 
 
 class ExponentialSmoothing:
-    """statsmodels' `ETSModel` with its heuristic start, smoothing constants by maximum likelihood at every call.
+    """statsmodels' `ETSModel` with heuristic initial states; smoothing constants by maximum likelihood at every call.
 
-    Estimating the season's start as well would take 20 to 50 times as long.
+    Estimating the initial seasonal states as well would take 20 to 50 times as long.
     """
 
     name = "ets"
 
     def __init__(self) -> None:
-        """Raises `ConfigError` without statsmodels; it is imported when first needed."""
+        """Import statsmodels; raises `ConfigError` if it is not installed."""
         if importlib.util.find_spec("statsmodels") is None:
             raise ConfigError(
-                "statsmodels, which the baseline 'ets' is fitted with, is not installed: "
+                "the baseline 'ets' needs statsmodels, which is not installed: "
                 "pip install 'thermoforce-mpc[bench]'"
             )
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`.
 
-        The model takes no gaps: it is fitted to the latest two days or more without one, and forecasts what came since.
+        The model accepts no gaps. It is fitted to the latest gap-free stretch of at least two days and forecasts from
+        its end.
 
         Raises:
-            DataError: nowhere two days of history without a gap.
+            DataError: the history has no gap-free stretch of two days.
         """
         from statsmodels.tools.sm_exceptions import ConvergenceWarning
         from statsmodels.tsa.exponential_smoothing.ets import ETSModel
@@ -44,7 +45,7 @@ class ExponentialSmoothing:
         free = checked_free(free_C, history)
         n, day = boundary.n_steps, round(DAY_S / boundary.step_s)
         known = _latest_without_gap(free, 2 * day)
-        # Its prediction asks for an index, which an array has not.
+        # `get_prediction` needs an index, so the data are passed as a series.
         series = pd.Series(free[known])
         model = ETSModel(
             series,
@@ -55,7 +56,7 @@ class ExponentialSmoothing:
             seasonal_periods=day,
             initialization_method="heuristic",
         )
-        with warnings.catch_warnings():  # constants short of the optimum still forecast
+        with warnings.catch_warnings():  # constants that have not fully converged are good enough
             warnings.simplefilter("ignore", ConvergenceWarning)
             fit = model.fit(disp=False)
         first = free.size - known.start
@@ -66,7 +67,7 @@ class ExponentialSmoothing:
 
 
 def _latest_without_gap(free: Array, least: int) -> slice:
-    """Where the latest stretch of at least `least` finite values lies; raises `DataError` if nowhere."""
+    """Slice of the latest stretch of at least `least` finite values; raises `DataError` if there is none."""
     gaps = np.concatenate([[-1], np.flatnonzero(~np.isfinite(free)), [free.size]])
     sizes = np.diff(gaps) - 1
     long = np.flatnonzero(sizes >= least)

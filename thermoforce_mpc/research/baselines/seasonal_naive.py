@@ -1,4 +1,4 @@
-"""Seasonal naive: the same hour of yesterday."""
+"""Seasonal naive forecast: the value of the same hour of the day before."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, qua
 
 
 class SeasonalNaive:
-    """Yesterday's course; quantiles from how far consecutive days differed."""
+    """Forecast by the course of the last day; quantiles from the differences of consecutive days."""
 
     name = "seasonal_naive"
 

@@ -1,1 +1,1 @@
-"""Benches: every one is `tf-mpc bench NAME [--quick] [--json FILE]` and returns one JSON shape (see `result`)."""
+"""Benches, run by `tf-mpc bench NAME [--quick] [--json FILE]`; all return the JSON format of `bench_result`."""

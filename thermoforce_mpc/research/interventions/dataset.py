@@ -1,4 +1,4 @@
-"""The paired data of a suite: simulated once, kept on disk with its hashes, read back bit for bit."""
+"""Paired data of the suite: simulated once, stored on disk with SHA-256 hashes, and read back unchanged."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from thermoforce_mpc.research.interventions.protocol import (
     shift_of,
 )
 
-# The engine's own start is forgotten first; what is left of the warm-up is the context of the forecasters.
+# Days dropped at the start of the warm-up; the rest of it is the context of the forecasters.
 _FORGOTTEN_DAYS = 4
 _FORMAT = 2
 
 
 @dataclass(frozen=True)
 class Window:
-    """One paired intervention: what was known when it began, and both futures over the horizon (N steps each)."""
+    """One paired intervention: history before its start, and both runs over the horizon (N steps each)."""
 
     climate: ClimateName
     name: WindowName
@@ -52,13 +52,13 @@ class Window:
 
     @property
     def boundary(self) -> Boundary:
-        """Weather of the horizon, which both runs share; comfort, price and emission play no part."""
+        """Weather of the horizon, the same for both runs; comfort, price and emissions are not used."""
         return self.factual.weather()
 
 
 @dataclass(frozen=True)
 class Probe:
-    """K probe days: what came before, and the pair of runs (probed, plain operation) that begin in one state."""
+    """K probe days: history before them, and the pair of runs (probed, plain operation) from the same state."""
 
     history: Record
     pair: Pair
@@ -66,7 +66,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class ClimateData:
-    """All of one climate: windows of both parts, and the probe of each number of days."""
+    """Data of one climate: windows of both parts, and the probe for each number of days."""
 
     climate: Climate
     windows: tuple[Window, ...]
@@ -79,7 +79,7 @@ class ClimateData:
 
 @dataclass(frozen=True)
 class Dataset:
-    """The suite's data and what they were made from."""
+    """Data of the suite and the manifest of their inputs."""
 
     climates: dict[ClimateName, ClimateData]
     manifest: dict[str, Any]
@@ -92,10 +92,10 @@ def load_or_simulate(
     workers: int | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Dataset:
-    """The data of `protocol`: from `folder` where they are and their hashes fit, else simulated and put there.
+    """Read the data of `protocol` from `folder`, or simulate and store them there if they are missing.
 
     Raises:
-        DataError: kept data are damaged, or a pair was not identical before its window.
+        DataError: stored data are damaged or do not match their hash, or a pair differs before its window.
         PlantError: the engine is missing or failed.
     """
     made_from = _made_from(protocol)
@@ -126,7 +126,7 @@ def load_or_simulate(
 
 
 def _made_from(protocol: Protocol) -> dict[str, Any]:
-    """Everything that decides the bytes of the data."""
+    """All inputs that determine the data: format, engine, protocol, weather, model."""
     climates = {}
     for name in protocol.climates:
         climate = CLIMATES[name]
@@ -147,13 +147,13 @@ def _made_from(protocol: Protocol) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Cut:
-    """Which steps of which run become which record of the data."""
+    """Steps `start` to `stop` of run number `run`, stored as the record `label`."""
 
     label: str
     run: int
     start: int
     stop: int
-    # The run that this one must equal to the bit up to `start`.
+    # The run that must be bit-identical to this one up to `start`.
     twin: int | None = None
 
 
@@ -199,7 +199,7 @@ def _jobs(protocol: Protocol) -> tuple[list[Job], list[_Cut]]:
 
 
 def check_identical(a: Record, b: Record, n_steps: int, what: str) -> None:
-    """Refuse two runs that differ, in any bit, before the intervention begins after `n_steps` steps.
+    """Check that two runs are bit-identical in the `n_steps` steps before the intervention.
 
     Raises:
         DataError: naming the signal and the first step that differs.
@@ -238,7 +238,7 @@ def _read(protocol: Protocol, arrays_file: Path, manifest_file: Path) -> Dataset
     except (OSError, ValueError, EOFError) as error:
         raise DataError(f"{manifest_file} or {arrays_file.name} cannot be read ({error}); {advice}") from error
     if _arrays_hash(arrays) != manifest["arrays_sha256"]:
-        raise DataError(f"{arrays_file}: its numbers do not have the hash in {manifest_file.name}; {advice}")
+        raise DataError(f"{arrays_file}: the numbers do not match the hash in {manifest_file.name}; {advice}")
 
     def record(label: str) -> Record:
         # Data of earlier versions hold no return temperature.

@@ -1,7 +1,8 @@
-"""The suite's windows on a building that is not ours: the DOE small office (`energyplus.small_office`).
+"""Paired interventions on the DOE small office (`interventions.small_office`), an external reference building.
 
-A smaller protocol than the suite's: one cold season, weekdays only (its rooftop units follow a working week), the same
-windows and shifts. It is a check of effect prediction in another building, with another kind of heater, not a cell.
+The protocol is smaller than that of the suite: one cold season, weekdays only (the rooftop units follow a working
+week), the same windows and shifts. It checks effect prediction with another building and heating system and is not a
+cell of the suite.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from thermoforce_mpc.research.interventions.small_office import (
 PROBE_DAYS = 3
 _WARMUP_DAYS, _FORGOTTEN_DAYS = 12, 4
 _SHIFT_STEPS, _HORIZON_STEPS, _PER_DAY = 16, 24, 96
-# 22 January is a Monday of the engine's year; day 0 is a Monday as well.
+# Day 21 (22 January) is a Monday in the engine's year, as is day 0.
 _PROBE_DAY = 21
 _DAYS: dict[Part, tuple[int, int]] = {"validation": (25, 4), "test": (31, 12)}
 
 OFFICE = Climate(
     "small_office",
     "Small office (Chicago)",
-    # Of the zone's description only mode, step and floor area are used: the building is the engine's.
+    # Only mode, step and floor area are used; the building model is the IDF file of the engine.
     ZoneSpec(WEATHER, "heating", RANGE_W[1] - RANGE_W[0], 0.1, floor_m=(sum(FLOOR_AREA_M2.values()), 1.0, 3.05)),
     first_day=_PROBE_DAY,
     comfort_C=21.0,
@@ -46,10 +47,10 @@ OFFICE = Climate(
 def office_data(
     *, seed: int = 1, workers: int = 2, quick: bool = False, say: Callable[[str], None] = lambda line: None
 ) -> ClimateData:
-    """Simulate probe, validation and test pairs of the office; a quick version has a quarter of the test days.
+    """Simulate probe, validation and test pairs of the office; `quick` simulates a quarter of the days.
 
     Raises:
-        DataError: a pair was not identical before its window.
+        DataError: a pair differs before its window.
         PlantError: the engine is missing or failed.
     """
     warm = _WARMUP_DAYS * _PER_DAY

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a bench result: targets, tables by their columns, figures inside."""
+"""Self-contained HTML page of a bench result: targets, tables, embedded figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 
 def write_page(path: Path, result: Mapping[str, Any], figures: Mapping[str, Path]) -> None:
-    """Write the page of `result`, a dictionary as `bench_result` gives, with SVG `figures` by their captions."""
+    """Write the page of `result` (a dictionary of `bench_result`) with SVG `figures` by caption."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("thermoforce_mpc.research.interventions", "templates"),
         autoescape=True,
@@ -21,12 +21,12 @@ def write_page(path: Path, result: Mapping[str, Any], figures: Mapping[str, Path
         trim_blocks=True,
     )
     environment.filters["cell"] = _cell
-    # Rows that carry the same figures share a table.
+    # Rows with the same columns form one table.
     tables = [
         {"columns": list(columns), "rows": [list(row.values()) for row in rows]}
         for columns, rows in groupby(result["rows"], key=tuple)
     ]
-    # Elements are named alike in every figure; within one page their names must differ.
+    # Element ids repeat between figures; they must be unique within a page.
     drawn = {
         name: Markup(_only_svg(re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{name}-", file.read_text(encoding="utf-8"))))
         for name, file in figures.items()
@@ -36,7 +36,7 @@ def write_page(path: Path, result: Mapping[str, Any], figures: Mapping[str, Path
 
 
 def _only_svg(text: str) -> str:
-    """The <svg> element without the XML prologue, which has no place inside HTML."""
+    """The <svg> element without the XML prologue, which is invalid inside HTML."""
     return text[text.index("<svg") :]
 
 

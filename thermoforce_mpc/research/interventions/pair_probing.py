@@ -18,18 +18,18 @@ def probe_pair(
     mode: str = "heating",
     config: ProbingConfig | None = None,
 ) -> Pair:
-    """Probe twice from `start_s` for `days`, resetting the plant in between; only an emulator can do that.
+    """Probe twice from `start_s` for `days`, with a reset of the plant in between (emulators only).
 
     Args:
-        seeds: of the draws of the two runs.
+        seeds: seeds of the probing signals of the two runs.
         mode: 'heating' or 'cooling'.
-        config: how hard to probe.
+        config: probing options.
 
     Raises:
         DataError: the seeds are equal, or the plant did not start both runs in the same state.
         PlantError: the plant failed.
     """
     if seeds[0] == seeds[1]:
-        raise DataError(f"probing a pair: both runs have seed {seeds[0]} and would be the same run; give two seeds")
+        raise DataError(f"probing a pair: both runs have seed {seeds[0]}; give two different seeds")
     first, second = (probe(plant, start_s, days, seed=seed, mode=mode, config=config) for seed in seeds)
     return Pair(first, second, label=f"day {start_s / DAY_S:g}, seeds {seeds[0]} and {seeds[1]}")

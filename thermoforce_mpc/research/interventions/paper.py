@@ -1,4 +1,4 @@
-"""What the paper prints, for comparison beside our own figures; never used to compute anything."""
+"""Figures printed in the paper, shown beside measured ones for comparison; not used in any computation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OPERATOR_ABLATION: dict[tuple[str, int], tuple[float, float]] = {
     ("neural", 30): (0.318, 0.430),
 }
 
-# Table 'Computational cost', ms; the last row's count of parameters apart.
+# Table 'Computational cost', ms, and the number of parameters.
 EFFICIENCY_MS: dict[str, float] = {
     "RC identification (3 days)": 24.0,
     "operator training": 5600.0,

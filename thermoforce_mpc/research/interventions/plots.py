@@ -1,4 +1,4 @@
-"""Figures of the suite, as PNG and SVG. Matplotlib's figure objects are used directly: no display, no global state."""
+"""Figures of the suite as PNG and SVG, made with matplotlib figure objects (no display, no global state)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MARKERS = {"heating_chicago": "o", "cooling_phoenix": "s"}
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
-    """Write `name`.png and `name`.svg, the same bytes each time; returns the SVG."""
+    """Write `name`.png and `name`.svg reproducibly; returns the path of the SVG."""
     path = folder / f"{name}.svg"
     with rc_context({"svg.hashsalt": "interventions", "svg.fonttype": "none"}):
         figure.savefig(path, metadata={"Date": None})
@@ -32,7 +32,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 
 def scatter_figure(result: SuiteResult, days: int) -> Figure:
-    """Factual against effect RMSE, one marker per method and climate: accuracy does not imply validity."""
+    """Factual against effect RMSE, one marker per method and climate."""
     figure = Figure(figsize=(8.5, 4.6), layout="constrained")
     axes = figure.subplots()
     shown = [name for name in METHODS if result.of(name, days=days)]
@@ -57,7 +57,7 @@ def scatter_figure(result: SuiteResult, days: int) -> Figure:
 
 
 def fan_figure(fans: Sequence[Fan], methods: Sequence[str] = ("tsfm", "rc", MONOTONE, BEST)) -> Figure:
-    """Counterfactual fans: each method's course at u = 0, ¼, ½, ¾ and 1, beside what was measured."""
+    """Counterfactual predictions of each method at u = 0, ¼, ½, ¾ and 1, with the measured temperatures."""
     shown = [name for name in methods if all(name in fan.answers_C for fan in fans)]
     figure = Figure(figsize=(3.1 * len(shown), 3.0 * len(fans)), layout="constrained")
     grid = np.atleast_2d(figure.subplots(len(fans), len(shown), sharex=True, sharey="row", squeeze=False))
@@ -84,7 +84,7 @@ def fan_figure(fans: Sequence[Fan], methods: Sequence[str] = ("tsfm", "rc", MONO
 
 
 def curves_figure(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], xlabel: str, *, log: bool) -> Figure:
-    """Effect RMSE against one setting, a line per name; `curves` maps it to (x, y in K)."""
+    """Effect RMSE against one setting; `curves` maps the name of each line to (x, y in K)."""
     figure = Figure(figsize=(7.5, 4.4), layout="constrained")
     axes = figure.subplots()
     for index, (name, (x, y)) in enumerate(curves.items()):
@@ -109,9 +109,9 @@ def bars_figure(
     *,
     log: bool = True,
 ) -> Figure:
-    """Two horizontal bars per name with their numbers, the first name on top; None where there is no second.
+    """Two labelled horizontal bars per name, the first name on top.
 
-    `values` maps a name to both, by default ours and the paper's.
+    `values` maps a name to both values, by default measured here and in the paper; the second may be None.
     """
     figure = Figure(figsize=(7.5, 0.9 + 0.5 * len(values)), layout="constrained")
     axes = figure.subplots()

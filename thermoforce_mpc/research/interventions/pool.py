@@ -1,4 +1,4 @@
-"""Many simulations, each in a worker process of its own turn: never two at once in one process."""
+"""Run many EnergyPlus simulations in worker processes, one at a time in each process."""
 
 from __future__ import annotations
 
@@ -24,19 +24,18 @@ def simulate_all(
     workers: int | None = None,
     on_done: Callable[[int], None] | None = None,
 ) -> list[Record]:
-    """Run all jobs, `workers` processes at a time (by default one per core); records in the order of the jobs.
+    """Run all jobs in `workers` processes (by default one per core); returns records in the order of the jobs.
 
-    `run` simulates one job in its process, by default one of our zones (`simulate.Job`).
-
-    `on_done` is told how many are finished.
+    `run` simulates one job in its process, by default a zone (`simulate.Job`). `on_done` is called with the number of
+    finished jobs.
 
     Raises:
-        PlantError: the engine is missing, failed, or took its process down.
+        PlantError: the engine is missing, failed, or crashed its process.
     """
     engine_folder()
     workers = workers or min(len(jobs), os.cpu_count() or 1)
     records: list[Record] = []
-    # Spawned, not forked: the engine must never be loaded into a process that has threads.
+    # Spawned, not forked: the engine must not be loaded into a process with threads.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(max_workers=max(1, workers), mp_context=context) as pool:
         try:
@@ -45,5 +44,5 @@ def simulate_all(
                 if on_done:
                     on_done(len(records))
         except BrokenProcessPool as error:
-            raise PlantError(f"EnergyPlus took its process down after {len(records)} of {len(jobs)} runs") from error
+            raise PlantError(f"EnergyPlus crashed its process after {len(records)} of {len(jobs)} runs") from error
     return records

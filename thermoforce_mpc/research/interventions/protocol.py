@@ -1,7 +1,7 @@
-"""What is simulated: two climates, three daily windows, six set-point shifts (paper, section 'Intervention suite').
+"""Protocol of the suite: two climates, three daily windows, six set-point shifts (paper, section 'Intervention suite').
 
-A season has three parts, in this order, so that nothing learned has seen what comes later: probe days, validation days,
-test days. Every day of the last two has one pair per window; which shift it gets goes round through all six.
+A season has three consecutive parts: probe, validation and test days, so that training data precede test data. Every
+validation and test day has one pair per window; the six shifts are assigned in rotation.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Protocol:
     """Sizes of the suite.
 
     Attributes:
-        probe_days: K, numbers of probe days that are simulated; all end on the last day of the probe part.
-        validation_days, test_days: one pair per window on each.
-        shift_h: how long a shift lasts; after it the horizon shows the recovery.
-        horizon_h: from the start of the shift; 24 steps of 15 min, as the paper's forecasts.
-        seed: of internal gains and probing shifts.
+        probe_days: numbers of probe days K; each probe ends on the last day of the probe part.
+        validation_days, test_days: number of days with one pair per window.
+        shift_h: duration of a shift, h; the rest of the horizon is recovery.
+        horizon_h: horizon from the start of the shift, h; 24 steps of 15 min, as in the paper.
+        seed: seed of internal gains and probing shifts.
     """
 
     probe_days: tuple[int, ...] = PROBE_DAYS
@@ -47,33 +47,33 @@ class Protocol:
 
     @property
     def probe_part_days(self) -> int:
-        """Length of the probe part: fixed, so that every size of the suite has the same calendar."""
+        """Length of the probe part, days; the same for every size of the suite, so that the calendar is the same."""
         return max(PROBE_DAYS)
 
 
-# Four days: every shift comes up, each in two windows.
+# Four test days cover every shift, each in two windows.
 QUICK = Protocol(probe_days=(1,), validation_days=3, test_days=4)
 
 
 def days_of(protocol: Protocol, climate: Climate, part: Part) -> list[int]:
-    """Days of a part, counted from 1 January of the season's first year."""
+    """Days of a part, from 1 January of the first year of the season."""
     first = climate.first_day + protocol.probe_part_days
     if part == "validation":
         return list(range(first, first + protocol.validation_days))
-    # Test days follow a full-size validation part in every size of the suite.
+    # In every size of the suite, test days start after the full-size validation part.
     first += Protocol().validation_days
     return list(range(first, first + protocol.test_days))
 
 
 def shift_of(day_index: int, window_index: int) -> float:
-    """Shift of a pair, K: six in turn, begun elsewhere in each window."""
+    """Shift of a pair, K: the six shifts in rotation, with an offset per window."""
     return SHIFTS_K[(day_index + 2 * window_index) % len(SHIFTS_K)]
 
 
 def probing_shift(climate: Climate, n_days: int, seed: int) -> Array:
-    """Set-point shifts of a probe, K, one per step: levels of the suite or none, held for two to four hours.
+    """Set-point shifts of a probe, K, one per step: shifts of the suite or zero, held for two to four hours.
 
-    None at night, where a shift would meet the edge of the set-back.
+    Zero at night, where a shift would overlap the change of the set-back.
     """
     rng = np.random.default_rng([seed, n_days])
     step_h = climate.spec.step_s / HOUR_S
@@ -91,5 +91,5 @@ def probing_shift(climate: Climate, n_days: int, seed: int) -> Array:
 
 
 def seconds(day: int, hour: float) -> float:
-    """Time of a day's hour, s since 1 January of the season's first year."""
+    """Time of `hour` on `day`, s since 1 January of the first year of the season."""
     return day * DAY_S + hour * HOUR_S

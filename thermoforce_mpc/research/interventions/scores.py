@@ -14,7 +14,7 @@ from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Predictor, plans, signs_right, true_effect
 
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-# Rounding of sums may turn equal answers around by this much, K.
+# Tolerance of the monotonicity check for rounding, K.
 _ROUNDING_K = 1e-9
 
 
@@ -23,13 +23,13 @@ class CellScore:
     """One method on the test pairs of one cell.
 
     Attributes:
-        factual_rmse_K: of the temperature under the control that was applied.
-        effect_rmse_K: of the effect (paper eq:effect), over all steps of all pairs.
-        up_rmse_K, down_rmse_K: the same on shifts that ask for more effort (DR-up) and for less (DR-down); NaN where
-            a cell has none.
+        factual_rmse_K: RMSE of the temperature under the applied control, K.
+        effect_rmse_K: RMSE of the effect (paper eq:effect) over all steps of all pairs, K.
+        up_rmse_K, down_rmse_K: effect RMSE on shifts to more (DR-up) and less effort (DR-down), K; NaN if a cell has
+            none.
         sign_accuracy: share of the steps with a true effect beyond 0.05 K whose predicted effect has its sign.
-        violations: answers to two neighbouring levels of u that stand in the wrong order, of `comparisons`.
-        note: what the method fitted or chose.
+        violations: number of predictions for two neighbouring levels of u in the wrong order, out of `comparisons`.
+        note: fitted or chosen settings of the method.
     """
 
     method: str
@@ -53,10 +53,10 @@ class CellScore:
 
 
 def score_cell(name: str, predictor: Predictor, windows: Sequence[Window], days: int, sign: int) -> CellScore:
-    """Score one method on the windows of one cell; each window is asked once, for all plans and levels.
+    """Score one method on the windows of one cell, with one prediction call per window for all plans and levels.
 
     Raises:
-        DataError: there are no windows, or they are of several cells.
+        DataError: there are no windows, or they belong to several cells.
     """
     cells = {(w.climate, w.name) for w in windows}
     if len(cells) != 1:
@@ -100,12 +100,12 @@ def _rms(errors: Array) -> float:
 
 
 def one_sided_wilcoxon(ours: Sequence[CellScore], other: Sequence[CellScore]) -> tuple[float, int]:
-    """p that effect RMSE is not lower for `ours`, cell by cell (Wilcoxon signed rank, exact), and cells where it is.
+    """Exact one-sided Wilcoxon signed-rank test over cells: p and number of cells with lower effect RMSE of `ours`.
 
-    Six cells all in favour give p = 1/64, the least there can be.
+    With six cells the smallest possible p is 1/64.
 
     Raises:
-        DataError: the two were not scored on the same cells.
+        DataError: the two methods were not scored on the same cells.
     """
     theirs = {score.cell: score.effect_rmse_K for score in other}
     if len(ours) != len(theirs) or {s.cell for s in ours} != set(theirs):

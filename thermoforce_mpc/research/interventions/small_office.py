@@ -1,8 +1,8 @@
-"""The DOE small office (new 2004 construction, Chicago), shipped with the engine, as an outside check.
+"""Simulation of the DOE small office (new 2004 construction, Chicago), a reference building shipped with the engine.
 
-Five conditioned zones, five rooftop units with ventilation, people, lights and plugs by schedule: none of it is ours.
-Only the heating set-point of all zones is moved, by its schedule; the cooling set-point is put out of the way. The
-building is looked at as one zone: mean air temperature by floor area, and the sensible heat all units give together.
+It has five conditioned zones, five rooftop units with ventilation, and schedules of people, lights and plugs. Only the
+heating set-point of all zones is changed, by its schedule; the cooling set-point is 40 °C. The building is treated as
+one zone: air temperature averaged by floor area, and the sum of the sensible heat of all units.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FLOOR_AREA_M2 = {
     "Perimeter_ZN_3": 113.45,
     "Perimeter_ZN_4": 67.30,
 }
-# Sensible heat at u = 0 and u = 1, W: ventilation takes some even with the burners off.
+# Sensible heat at u = 0 and u = 1, W; negative because ventilation removes heat with the burners off.
 RANGE_W = (-10e3, 50e3)
 _COOLING_C = 40.0
 _ACTUATORS = {name: ("Schedule:Compact", "Schedule Value", name) for name in ("HTGSETP_SCH", "CLGSETP_SCH")}
@@ -47,17 +47,17 @@ _SENSORS = {
 
 @dataclass(frozen=True)
 class OfficeJob:
-    """A run from midnight of `first_day` with one heating set-point, °C, per step of 15 minutes."""
+    """A run from midnight of `first_day` with heating set-points `setpoint_C`, °C, one per 15-min step."""
 
     first_day: int
     setpoint_C: Array
 
 
 def office_model(first_day: int, days: int) -> str:
-    """The shipped IDF with our run period and 15-minute steps.
+    """The shipped IDF with the given run period and 15-min steps.
 
     Raises:
-        PlantError: the file is not the one this was written for.
+        PlantError: the file differs from the expected version.
     """
     begin = date(YEAR, 1, 1) + timedelta(days=first_day)
     end = begin + timedelta(days=days - 1)
@@ -75,7 +75,7 @@ def office_model(first_day: int, days: int) -> str:
         text, found = re.subn(pattern, replacement, text)
         if found != 1:
             raise PlantError(f"EnergyPlus: {BUILDING}.idf has {found} places like '{pattern}', expected one")
-    # Reports are not read, and take longer to write than the building to simulate.
+    # Reports are not used, and writing them takes longer than the simulation.
     return re.sub(r"(?ms)^\s*Output:(?:Table|Meter|Variable|SQLite)[^;]*;[^\n]*$", "", text)
 
 
@@ -87,7 +87,7 @@ def _read(value: Mapping[str, float]) -> Reading:
 
 
 class _Recorder:
-    """`Driver` that follows the set-points of a job."""
+    """`Driver` that applies the set-points of a job and records the readings."""
 
     def __init__(self, job: OfficeJob) -> None:
         self._job = job
@@ -112,10 +112,10 @@ class _Recorder:
 
 
 def simulate_office(job: OfficeJob) -> Record:
-    """Run one job in this process; u is the heat over `RANGE_W`.
+    """Run one job in this process; u is the sensible heat scaled by `RANGE_W`.
 
     Raises:
-        PlantError: the engine refused the model or stopped early, or the heat left the range of u.
+        PlantError: the engine rejected the model or stopped early, or the heat left `RANGE_W`.
     """
     days = -(-job.setpoint_C.size // round(DAY_S / STEP_S))
     recorder = _Recorder(job)

@@ -1,4 +1,4 @@
-"""Fit every method on the probe days of each climate and score it on the test pairs, once."""
+"""Fit every method on the probe days of each climate and score it on the test pairs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from thermoforce_mpc.research.interventions.scores import LEVELS, CellScore, sco
 
 @dataclass(frozen=True)
 class Fan:
-    """What each method says of one window at each constant level of u: `answers_C` maps it to (5, N), °C."""
+    """Predictions of one window at five constant levels of u; `answers_C` maps a method to shape (5, N), °C."""
 
     climate: ClimateName
     window: Window
@@ -56,20 +56,20 @@ def run_suite(
     workers: int = 2,
     say: Callable[[str], None] = lambda line: None,
 ) -> SuiteResult:
-    """Every method on every cell, for each number of probe days.
+    """Fit and score every method on every cell, for each number of probe days.
 
     Args:
-        data: pairs of all climates.
-        days: K; each must have been simulated.
+        data: paired data of all climates.
+        days: numbers of probe days K; each must have been simulated.
         methods: names in `METHODS`.
-        backbone: weights of the forecaster, the same for every method that has one.
-        seed: of the networks.
-        workers: processes, this one where it is 1; results do not depend on it.
-        say: progress.
+        backbone: weights of the forecaster, shared by all methods that use one.
+        seed: seed of the networks.
+        workers: number of processes (1: this process); results do not depend on it.
+        say: callback for progress lines.
 
     Raises:
-        ConfigError: a method is not known.
-        DataError: probe days that were not simulated, or a method could not be identified from them.
+        ConfigError: unknown method.
+        DataError: the probe days were not simulated, or identification from them failed.
         BackboneError: the forecaster's weights cannot be loaded.
     """
     for name in methods:
@@ -97,19 +97,19 @@ def run_suite(
 
 
 def fan_window(data: ClimateData) -> Window:
-    """The window whose fan is drawn: the first afternoon of the test part."""
+    """Window of the counterfactual figure: the first afternoon of the test part."""
     return next(w for w in data.part("test") if w.name == "afternoon")
 
 
 def training_of(data: ClimateData, days: int, seed: int = 1) -> Training:
-    """What a method may learn from; raises `DataError` for probe days that were not simulated."""
+    """Training data for `days` probe days; raises `DataError` if these were not simulated."""
     if days not in data.probes:
         raise DataError(f"{days} probe days were not simulated; there are {', '.join(map(str, data.probes))}")
     return Training(data.climate, days, data.probes[days], data.part("validation"), seed)
 
 
 def score_cells(name: str, predictor: Predictor, data: ClimateData, days: int) -> list[CellScore]:
-    """A fitted method on the three test cells of a climate."""
+    """Score a fitted method on the three test cells of a climate."""
     cells = [[w for w in data.part("test") if w.name == window] for window in WINDOW_START_H]
     return [score_cell(name, predictor, windows, days, data.climate.sign) for windows in cells]
 
@@ -117,7 +117,7 @@ def score_cells(name: str, predictor: Predictor, data: ClimateData, days: int) -
 def _evaluate(task: tuple[ClimateData, int, str, str, int]) -> tuple[list[CellScore], Array]:
     import torch
 
-    torch.set_num_threads(1)  # sums in one order: the same bits whatever the machine
+    torch.set_num_threads(1)  # fixed order of summation: reproducible results
     data, days, name, backbone, seed = task
     predictor = METHODS[name].build(training_of(data, days, seed), Forecasters(tsfm(backbone), backbone))
     window = fan_window(data)

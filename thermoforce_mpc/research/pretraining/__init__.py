@@ -1,1 +1,1 @@
-"""How the shipped forecaster is made: series, training, checkpoint."""
+"""Pretraining of the shipped forecaster: synthetic series, training, evaluation."""

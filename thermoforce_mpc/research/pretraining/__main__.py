@@ -1,4 +1,4 @@
-"""Make and check the shipped forecaster: `python -m thermoforce_mpc.research.pretraining train|evaluate`."""
+"""Train and evaluate the shipped forecaster: `python -m thermoforce_mpc.research.pretraining train|evaluate`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from thermoforce_mpc.research.pretraining.training import TrainingConfig, pretra
 
 
 @click.group(context_settings={"show_default": True})
-@click.option("--threads", default=1, help="CPU threads; one is reproducible.")
+@click.option("--threads", default=1, help="CPU threads; results are reproducible with one.")
 def main(threads: int) -> None:
-    """Make the shipped forecaster, or check one."""
+    """Train or evaluate the shipped forecaster."""
     import torch
 
     torch.set_num_threads(threads)
@@ -27,14 +27,14 @@ def main(threads: int) -> None:
 @click.option("--steps", default=TrainingConfig.steps, help="Training steps.")
 @click.option("--batch", default=TrainingConfig.batch, help="Series per step.")
 @click.option("--seed", default=TrainingConfig.seed, help="Seed of weights and series.")
-@click.option("--start-from", type=click.Path(path_type=Path), help="Checkpoint to start from: a second stage.")
-@click.option("--rate-scale", default=TrainingConfig.rate_scale, help="Scale of the learning rates.")
-@click.option("--d-model", default=TrainingConfig.d_model, help="Width; the inner layers have four times of it.")
-@click.option("--encoder-layers", default=TrainingConfig.encoder_layers, help="Layers of the encoder.")
-@click.option("--bfloat16", is_flag=True, help="Multiply matrices in bfloat16 (faster where the processor has it).")
-@click.option("--force", is_flag=True, help="Train anew over what the folder holds.")
+@click.option("--start-from", type=click.Path(path_type=Path), help="Checkpoint to start from (for a later stage).")
+@click.option("--rate-scale", default=TrainingConfig.rate_scale, help="Factor on the learning rates.")
+@click.option("--d-model", default=TrainingConfig.d_model, help="Width of the model; d_ff is four times as large.")
+@click.option("--encoder-layers", default=TrainingConfig.encoder_layers, help="Number of encoder layers.")
+@click.option("--bfloat16", is_flag=True, help="Matrix products in bfloat16 (faster if the processor supports it).")
+@click.option("--force", is_flag=True, help="Overwrite the run in the folder.")
 def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> None:
-    """Train the forecaster on synthetic series; an interrupted run goes on where it stopped.
+    """Train the forecaster on synthetic series; an interrupted run is resumed.
 
     The checkpoint is OUT/checkpoint. To ship it, copy its files to a folder of
     thermoforce_mpc/model/free_response/backbones/weights.
@@ -50,8 +50,8 @@ def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> No
 
 @main.command("evaluate")
 @click.argument("checkpoint", type=click.Path(path_type=Path))
-@click.option("--series", default=1024, help="Held-out synthetic series.")
-@click.option("--seed", default=TrainingConfig.seed, help="Seed of the series; never those of training.")
+@click.option("--series", default=1024, help="Number of held-out synthetic series.")
+@click.option("--seed", default=TrainingConfig.seed, help="Seed of the series; a stream not used in training.")
 def evaluate_command(checkpoint: Path, series: int, seed: int) -> None:
     """Score CHECKPOINT on held-out synthetic series and write CHECKPOINT/evaluation.json."""
     try:

@@ -1,7 +1,7 @@
-"""Random weather for the synthetic rooms: outdoor temperature and sunlight that hang together as they do outdoors.
+"""Random weather for the synthetic rooms: correlated outdoor temperature and solar gain.
 
-Passing systems, fronts, cloud that stays for hours or days and damps the daily wave, and the season's slow drift. All
-series of a batch are made at once.
+Components: weather systems, fronts, cloud that lasts hours or days and damps the daily cycle, seasonal drift. All
+series of a batch are generated together.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from thermoforce_mpc.data import Array
 
 
 def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tuple[Array, Array]:
-    """Outdoor temperature, K about its mean, and sunlight through a window as a temperature rise, K.
+    """Outdoor temperature, K relative to its mean, and solar gain through a window as a temperature rise, K.
 
     Args:
-        rng: where the randomness comes from.
+        rng: random generator.
         hour: time of the steps, h, shape (n, total).
         step_h: step of each series, h, shape (n,).
 
@@ -31,7 +31,7 @@ def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tupl
     noon = rng.normal(12.5, 0.8, n)[:, None]
     from_noon = np.mod(hour - noon + 12.0, 24.0) - 12.0
     elevation = np.where(np.abs(from_noon) < half_day, np.cos(np.pi / 2 * from_noon / half_day), 0.0)
-    # A window that looks east or west has its sun before or after noon.
+    # Windows to the east or west receive sun before or after noon.
     facing = np.clip(1.0 + rng.normal(0, 0.12, n)[:, None] * from_noon, 0.0, 2.0)
     sun = elevation * facing * clear * rng.uniform(1, 14, n)[:, None]
     angle = 2 * np.pi * (hour - rng.normal(15, 1, n)[:, None]) / 24
@@ -44,7 +44,7 @@ def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tupl
 
 
 def _cloud(rng: np.random.Generator, n: int, total: int, step_h: Array) -> Array:
-    """Cloud cover between 0 and 1: days of one kind with breaks in them, seldom in between, shape (n, total)."""
+    """Cloud cover in [0, 1], mostly near 0 or 1, persistent over days with short breaks, shape (n, total)."""
     days = first_order(rng, n, total, step_h, rng.uniform(15, 90, n))
     breaks = first_order(rng, n, total, step_h, rng.uniform(2, 12, n))
     share = rng.uniform(0.3, 1.0, n)[:, None]
@@ -55,7 +55,7 @@ def _cloud(rng: np.random.Generator, n: int, total: int, step_h: Array) -> Array
 
 
 def _fronts(rng: np.random.Generator, n: int, total: int, step_h: Array) -> Array:
-    """Sudden changes that come every few days and are forgotten as slowly, K, shape (n, total)."""
+    """Step changes every few days that decay over a few days, K, shape (n, total)."""
     chance = step_h / rng.uniform(40, 200, n)
     size = rng.uniform(1.0, 5.0, n) * (rng.random(n) < 0.6)
     jumps = rng.standard_normal((n, total)) * (rng.random((n, total)) < chance[:, None]) * size[:, None]

@@ -1,7 +1,7 @@
-"""What a checkpoint does on synthetic series it was not trained on: error against plain forecasts, and calibration.
+"""Evaluation of a checkpoint on held-out synthetic series: error against simple forecasts, and calibration.
 
-This shows whether training worked and how much history the model needs. Whether it helps on buildings is a question for
-`tf-mpc bench free-response`, whose series come from elsewhere.
+It shows whether training worked and how much history the model needs. `tf-mpc bench free-response` evaluates the
+forecaster on series of buildings.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from thermoforce_mpc.research.pretraining.series import draw_batch
 
 CONTEXTS = (48, 96, 168, 336, 512)
 _SEASON = 24
-# Streams 1 and 2 of a seed are training and validation; this one neither of them has seen.
+# Streams 1 and 2 of a seed are used for training and validation.
 _STREAM = 3
-# A context that hardly moves has no scale to measure errors by.
+# Errors are scaled by the standard deviation of the context, so nearly constant contexts are excluded.
 _LEAST_SCALE = 1e-3
 
 
@@ -49,9 +49,9 @@ def evaluate(folder: Path, *, series: int = 1024, seed: int = 0, steps: int = 24
 
     Args:
         folder: config.json and model.safetensors of a Chronos-Bolt checkpoint.
-        series: how many are drawn.
-        seed: of the drawing; the training seed is safe, since another stream of it is used.
-        steps: forecast steps that are scored, at most `HORIZON`.
+        series: number of series.
+        seed: seed of the series; it may equal the training seed, since another stream is used.
+        steps: number of forecast steps that are scored, at most `HORIZON`.
 
     Returns:
         `contexts`: a list of `ContextScore` as dicts; `milliseconds`: median time of one forecast of `steps` steps.
@@ -89,9 +89,9 @@ def _load(folder: Path) -> Any:
 
 
 def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array]:
-    """Contexts (series, CONTEXT) and what follows (series, steps); only series whose shortest context is known.
+    """Contexts (series, CONTEXT) and following values (series, steps) of series whose shortest context has no gaps.
 
-    The same series must serve all context lengths, so padded ones are drawn again.
+    The same series serve all context lengths, so padded ones are drawn again.
     """
     pasts: list[Array] = []
     futures: list[Array] = []
@@ -107,7 +107,7 @@ def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array,
 
 def _score(pipeline: Any, past: Array, future: Array) -> ContextScore:
     n, steps = future.shape
-    # One scale for all context lengths would favour none, but it must not look into the future: the shortest's.
+    # All context lengths share one scale, that of the shortest context, which contains no future values.
     scale = past[:, -min(CONTEXTS) :].std(axis=1, keepdims=True)
     quantiles = _quantiles(pipeline, past, steps)
     day = past[:, -_SEASON:]

@@ -1,4 +1,4 @@
-"""The shipped forecaster's architecture: Chronos-Bolt's, small, through chronos-forecasting's own classes."""
+"""Architecture of the shipped forecaster: a small Chronos-Bolt, built from the classes of chronos-forecasting."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ QUANTILES = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
 
 
 def build_model(d_model: int = 64, d_ff: int = 256, encoder_layers: int = 2, decoder_layers: int = 1) -> Any:
-    """A randomly initialised `ChronosBoltModelForForecasting` (torch's global seed decides)."""
+    """A randomly initialised `ChronosBoltModelForForecasting` (from the global seed of torch)."""
     from chronos.chronos_bolt import ChronosBoltModelForForecasting
     from transformers import T5Config
 
@@ -21,7 +21,7 @@ def build_model(d_model: int = 64, d_ff: int = 256, encoder_layers: int = 2, dec
         num_heads=4,
         num_layers=encoder_layers,
         num_decoder_layers=decoder_layers,
-        # 1.0 explodes and 0.05 starts slowly in this architecture.
+        # In this architecture training diverges with 1.0 and starts slowly with 0.05.
         initializer_factor=0.2,
         dropout_rate=0.0,
         feed_forward_proj="relu",

@@ -1,4 +1,4 @@
-"""What people do to the synthetic rooms: presence and appliances, short events, and a thermostat of somebody else's."""
+"""Occupant effects in the synthetic rooms: presence and appliances, short events, an external thermostat."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _MOST_BLOCKS = 3
 
 
 def random_people(rng: np.random.Generator, hour: Array) -> Array:
-    """Heat of presence and appliances in units of a usual day's, shape (n, total) as `hour` (h).
+    """Heat of presence and appliances relative to a usual day, shape (n, total) as `hour` (h).
 
-    One to three blocks a day that start a little earlier or later every day, other weekends, days away, louder and
-    quieter days, and short events (cooking, a window opened) at times that repeat loosely.
+    One to three blocks a day with start times that vary from day to day, different weekends, days of absence, days with
+    more or less heat, and short events (cooking, window opening) at loosely repeating times.
     """
     n = int(hour.shape[0])
     day = np.floor(hour / 24.0).astype(int)
@@ -33,7 +33,7 @@ def random_people(rng: np.random.Generator, hour: Array) -> Array:
         length = rng.uniform(2, 16, n) / blocks
         begin = np.take_along_axis(start[:, None] + shift, day, axis=1)
         inside = np.mod(hour_of_day - begin, 24.0) < length[:, None]
-        # At weekends a block may be missing, or the people be there when they are out otherwise.
+        # At weekends a block may be missing, or occupants are present at other times.
         swapped = np.take_along_axis(weekend & (rng.random(n) < 0.4)[:, None], day, axis=1)
         size = rng.uniform(0.5, 1.5, n) * (block < blocks)
         out += size[:, None] * (inside != swapped)
@@ -41,16 +41,16 @@ def random_people(rng: np.random.Generator, hour: Array) -> Array:
 
 
 def held_by_others(rng: np.random.Generator, T: Array, hour: Array, step_h: Array) -> Array:
-    """`T` (n, total) as it is where somebody else's thermostat keeps it from falling, with or without a setback.
+    """`T` (n, total) under an external thermostat that limits its fall, with or without a set-back.
 
-    What is left of the free course is a fraction of it, and all of it where it lies above the set-point.
+    Below the set-point a fraction of the deviation remains; above it the series is unchanged.
     """
     n, total = int(T.shape[0]), int(T.shape[1])
     setback = rng.uniform(0, 4, n) * (rng.random(n) < 0.6)
     start, length = rng.uniform(18, 28, n), rng.uniform(4, 12, n)
     night = np.mod(hour - start[:, None], 24.0) < length[:, None]
     wanted = np.where(night, -setback[:, None], 0.0)
-    # Set-points lie anywhere in the range of the free course: held always, at times, or hardly ever.
+    # Set-points anywhere in the range of the free response: active always, at times, or hardly ever.
     share = rng.uniform(0.3, 1.2, n)[:, None]
     low, high = T.min(axis=1, keepdims=True), T.max(axis=1, keepdims=True)
     wanted = wanted + low + share * (high - low)
@@ -66,7 +66,7 @@ def held_by_others(rng: np.random.Generator, T: Array, hour: Array, step_h: Arra
 
 
 def _events(rng: np.random.Generator, hour_of_day: Array) -> Array:
-    """Short pushes up or down, seldom or at the same hours, of one step each, shape (n, total)."""
+    """Positive or negative pulses of one step, rare or at repeating hours, shape (n, total)."""
     n = int(hour_of_day.shape[0])
     favourite = rng.uniform(0, 24, n)[:, None]
     distance = np.abs(np.mod(hour_of_day - favourite + 12.0, 24.0) - 12.0)

@@ -1,7 +1,7 @@
-"""Synthetic control-free temperatures: simulated rooms without control, and series of no physical origin beside them.
+"""Synthetic control-free temperature series: simulated rooms without control, and series of no physical origin.
 
-Nothing here comes from a measured building or from the real test case: the shipped forecaster has seen only this file.
-All series of a batch are made at once, stepping through time.
+No data of a measured building or of the real test case are used; the shipped forecaster was trained on these series
+only. All series of a batch are generated together, step by step.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from thermoforce_mpc.research.pretraining.occupants import held_by_others, rando
 _STEPS_H = (0.25, 0.5, 1.0)
 _STEP_SHARE = (0.2, 0.3, 0.5)
 _SHARE_OF_ROOMS = 0.75
-# Rooms whose heating is not ours to control, and sensors that store the mean of a step.
+# Shares of rooms with an external thermostat, and of sensors that record the mean of a step.
 _SHARE_HELD = 0.15
 _SHARE_OF_MEANS = 0.25
 _BURN_IN = 200
@@ -29,7 +29,7 @@ _SHORTEST_CONTEXT = 32
 
 @dataclass(frozen=True)
 class Batch:
-    """`context` (B, C) with NaN on the left of short ones, `future` (B, H), float32."""
+    """`context` (B, C), padded with NaN on the left if short, and `future` (B, H), °C, float32."""
 
     context: Array
     future: Array
@@ -51,7 +51,7 @@ def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) 
 
 
 def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
-    """Rooms of one to four time constants, driven by weather, people and what is left of control, shape (n, length)."""
+    """Rooms with one to four time constants, driven by weather, people and leftover control, °C, shape (n, length)."""
     total = length + _BURN_IN
     step_h = rng.choice(_STEPS_H, n, p=_STEP_SHARE)
     hour = rng.uniform(0, 24, n)[:, None] + step_h[:, None] * np.arange(total)
@@ -66,18 +66,18 @@ def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
         ],
         axis=-1,
     )  # (n, total, 4)
-    # Time constants from a room's air (half an hour) to a massive structure (ten days), fewer of them in light houses.
+    # Time constants from room air (half an hour) to a massive structure (ten days); light houses have fewer.
     tau_h = np.exp(np.stack([rng.uniform(np.log(a), np.log(b), n) for a, b in ((0.4, 2), (2, 8), (8, 40), (40, 240))]))
     tau_h = tau_h.T
     order = rng.integers(1, 5, n)
     weights = rng.gamma(0.8, 1.0, (n, 4, 4))  # drive by mode
-    # Light houses lack the slow modes, floor heating and heavy walls the fast ones: keep `order` neighbouring modes.
+    # Light houses lack slow modes, heavy ones fast modes: keep `order` neighbouring modes.
     first = (rng.random(n) * (5 - order)).astype(int)
     mode = np.arange(4)
     kept = (mode >= first[:, None]) & (mode < (first + order)[:, None])
     weights *= kept[:, None, :]
-    weights[:, 0] /= np.maximum(weights[:, 0].sum(axis=-1, keepdims=True), 1e-9)  # outdoor gain of one in the long run
-    # Sun and people act faster than the outdoors: more weight on fast modes, less gain in total.
+    weights[:, 0] /= np.maximum(weights[:, 0].sum(axis=-1, keepdims=True), 1e-9)  # steady-state gain of T_out is 1
+    # Sun and people act faster than T_out: more weight on fast modes, smaller steady-state gain.
     weights[:, 1:] *= (tau_h[:, None, :] / 24.0) ** 0.3
     keep = np.exp(-step_h[:, None] / tau_h)
     state = np.repeat(outdoor.mean(axis=1)[:, None], 4, axis=1) * weights[:, 0]
@@ -99,10 +99,10 @@ def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
 def _fading_transient(
     rng: np.random.Generator, tau_h: Array, kept: NDArray[np.bool_], step_h: Array, total: int
 ) -> Array:
-    """Heating that stopped, a window that was shut: a level held up to some moment, then fading with the room's modes.
+    """Decay after heating has stopped or a window was shut: a constant level, then a decay with the modes of the room.
 
-    Shape (n, total), zero for most rooms; the moment lies in the first 85 % of the series, so that the part to be
-    forecast seldom starts with the surprise itself.
+    Shape (n, total), K, zero for most rooms. The decay starts in the first 85 % of the series, so that it seldom starts
+    within the part to be forecast.
     """
     n = int(step_h.size)
     size = np.exp(rng.normal(1.0, 0.9, n)) * rng.choice([1.0, -1.0], n, p=[0.7, 0.3]) * (rng.random(n) < 0.3)
@@ -117,7 +117,7 @@ def _fading_transient(
 
 
 def _leftover_control(rng: np.random.Generator, n: int, total: int) -> Array:
-    """On and off stretches about zero: the part of a controlled series that an imperfect operator leaves behind."""
+    """On/off pattern around zero, as an imperfect operator leaves in T − F, shape (n, total)."""
     stay = rng.uniform(0.7, 0.97, n)[:, None]
     flips = rng.random((n, total)) > stay
     return np.asarray(np.where(np.cumsum(flips, axis=1) % 2 == 0, -1.0, 1.0))
@@ -127,7 +127,7 @@ def _others(rng: np.random.Generator, n: int, length: int) -> Array:
     """Smooth random functions (random Fourier features of a Gaussian process), seasons, trends and noise."""
     t = np.arange(length)
     scale = np.exp(rng.uniform(np.log(4), np.log(300), (n, 1, 1)))
-    # Heavier-tailed frequencies make rougher functions (Matérn rather than squared exponential).
+    # Heavier tails of the frequencies give rougher functions (Matérn instead of squared exponential).
     freedom = rng.uniform(1.5, 8.0, (n, 1, 1))
     frequency = (
         rng.standard_normal((n, 24, 1)) / scale / np.sqrt(rng.chisquare(np.broadcast_to(freedom, (n, 24, 1))) / freedom)
@@ -145,7 +145,7 @@ def _others(rng: np.random.Generator, n: int, length: int) -> Array:
 
 
 def _measured(rng: np.random.Generator, series: Array) -> Array:
-    """What a sensor makes of it: noise, rounding, now and then a gap."""
+    """Add sensor effects: noise, rounding and rare gaps (NaN)."""
     n, length = int(series.shape[0]), int(series.shape[1])
     noisy = (
         series + rng.standard_normal((n, length)) * np.where(rng.random(n) < 0.5, rng.uniform(0, 0.08, n), 0.0)[:, None]

@@ -1,4 +1,4 @@
-"""Training of the shipped forecaster: seeded, resumable, on a CPU or on a GPU when there is one."""
+"""Training of the shipped forecaster: seeded, resumable, on a GPU if available, else on the CPU."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.research.pretraining.model import CONTEXT, HORIZON, build_model
 from thermoforce_mpc.research.pretraining.series import draw_batch
 
-# Targets that leave the context's range by more than this many standard deviations teach nothing but blow up the loss.
+# Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
 _LARGEST_Z = 8.0
 _WARM_UP = 200
 _CLIP = 1.0
-# Taken at import: a long run must not be labelled with what the files have become meanwhile.
+# Computed at import, since the files may change during a long run.
 _CODE_HASH = hashlib.sha256(
     b"".join(
         (Path(__file__).parent / f"{name}.py").read_bytes()
@@ -34,11 +34,11 @@ _CODE_HASH = hashlib.sha256(
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Options; `steps` decides the shape of the learning-rate schedule.
+    """Training options; `steps` also sets the length of the learning-rate schedule.
 
-    `start_sha256` is that of the weights a second stage starts from, empty for a start from random ones; such a stage
-    wants smaller learning rates, by `rate_scale`. It may have more encoder layers than they have: the new ones start
-    without any effect. `bfloat16` multiplies matrices in that precision, weights stay in single precision.
+    `start_sha256` is the hash of the weights that a later stage starts from, empty for a random start; a later stage
+    needs smaller learning rates (`rate_scale`). It may have more encoder layers than those weights; the new ones start
+    with zero output. `bfloat16` computes matrix products in that precision, weights stay in single precision.
     """
 
     steps: int = 12_000
@@ -64,15 +64,15 @@ def pretrain(
     start: Path | None = None,
     force: bool = False,
 ) -> Path:
-    """Train, or go on where `folder/state.pt` left off; writes the checkpoint and `training.json` into `folder`.
+    """Train, or resume from `folder/state.pt`; writes `folder/checkpoint` with weights and `training.json`.
 
-    The batch of step k depends on the seed and k alone, so an interrupted run ends with the same weights as one that
-    was not (on the same machine and number of threads).
+    The batch of step k depends only on the seed and k, so an interrupted run ends with the same weights as an
+    uninterrupted one (on the same machine and number of threads).
 
     Args:
         start: folder of a checkpoint to start from instead of random weights; `config.start_sha256` must be its
             `weights_sha256`.
-        force: train anew over what `folder` holds.
+        force: overwrite a run in `folder`.
 
     Raises:
         ConfigError: `folder` holds a finished run, or one of another configuration or code, and `force` is not set;
@@ -80,7 +80,7 @@ def pretrain(
     """
     state_path = folder / "state.pt"
     if config.start_sha256 != (weights_sha256(start) if start else ""):
-        raise ConfigError(f"start_sha256 of the configuration is not that of the checkpoint to start from, {start}")
+        raise ConfigError(f"start_sha256 of the configuration is not the hash of the start checkpoint {start}")
     if force:
         state_path.unlink(missing_ok=True)
     torch.manual_seed(config.seed)
@@ -104,7 +104,7 @@ def pretrain(
         for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
         first, curve = int(state["step"]), list(state["curve"])
-        report(f"going on at step {first}")
+        report(f"resuming at step {first}")
     rates = [config.rate_scale * config.muon_lr, config.rate_scale * config.adamw_lr]
     began, running = time.perf_counter(), 0.0
     model.train()
@@ -152,7 +152,7 @@ def pretrain(
 
 
 def code_hash() -> str:
-    """SHA-256 of the sources that decide the weights, as they were when they were loaded: series, model, training."""
+    """SHA-256 of the sources of series, model and training, as they were at import."""
     return _CODE_HASH
 
 
@@ -171,7 +171,7 @@ def _start_from(model: Any, checkpoint: Path) -> None:
     own = model.state_dict(keep_vars=True)
     wrong = [name for name, tensor in weights.items() if name in own and own[name].shape != tensor.shape]
     if not wrong:
-        # Tied tensors are stored once: what is missing must be an alias of what is there, or belong to a new layer.
+        # Tied tensors are stored once: a missing one must be an alias of a stored one or belong to a new layer.
         missing, unexpected = model.load_state_dict(weights, strict=False)
         stored = {own[name].data_ptr() for name in weights if name not in unexpected}
         foreign = [name for name in missing if own[name].data_ptr() not in stored]
@@ -180,14 +180,14 @@ def _start_from(model: Any, checkpoint: Path) -> None:
         with torch.no_grad():
             for name in new:
                 if name.endswith((".o.weight", ".wo.weight")):
-                    own[name].zero_()  # a block adds to what passes it: nothing, to begin with
+                    own[name].zero_()  # residual block: zero output at the start
         wrong = [*(name for name in foreign if name not in new or not layers), *unexpected]
     if wrong:
         raise ConfigError(f"{checkpoint} is of another architecture: {', '.join(wrong)[:200]}")
 
 
 def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path) -> None:
-    advice = "give another folder, or --force to train anew"
+    advice = "give another folder, or use --force to overwrite it"
     if state["config"] != asdict(config):
         changed = [key for key, value in asdict(config).items() if state["config"].get(key) != value]
         raise ConfigError(f"{folder} holds a run with other {', '.join(changed) or 'options'}: {advice}")
@@ -198,7 +198,7 @@ def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path
 
 
 def batch_loss(model: Any, rng: np.random.Generator, size: int) -> Tensor:
-    """Quantile loss on one drawn batch."""
+    """Quantile loss on one random batch of `size` series."""
     batch = draw_batch(rng, size, CONTEXT, HORIZON)
     context = torch.from_numpy(batch.context).to(model.device)
     future = torch.from_numpy(batch.future).to(model.device)
@@ -241,7 +241,7 @@ def _split_parameters(model: Any) -> tuple[list[Tensor], list[Tensor]]:
 
 
 def _schedule(step: int, steps: int) -> float:
-    """Linear warm-up, then a cosine down to nothing."""
+    """Learning-rate factor: linear warm-up, then a cosine to zero."""
     if step < _WARM_UP:
         return (step + 1) / _WARM_UP
     return 0.5 * (1.0 + math.cos(math.pi * (step - _WARM_UP) / max(steps - _WARM_UP, 1)))

@@ -1,1 +1,1 @@
-"""Methods that answer what an action would do. One file per method, named in `registry`."""
+"""Methods that predict the effect of actions. One file per method, listed in `registry`."""

@@ -1,4 +1,4 @@
-"""What a method is given, what it answers, and how a choice among its settings is made."""
+"""Interface of the compared methods (training data, prediction), and selection among settings on validation."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from thermoforce_mpc.data import ACTING, SAMPLED, Array, Record
 from thermoforce_mpc.plants.energyplus.climates import Climate
 from thermoforce_mpc.research.interventions.dataset import Probe, Window
 
-# Below this a true effect has no sign worth scoring, K.
+# Smallest true effect whose sign is scored, K.
 LEAST_EFFECT_K = 0.05
-# Effect RMSE up to this factor above another's is level with it: of 36 windows it is known to 1/√72, some 12 %.
+# Candidates within this factor of the lowest effect RMSE count as equal: over 36 windows its error is 1/√72, 12 %.
 _LEVEL = 1.1
 
 
 @dataclass(frozen=True)
 class Training:
-    """Everything a method may learn from: K probe days, and the validation windows for choices among settings.
+    """Training data of a method: K probe days, and validation windows for the choice of settings.
 
     Attributes:
-        climate: sign, step and zone.
-        days: K.
-        probe: history, plain operation and probed run.
-        validation: windows to choose by; never to fit to.
-        seed: of whatever is drawn.
+        climate: sign of the actuator, step and zone.
+        days: number of probe days K.
+        probe: history and pair of runs (probed, plain operation).
+        validation: windows for the choice of settings, not for fitting.
+        seed: seed of random numbers.
     """
 
     climate: Climate
@@ -38,7 +38,7 @@ class Training:
     seed: int = 1
 
     def runs(self) -> tuple[Record, Record]:
-        """Both runs of the probe days, each behind the history they share (so that forecasters have a context)."""
+        """Both runs of the probe days, each preceded by the common history (context of the forecasters)."""
         return joined(self.probe.history, self.probe.pair.a), joined(self.probe.history, self.probe.pair.b)
 
 
@@ -47,13 +47,13 @@ class Predictor(Protocol):
 
     @property
     def note(self) -> str:
-        """What was fitted or chosen, for the table's footnote."""
+        """Fitted or chosen settings, for the table."""
         ...
 
     def respond(self, window: Window, u: Array) -> Array:
         """Zone temperature at the end of each of the N steps under each plan `u` (M, N), shape (M, N), °C.
 
-        Of `window` only the history and the boundary may be used.
+        Only `window.history` and `window.boundary` may be used.
         """
         ...
 
@@ -62,7 +62,7 @@ P = TypeVar("P", bound=Predictor)
 
 
 def joined(first: Record, second: Record) -> Record:
-    """Two records of which the second begins where the first ends."""
+    """Concatenation of two records, of which the second begins where the first ends."""
     sampled = {name: np.concatenate([getattr(first, name)[:-1], getattr(second, name)]) for name in SAMPLED}
     acting = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ACTING}
     return Record(**sampled, **acting)
@@ -74,12 +74,12 @@ def plans(window: Window) -> Array:
 
 
 def true_effect(window: Window) -> Array:
-    """What the shift really changed at the end of each step (paper eq:effect), shape (N,), K."""
+    """True effect of the shift at the end of each step (paper eq:effect), shape (N,), K."""
     return np.asarray(window.perturbed.T_zone_C[1:] - window.factual.T_zone_C[1:])
 
 
 def predicted_effect(predictor: Predictor, window: Window) -> Array:
-    """What the method says it changed, shape (N,), K."""
+    """Predicted effect of the shift, shape (N,), K."""
     answer = predictor.respond(window, plans(window))
     return np.asarray(answer[1] - answer[0])
 
@@ -91,32 +91,32 @@ def effect_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
 
 
 def factual_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
-    """RMSE of the temperature under the control that was applied, K."""
+    """RMSE of the temperature under the applied control, K."""
     errors = [predictor.respond(w, w.factual.u[None])[0] - w.factual.T_zone_C[1:] for w in windows]
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def sign_accuracy(predictor: Predictor, windows: Sequence[Window]) -> float:
-    """Share of the steps with an effect beyond `LEAST_EFFECT_K` whose predicted effect has its sign; 1 without any."""
+    """Share of steps with the right sign of the effect, where it exceeds `LEAST_EFFECT_K`; 1 if there are none."""
     right = [signs_right(predicted_effect(predictor, w), true_effect(w)) for w in windows]
     signs = np.concatenate(right)
     return float(np.mean(signs)) if signs.size else 1.0
 
 
 def signs_right(predicted: Array, truth: Array) -> NDArray[np.bool_]:
-    """Whether the sign is right, for each step whose true effect is beyond `LEAST_EFFECT_K`."""
+    """Whether the predicted sign is right, for each step whose true effect exceeds `LEAST_EFFECT_K`."""
     clear = np.abs(truth) > LEAST_EFFECT_K
     return np.asarray(np.sign(predicted[clear]) == np.sign(truth[clear]))
 
 
 def best(candidates: Mapping[str, P], windows: Sequence[Window], *, factual: bool = False) -> str:
-    """Name of the best candidate on `windows`; the first of equals.
+    """Name of the best candidate on `windows`; the first one of a tie.
 
-    The best has the least effect RMSE; among those within 10 % of it, which some dozen windows cannot tell apart, it is
-    the one with the most signs right. Where `factual`, it is the least factual RMSE.
+    It is the candidate with the highest sign accuracy among those within 10 % of the lowest effect RMSE, a difference
+    that a few dozen windows cannot resolve. With `factual` it is the one with the lowest factual RMSE.
     """
     score = factual_rmse if factual else effect_rmse
-    # A diverged candidate scores infinity instead of poisoning the comparison.
+    # A diverged candidate scores infinity, since NaN would break the comparison.
     scores = {
         name: float(np.nan_to_num(score(p, windows), nan=np.inf, posinf=np.inf)) for name, p in candidates.items()
     }
@@ -129,6 +129,6 @@ def best(candidates: Mapping[str, P], windows: Sequence[Window], *, factual: boo
 
 
 def clearly_better(one: Predictor, other: Predictor, windows: Sequence[Window]) -> bool:
-    """Whether `one` has an effect RMSE more than 9 % lower than `other`, and no more signs wrong, on `windows`."""
+    """Whether `one` has an effect RMSE more than 9 % below that of `other` and no lower sign accuracy on `windows`."""
     lower = _LEVEL * effect_rmse(one, windows) < effect_rmse(other, windows)
     return lower and sign_accuracy(one, windows) >= sign_accuracy(other, windows)

@@ -1,8 +1,8 @@
-"""TSFM + covariates: ridge regression of what the forecaster misses on control and weather, with an AR term or without.
+"""TSFM + covariates: ridge regression of the forecast residual on control and weather, optionally with an AR term.
 
-Covariates enter as they are, or, since a forecaster continues the daily course, as they differ from the day before; at
-once (the usual recipe), or also through first-order lags, since a building answers over hours. Of these four feature
-sets and the ridge weights the best on validation is taken.
+Four feature sets: covariates as they are or as differences from the day before (since a forecaster continues the daily
+course); instantaneous only (the usual method) or also through first-order lags (since a building responds over hours).
+Feature set and ridge weight are chosen on validation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _KINDS: dict[str, tuple[bool, tuple[float, ...]]] = {
 }
 _AR_LAGS_H = (0.5, 2.0, 8.0)
 _RIDGE = (1e-4, 1e-2, 1.0, 1e2, 1e4)
-# Origins of the training forecasts, and the context each of them needs, steps of 15 min.
+# Stride between the origins of the training forecasts, steps of 15 min.
 _STRIDE = 3
 _SUN_UNIT_W_M2 = 300.0
 _OUTDOOR_UNIT_K = 10.0
@@ -36,7 +36,7 @@ _OUTDOOR_UNIT_K = 10.0
 
 @dataclass(frozen=True)
 class _Case:
-    """A forecast made somewhere in the record: its context, the weather ahead, what was done and what came of it."""
+    """One training forecast: history, weather of the horizon, actions, measured and forecast temperature (N,)."""
 
     history: Record
     boundary: Boundary
@@ -46,7 +46,7 @@ class _Case:
 
 
 class CovariateForecast:
-    """`Predictor`: forecast of T plus weights times features."""
+    """`Predictor`: forecast of T plus a linear correction by the features."""
 
     def __init__(self, free_response: FreeResponse, kind: str, autoregressive: bool, weights: Array, note: str) -> None:
         self._free_response, self._kind, self._ar = free_response, kind, autoregressive
@@ -60,7 +60,7 @@ class CovariateForecast:
 
 
 def build_covariates(training: Training, free_response: FreeResponse, *, autoregressive: bool) -> CovariateForecast:
-    """Fit on both runs of the probe; feature set and ridge weight by the effect on the validation windows."""
+    """Fit on both runs of the probe; choose feature set and ridge weight by the effect on the validation windows."""
     horizon = training.validation[0].factual.n_steps
     cases = [c for run in training.runs() for c in _cases(run, training.probe.history.n_steps, horizon, free_response)]
     target = np.concatenate([c.measured_C - c.forecast_C for c in cases])
@@ -78,7 +78,7 @@ def build_covariates(training: Training, free_response: FreeResponse, *, autoreg
 
 
 def _cases(run: Record, first: int, horizon: int, free_response: FreeResponse) -> Sequence[_Case]:
-    """Forecasts from origins on the probe days, each with all that was known then."""
+    """Forecasts from origins on the probe days, each from the data available at its origin."""
     cases = []
     for origin in range(first, run.n_steps - horizon + 1, _STRIDE):
         history, ahead = run.slice(0, origin), run.slice(origin, origin + horizon)
@@ -89,11 +89,11 @@ def _cases(run: Record, first: int, horizon: int, free_response: FreeResponse) -
 
 
 def _features(history: Record, boundary: Boundary, u: Array, kind: str, autoregressive: bool) -> Array:
-    """Features of the N steps, shape (N, p): covariates of a kind, at once and lagged; decaying AR terms; 1."""
+    """Features of the N steps, shape (N, p): covariates, instantaneous and lagged; decaying AR terms; constant 1."""
     differs, lags_h = _KINDS[kind]
     n, step_s = u.size, boundary.step_s
     per_day = round(DAY_S / step_s)
-    # Step k of the horizon against the same step a day earlier.
+    # Difference of step k of the horizon to the same step a day earlier.
     day_before = slice(history.n_steps - per_day, history.n_steps - per_day + n)
     sampled_before = slice(history.n_steps - per_day + 1, history.n_steps - per_day + n + 1)
     ahead = [u, boundary.T_out_C[1:] / _OUTDOOR_UNIT_K, boundary.solar_W_m2[1:] / _SUN_UNIT_W_M2]

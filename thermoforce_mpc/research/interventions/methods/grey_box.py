@@ -1,9 +1,9 @@
-"""Grey-box models by joint least squares: all parameters at once, from whatever the record holds (paper eq:arx).
+"""Grey-box models by joint least squares of all parameters (paper eq:arx).
 
-T(t+1) = Σ a_i T(t−i) + Σ g_i u(t−i) + c T_out + d I + e, fitted to one-step errors, or from there to the errors of
-rollouts over the horizon. Nothing ties the gain to a sign: under feedback the fit may well find the wrong one. Fitted
-to plain operation it is the observational model, which can only be chosen by its factual error; fitted to both runs of
-the probe, and chosen by the effect on validation, it is what a careful modeller makes of the same experiment.
+T(t+1) = Σ a_i T(t−i) + Σ g_i u(t−i) + c T_out + d I + e, fitted to one-step errors and then optionally to the errors of
+rollouts over the horizon. The sign of the gain is unconstrained; from data under feedback the fit may give the wrong
+one. Fitted to plain operation it is the observational model, whose settings are chosen by the factual error. Fitted to
+both runs of the probe, its settings are chosen by the effect on validation.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best
 
-# Lags of temperature and of control; the first is the paper's model.
+# Candidate lags (of T, of u); the first pair is the paper's model.
 _ORDERS = ((1, 1), (2, 2), (4, 4), (6, 6))
 _OBSERVATIONAL_ORDERS = ((1, 1),)
 _RIDGE = 1e-6
@@ -27,7 +27,7 @@ _ROUNDS = 20
 
 
 class GreyBox:
-    """`Predictor` by a linear model with `lags` = (of T, of u); `weights` in the order a, g, c, d, e."""
+    """`Predictor`: linear model with `lags` = (of T, of u) and `weights` in the order a, g, c, d, e."""
 
     def __init__(self, lags: tuple[int, int], weights: Array, note: str) -> None:
         self.lags, self.weights, self.note = lags, weights, note
@@ -44,7 +44,7 @@ class GreyBox:
 
 
 def build_observational(training: Training) -> GreyBox:
-    """Plain operation only, the paper's model; one-step or rollout errors, chosen by the factual validation error."""
+    """Fit the paper's model to plain operation; choose one-step or rollout errors by the factual validation error."""
     runs = [training.probe.pair.b]
     horizon = training.validation[0].factual.n_steps
     candidates = _candidates(runs, horizon, _OBSERVATIONAL_ORDERS)
@@ -52,7 +52,7 @@ def build_observational(training: Training) -> GreyBox:
 
 
 def build_on_probe(training: Training) -> GreyBox:
-    """Both runs of the probe; order and kind of error by the effect on the validation windows."""
+    """Fit to both runs of the probe; choose order and error type by the effect on the validation windows."""
     runs = [training.probe.pair.a, training.probe.pair.b]
     candidates = _candidates(runs, training.validation[0].factual.n_steps, _ORDERS)
     return candidates[best(candidates, training.validation)]

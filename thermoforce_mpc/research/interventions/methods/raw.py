@@ -1,4 +1,4 @@
-"""The forecaster alone: it continues the measured temperature and cannot be asked what an action would do."""
+"""Forecaster alone: it continues the measured temperature and does not depend on the action."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from thermoforce_mpc.research.interventions.dataset import Window
 
 
 class RawForecast:
-    """`Predictor` that answers every plan with the same forecast of T."""
+    """`Predictor` that returns the same forecast of T for every plan."""
 
     def __init__(self, free_response: FreeResponse) -> None:
         self._free_response = free_response

@@ -1,4 +1,4 @@
-"""All methods of the table by name. A new one is one file and one entry here."""
+"""Registry of all compared methods. To add one, write its file and add an entry here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thermoforce_mpc.research.interventions.methods.base import Predictor, Train
 
 @dataclass(frozen=True)
 class Forecasters:
-    """What methods forecast with: the paper's `tsfm`, and its weights' name for those that put more around them."""
+    """Forecasters for the methods: the paper's `tsfm`, and the name of its weights for other free responses."""
 
     tsfm: FreeResponse
     backbone: str = SHIPPED
@@ -22,7 +22,7 @@ class Forecasters:
 
 @dataclass(frozen=True)
 class Method:
-    """One row of the table: `ours` tells ThermoForce from what it is compared with; `in_paper` whether it is there."""
+    """One row of the table; `ours`: a ThermoForce variant, not a baseline; `in_paper`: also compared in the paper."""
 
     name: str
     label: str
@@ -78,7 +78,7 @@ def _thermoforce(
         from thermoforce_mpc.research.interventions.methods.thermoforce import build_thermoforce
 
         forecaster = free.tsfm
-        if residual:  # only its median is scored
+        if residual:  # intervals are not needed: only the median is scored
             forecaster = build_free_response("residual", backbone=free.backbone, calibrate=False)
         return build_thermoforce(training, forecaster, orders=orders, exponents=EXPONENTS if curve else (1.0,))
 
@@ -105,7 +105,7 @@ METHODS: dict[str, Method] = {
 
 
 def find_method(name: str) -> Method:
-    """The method called `name`; raises `ConfigError` naming those there are."""
+    """The method called `name`; raises `ConfigError` with the known names."""
     if name not in METHODS:
         raise ConfigError(f"unknown method '{name}'; known: {', '.join(METHODS)}")
     return METHODS[name]

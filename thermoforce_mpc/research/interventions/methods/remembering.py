@@ -1,4 +1,4 @@
-"""A forecaster that answers a question it was asked before from memory: candidates of a method ask the same ones."""
+"""Caching wrapper of a forecaster, since the candidates of a method need the same forecasts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
 
-# Windows of a full suite, a few times over.
+# Cache size: several times the number of windows of a full suite.
 _REMEMBERED = 2000
 
 
 class Remembering:
-    """`FreeResponse` by `inner`, which must answer from its arguments alone; the last answers are kept."""
+    """`FreeResponse` that caches the latest forecasts of `inner`, which must be stateless."""
 
     def __init__(self, inner: FreeResponse) -> None:
         self._inner = inner
@@ -40,5 +40,5 @@ class Remembering:
 
 @lru_cache(maxsize=2)
 def tsfm(backbone: str) -> Remembering:
-    """The paper's frozen forecaster with these weights: one look, loaded once in a process, shared by all methods."""
+    """The paper's frozen forecaster: one resolution, loaded once per process, shared by all methods."""
     return Remembering(build_free_response("chronos", backbone=backbone, resolutions="one"))

@@ -1,8 +1,8 @@
-"""Distillation surrogate: one network, taught by the forecaster, in which the control is an input like any other.
+"""Distillation surrogate: a network with the control as an ordinary input, trained on forecasts and measurements.
 
-The student steps T forward from T, its last changes, control, weather and clock. Its teachers are the forecaster's
-courses from origins in plain operation, and the measured courses of both probe runs; their weights against each other
-and the weight decay are chosen on validation. Trained on rollouts over the horizon (Adam), as it will be used.
+The network predicts T one step ahead from T, its last change, control, weather and time of day. Targets are forecasts
+from origins in plain operation and the measured temperatures of both probe runs. The weight of the forecasts and the
+weight decay are chosen on validation. It is trained with Adam on rollouts over the horizon.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _EPOCHS = 150
 _BATCH = 256
 _LEARNING_RATE = 3e-3
 _TEACHER_STRIDE, _MEASURED_STRIDE = 8, 2
-# Courses taken of each measured run, at most: neighbours say nearly the same.
+# Largest number of trajectories per measured run; neighbouring ones are nearly equal.
 _MOST_COURSES = 400
 _TEACHER_DAYS = 10
-# (weight of the teacher's courses, weight decay)
+# (weight of the forecast trajectories, weight decay)
 _SETTINGS = ((0.2, 1e-4), (0.05, 1e-4), (0.01, 1e-4), (0.05, 1e-2))
 _INPUTS = 7
 
 
 @dataclass(frozen=True)
 class _Lessons:
-    """Courses to learn: start (M, 2) °C, drivers (M, N, 5), course (M, N) °C, weight (M,)."""
+    """Training trajectories: start (M, 2) °C, drivers (M, N, 5), course (M, N) °C, weight (M,)."""
 
     start: Tensor
     drivers: Tensor
@@ -43,9 +43,9 @@ class _Lessons:
 
 
 class _Students(nn.Module):
-    """S students at once, each T(t+1) = T(t) + network(T, last change, u, T_out, sun, clock).
+    """S networks in one batch, each T(t+1) = T(t) + network(T, last change, u, T_out, sun, clock).
 
-    They begin with the same weights and share nothing; being so small, they cost together little more than one.
+    They start from the same weights and are trained independently; the batch costs little more than one network.
     """
 
     def __init__(self, count: int, centre_C: float) -> None:
@@ -56,7 +56,7 @@ class _Students(nn.Module):
         self.biases = nn.ParameterList([layer.bias.detach().double().repeat(count, 1, 1) for layer in network])
 
     def forward(self, start: Tensor, drivers: Tensor) -> Tensor:
-        """Courses (S, M, N) from `start` (M, 2) under `drivers` (M, N, 5)."""
+        """Trajectories (S, M, N), °C, from `start` (M, 2) under `drivers` (M, N, 5)."""
         count, n_state = self.weights[0].shape[0], start.shape[1]
         driven = torch.einsum("mnd,sdh->nsmh", drivers, self.weights[0][:, n_state:]) + self.biases[0]
         before, now = (start[None, :, i].expand(count, -1) for i in range(n_state))
@@ -72,7 +72,7 @@ class _Students(nn.Module):
 
 
 class Surrogate:
-    """`Predictor` by student number `index`."""
+    """`Predictor`: network number `index`."""
 
     def __init__(self, students: _Students, index: int, note: str) -> None:
         self._students, self._index, self.note = students, index, note
@@ -88,7 +88,7 @@ class Surrogate:
 
 
 def build_surrogate(training: Training, free_response: FreeResponse) -> Surrogate:
-    """Train one student per setting and keep the one with the best effect on the validation windows."""
+    """Train one network per setting and keep the one with the best effect on the validation windows."""
     lessons = _lessons(training, free_response)
     students = _train(lessons, training.seed)
     candidates = {}
@@ -135,11 +135,11 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
 
 
 def _train(lessons: _Lessons, seed: int) -> _Students:
-    """One student per setting."""
+    """Train one network per setting."""
     n_measured = float((~lessons.taught).sum())
     n_taught = float(lessons.taught.sum())
     teacher_weight, decay = (torch.tensor(values, dtype=torch.float64) for values in zip(*_SETTINGS, strict=True))
-    # Each teacher counts as a whole, however many courses it gave.
+    # Weights are normalised by the number of trajectories from each source.
     of_teacher = teacher_weight[:, None] / max(n_taught, 1.0)
     weight = torch.where(lessons.taught, of_teacher, 1.0 / n_measured) * lessons.taught.numel()
     with torch.random.fork_rng(devices=[]):
@@ -163,7 +163,7 @@ def _train(lessons: _Lessons, seed: int) -> _Students:
 
 
 def _clip(parameters: Sequence[Tensor]) -> None:
-    """Shorten the gradient of each student to a norm of 1 at most."""
+    """Clip the gradient of each network to norm 1."""
     gradients = [p.grad for p in parameters if p.grad is not None]
     norm = torch.stack([g.square().sum(dim=(1, 2)) for g in gradients]).sum(dim=0).sqrt()
     factor = torch.clamp(1.0 / (norm + 1e-6), max=1.0)
@@ -172,7 +172,7 @@ def _clip(parameters: Sequence[Tensor]) -> None:
 
 
 def _decay(parameters: Sequence[Tensor], share: Tensor) -> None:
-    """Decoupled weight decay, as in AdamW, by another share for each student."""
+    """Decoupled weight decay, as in AdamW, with one coefficient per network."""
     with torch.no_grad():
         for parameter in parameters:
             parameter.mul_(1.0 - share[:, None, None])

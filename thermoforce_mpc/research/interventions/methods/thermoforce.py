@@ -20,21 +20,21 @@ from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best, clearly_better
 from thermoforce_mpc.research.interventions.methods.curve import curved, with_curve
 
-# Centres of the priors tried: an air-heated zone answers within an hour or two, its structure within a day.
+# Candidate centres of the priors, h: an air-heated zone responds within hours, its structure within a day.
 _TIME_CONSTANTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
     1: ((0.3,), (0.6,), (1.0,), (1.5,), (1.8,), (2.1,), (2.4,), (2.8,), (3.5,), (5.0,), (10.0,), (20.0,)),
     2: ((1.2, 20.0), (0.8, 6.0)),
     3: ((0.5, 2.0, 20.0), (1.0, 5.0, 30.0)),
 }
-# One mode cannot have the speed of the room and that of its structure: fitted freely to days it settles between them,
-# so its time constant is held at each centre and the validation windows choose. Several modes find their own.
+# A single mode fitted freely gets a time constant between those of room air and structure. So it is fixed at each
+# centre and chosen on the validation windows. With several modes the time constants are estimated.
 _LOG_SD: dict[int, float] = {1: 0.02, 2: 1.0, 3: 1.0}
-# Full power into the air moves it by kelvins within the hour; how many is left to the data.
+# Wide prior (mean, sd): full power into the air changes its temperature by kelvins per hour.
 _START_SLOPE_K_PER_H = (5.0, 10.0)
 
 
 class SuperpositionPredictor:
-    """`Predictor` by a thermal model and a free response (paper eq:compose); the model's input is v(u)."""
+    """`Predictor`: thermal model plus free response (paper eq:compose); the input of the model is v(u)."""
 
     def __init__(self, model: ThermalModel, free_response: FreeResponse, note: str, exponent: float = 1.0) -> None:
         self.model, self.note, self.exponent = model, note, exponent
@@ -42,7 +42,7 @@ class SuperpositionPredictor:
 
     @property
     def modulated(self) -> bool:
-        """Whether m(x) was trained and kept; it is 1 otherwise."""
+        """Whether m(x) was trained and kept; otherwise m = 1."""
         return bool(self.model.card.scores.get("modulation_kept", 0.0))
 
     def respond(self, window: Window, u: Array) -> Array:
@@ -53,16 +53,16 @@ class SuperpositionPredictor:
 
 
 class LinearEffect:
-    """`Predictor` of effects alone, for choosing: with m = 1 they depend neither on the past nor on the free response.
+    """`Predictor` of effects for the choice of settings: with m = 1 they do not depend on history or free response.
 
-    It answers with the forced response from rest, K; only differences of its answers mean anything.
+    It returns the forced response from rest, K, so only differences of its predictions are meaningful.
     """
 
     def __init__(self, model: ThermalModel, note: str, exponent: float) -> None:
         self.model, self.note, self.exponent = model, note, exponent
 
     def respond(self, window: Window, u: Array) -> Array:
-        """See `Predictor.respond`, up to a course that all plans share."""
+        """See `Predictor.respond`; here without the free response, which is the same for all plans."""
         operator = self.model.operator.resampled(window.boundary.step_s)
         features = np.zeros((u.shape[1], N_FEATURES))
         rest = np.zeros(operator.order)
@@ -78,7 +78,7 @@ def identified(
     exponent: float = 1.0,
     **options: Any,
 ) -> ThermalModel:
-    """The model of the probe pair with these centres of the priors, driven by v(u) of this exponent."""
+    """Identify from the probe pair with the given prior centres and input v(u) with the given exponent."""
     pair = training.probe.pair
     settings: dict[str, Any] = {
         "order": len(time_constants_h),
@@ -109,11 +109,10 @@ def build_thermoforce(
     exponents: tuple[float, ...] = (1.0,),
     doubt_network: bool = True,
 ) -> SuperpositionPredictor:
-    """Identify with each order, centre of its priors and exponent; the best on the validation windows is kept.
+    """Identify with each order, prior centre and exponent, and keep the best on the validation windows.
 
-    The choice is made with m = 1. A neural m(x) is then trained at the chosen setting, where asked for, and has to be
-    clearly the better of the two on the validation windows, too; without `doubt_network` it is taken as identification
-    gives it.
+    The choice is made with m = 1. If requested, a neural m(x) is then trained at the chosen setting. It is kept only if
+    it is also clearly better on the validation windows; without `doubt_network` this check is skipped.
     """
     candidates = {}
     settings = {}

@@ -1,7 +1,7 @@
-"""ThermoForce without the guarantee: the same superposition, but a gain g(x) of any size and sign, F' = a F + g(x) u.
+"""ThermoForce without monotonicity: the same superposition with a gain g(x) of any sign, F' = a F + g(x) u.
 
-Trained on the difference of the probe pair (paper eq:paired) like the monotone operator; the weight decay that stands
-in for the missing bound is chosen on validation.
+It is trained on the difference of the probe pair (paper eq:paired) like the monotone operator. Weight decay replaces
+the bound of the gain and is chosen on validation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _START_H = 6.0
 
 @dataclass(frozen=True)
 class FreeGain:
-    """F' = `pole` · F + g(x) u with g(x) = network, all in numbers; `mean` and `scale` normalise x."""
+    """F' = `pole` · F + g(x) u with a network g(x), as numpy arrays; `mean` and `scale` normalise x."""
 
     pole: float
     hidden_weight: Array
@@ -45,7 +45,7 @@ class FreeGain:
         return np.asarray(np.tanh(x @ self.hidden_weight.T + self.hidden_bias) @ self.output_weight + self.output_bias)
 
     def history(self, history: Record) -> Array:
-        """F at the boundaries of `history`, shape (n + 1,), K, from the steady state of the first day's mean action."""
+        """F at the boundaries of `history`, shape (n + 1,), K, from steady state at the mean action of day one."""
         F = np.empty(history.n_steps + 1)
         T = history.T_zone_C
         x = feature_matrix(T[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
@@ -57,7 +57,7 @@ class FreeGain:
 
 
 class FreeGainPredictor:
-    """`Predictor` by superposition with a free gain."""
+    """`Predictor`: superposition with an unconstrained gain."""
 
     def __init__(self, operator: FreeGain, free_response: FreeResponse, note: str) -> None:
         self.operator, self._free_response, self.note = operator, free_response, note
@@ -93,7 +93,7 @@ class _Trainable(nn.Module):
 
 
 def build_unconstrained(training: Training, free_response: FreeResponse) -> FreeGainPredictor:
-    """Train with each weight decay and keep the one with the best effect on the validation windows."""
+    """Train with each weight decay and keep the result with the best effect on the validation windows."""
     candidates = {}
     for decay in _DECAY:
         operator = _fit(training, decay)
