@@ -26,8 +26,7 @@ class ExponentialSmoothing:
         """Import statsmodels; raises `ConfigError` if it is not installed."""
         if importlib.util.find_spec("statsmodels") is None:
             raise ConfigError(
-                "the baseline 'ets' needs statsmodels, which is not installed: "
-                "pip install 'thermoforce-mpc[bench]'"
+                "the baseline 'ets' needs statsmodels, which is not installed: pip install 'thermoforce-mpc[bench]'"
             )
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:

@@ -1,8 +1,8 @@
-"""`tf-mpc bench backbones`: is the gain of free plus forced that of one forecaster, or of the decomposition?
+"""`tf-mpc bench backbones`: accuracy of the free/forced decomposition with different forecasters.
 
-Every backbone forecasts controlled records of buildings 6 h ahead, from many instants: alone, as a forecaster of the
-measured temperature, and composed, as the forecaster of T - F to which the forced response of the actions that were
-taken is added (paper, table 'Backbone generality'). The operator is identified on the first three days of each record.
+Every backbone forecasts controlled records of buildings 6 h ahead from many origins: alone (raw), from the measured
+temperature, and composed, from T - F plus the forced response of the applied actions (paper, table 'Backbone
+generality'). The operator is identified on the first three days of each record.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _REFERENCE_RUNS = ("excite_jan", "excite_mar", "excite_apr")
 
 @dataclass(frozen=True)
 class Building:
-    """A controlled 15-min record, the operator identified on its first days, and instants to forecast from."""
+    """A controlled 15-min record, the operator identified on its first days, and forecast origins (step indices)."""
 
     name: str
     record: Record
@@ -44,12 +44,12 @@ class Building:
 
     @property
     def horizon(self) -> int:
-        """Steps of a forecast."""
+        """Number of steps of a forecast."""
         return round(_HORIZON_H * HOUR_S / self.record.step_s)
 
 
 def default_backbones() -> list[str]:
-    """The shipped forecasters, and `fracast` where its package is installed."""
+    """The shipped forecasters, and `fracast` if its package is installed."""
     return [*SHIPPED_SCALES, *([FRACAST] if importlib.util.find_spec(FRACAST) else [])]
 
 
@@ -65,16 +65,16 @@ def run_backbone_bench(
 
     Args:
         backbones: names, directories or hub names as in `load_backbone`; by default `default_backbones()`.
-        reference: records of the real test case in the layout of docs/plant.md; left out without it.
-        quick: fewer instants.
-        out: folder for the plot `backbones.png`; none without it.
-        progress: told each finished part.
+        reference: folder of records of the real test case in the layout of docs/plant.md; optional.
+        quick: fewer origins.
+        out: folder for the plot `backbones.png`; no plot if None.
+        progress: callback for progress lines.
 
     Raises:
         BackboneError: a backbone cannot be loaded.
         DataError: the folder lacks a file.
     """
-    # All are loaded first: a misspelt one must not cost the minutes of those before it.
+    # All backbones are loaded first, so that a wrong name fails before the computation.
     loaded = {name: ChronosFreeResponse(name) for name in backbones or default_backbones()}
     buildings = _buildings(reference, _ORIGINS_QUICK if quick else _ORIGINS, progress)
     rows: list[dict[str, Any]] = []
@@ -131,7 +131,7 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
 
 
 def _instant(building: Building, origin: int) -> tuple[Observation, Array, Array]:
-    """What is known at a step of the record, the actions that followed (1, N), and the temperatures (N,)."""
+    """Observation at step `origin` of the record, following actions (1, N) and temperatures (N,), °C."""
     record, n = building.record, building.horizon
     first = max(0, origin - round(_CONTEXT_DAYS * DAY_S / record.step_s))
     ahead = record.slice(origin, origin + n)
@@ -153,7 +153,7 @@ def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], N
         last = record.n_steps - round(_HORIZON_H * HOUR_S / record.step_s)
         origins = tuple(int(t) for t in np.linspace(first, last, at_most).round())
         buildings.append(Building(name, record, model, origins))
-        progress(f"{name}: operator identified on {_PROBE_DAYS} days, {len(origins)} instants")
+        progress(f"{name}: operator identified on {_PROBE_DAYS} days, {len(origins)} origins")
     return buildings
 
 
@@ -183,7 +183,7 @@ def _change(row: dict[str, Any]) -> float:
 
 
 def _plot(rows: Sequence[dict[str, Any]], out: Path) -> None:
-    """Raw, composed and composed with weather, a group of bars for each backbone: medians over the records."""
+    """Plot medians over the records: raw, composed and composed with weather, one group of bars per backbone."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,4 +1,4 @@
-"""How fast a control step is: our solvers beside do-mpc on the same instances, and where a step's time goes."""
+"""`tf-mpc bench controller`: solve times against do-mpc on the same instances, and the parts of a control step."""
 
 from __future__ import annotations
 
@@ -31,33 +31,33 @@ from thermoforce_mpc.simulation.identifying import identify_on
 from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
 
 _TESTCASE = "bestest_hydronic_heat_pump"
-# Instances that are solved by everyone; do-mpc needs a good part of a second for each.
+# Number of instances; do-mpc needs a large part of a second for each.
 _INSTANCES, _QUICK_INSTANCES = 60, 8
 _DEFAULT, _BLOCKED, _IPOPT = "qp by PIQP", "qp by PIQP, moves blocked as by default", "ipopt"
-# do-mpc with the operator and its network in its model, and with the gain of each step handed in as a number.
+# do-mpc with the operator and its network as a model, and with the gain of each step as a precomputed parameter.
 _PEER, _HELPED_PEER = "do-mpc", "do-mpc, gain worked out beforehand"
 
 Row = dict[str, Any]
 
 
 class Recorder:
-    """Stands before a solver and keeps what it is asked."""
+    """Wrapper of a solver that records its problems."""
 
     def __init__(self, inner: Any) -> None:
         self.inner, self.problems = inner, list[MPCProblem]()
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Pass on and remember."""
+        """Record `problem` and solve it with the inner solver."""
         self.problems.append(problem)
         solution: Solution = self.inner.solve(problem, guess)
         return solution
 
 
 def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
-    """Record instances in a closed loop on the embedded plant, then let every solver solve the same ones.
+    """Record instances in a closed loop on the embedded plant and solve them with every solver.
 
     Returns:
-        The bench's result; one row per solver, then one per part of a step.
+        Result of the bench: one row per solver, then one per part of a step.
     """
     progress("identifying and recording a closed loop on the embedded plant")
     mpc, recorder, result = _recorded(days=1.0 if quick else 14.0)
@@ -72,7 +72,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
 def _contestants(
     mpc: ThermoForceMPC, example: MPCProblem, progress: Callable[[str], None]
 ) -> dict[str, Callable[[MPCProblem], Array]]:
-    """Every solver by name, built for problems like `example`; the default's own blocked moves stand apart."""
+    """Every solver by name, built for problems like `example`; default move blocking is a separate entry."""
     operator, config = mpc._base.operator, MPCConfig()
     free = ProblemShape(every_step(example.n_steps), example.u_max, example.lowest_level)
     blocked = replace(
@@ -102,7 +102,7 @@ def _timed(
     operator: OperatorParameters,
     progress: Callable[[str], None],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Seconds and cost of each solver on each problem; one problem after the other, so that a busy moment hits all."""
+    """Time, s, and cost of each solver on each problem; solvers alternate, so that other load affects all of them."""
     seconds: dict[str, list[float]] = {name: [] for name in solvers}
     costs: dict[str, list[float]] = {name: [] for name in solvers}
     for i, problem in enumerate(problems):
@@ -117,7 +117,7 @@ def _timed(
 
 
 def _solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[str, list[float]], steps: int) -> Row:
-    """Median time of one solver, how it compares, and how far its optimum is from Ipopt's."""
+    """Median time of one solver, ms, ratio to do-mpc, and largest relative difference of the cost to Ipopt's."""
     median = float(np.median(seconds[name]))
     reference = np.array(costs[_IPOPT])
     worst = float(np.max(np.abs(np.array(costs[name]) - reference) / (1e-9 + np.abs(reference))))
@@ -152,7 +152,7 @@ def _levels(solver: QPSolver | IpoptSolver) -> Callable[[MPCProblem], Array]:
 
 
 def _parts(result: RunResult) -> list[Row]:
-    """Where the time of a control step goes, ms (median) and over the run, s."""
+    """Time of each part of a control step: median, ms, and total of the run, s."""
     steps = result.steps
     parts = {f"controller: {name}": [step.plan.seconds[name] for step in steps] for name in steps[0].plan.seconds}
     parts |= {
@@ -168,7 +168,7 @@ def _parts(result: RunResult) -> list[Row]:
 
 
 def _journal_seconds(result: RunResult) -> float:
-    """What it takes to write down every step of the run."""
+    """Time to write all steps of the run to disk, s."""
     began = time.perf_counter()
     with TemporaryDirectory() as folder:
         trajectory_frame(result.steps).to_csv(Path(folder) / "trajectory.csv", index=False)

@@ -1,4 +1,4 @@
-"""The same MPC problem in do-mpc (Fiedler et al. 2023), as its documentation would have one write it."""
+"""The same MPC problem in do-mpc (Fiedler et al. 2023), written as in its documentation."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from thermoforce_mpc.model.operator.casadi_export import step_function
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-# What changes from step to step and instance to instance.
+# Time-varying parameters: quantities that differ between steps or instances.
 _TIME_VARYING = ("price", "T_free", "lower", "upper")
 
 
 def load_do_mpc() -> Any:
-    """The package do-mpc; raises `ConfigError` where it is not installed."""
+    """Import do-mpc; raises `ConfigError` if it is not installed."""
     try:
-        with warnings.catch_warnings():  # it warns of optional parts that are not there
+        with warnings.catch_warnings():  # it warns about missing optional packages
             warnings.simplefilter("ignore")
             import do_mpc
     except ImportError as error:
@@ -35,7 +35,7 @@ def load_do_mpc() -> Any:
 
 @contextmanager
 def quiet_do_mpc() -> Iterator[None]:
-    """Without warnings that are do-mpc's to follow (numpy on CasADi's types) or meant for others (no rterm)."""
+    """Context without irrelevant warnings of do-mpc (numpy deprecations on CasADi types; missing rterm)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         warnings.filterwarnings("ignore", "rterm was not set")
@@ -45,14 +45,14 @@ def quiet_do_mpc() -> Iterator[None]:
 class DoMpcPeer:
     """Solves `MPCProblem`s of one operator, horizon and set of weights through do-mpc's own interface.
 
-    The operator's modes are discrete states, level and slack are inputs, everything that varies is a time-varying
-    parameter; bounds on the temperature at the end of a step are constraints on state and input at its start.
+    The modes of the operator are discrete states, level and slack are inputs, everything else that varies is a
+    time-varying parameter. Bounds on the temperature at the end of a step constrain state and input at its start.
 
     Args:
         operator: the forced response.
-        example: an instance with the horizon, step and weights of all.
-        gain_beforehand: whether what a level brings in each step is worked out before and handed in as a number, which
-            takes knowing that it does not depend on the decisions; else the model holds the operator with its network.
+        example: an instance with the common horizon, step and weights.
+        gain_beforehand: precompute the gain of each step and pass it as a parameter (possible since it does not depend
+            on the decisions); otherwise the model contains the operator with its network.
 
     Raises:
         ConfigError: do-mpc is not installed.
@@ -82,7 +82,7 @@ class DoMpcPeer:
         for name, value in zip(modes, after(), strict=True):
             model.set_rhs(name, value)
         with quiet_do_mpc():
-            model.setup()  # its symbols are other ones from here on
+            model.setup()  # setup replaces the symbols
         u, slack = model.u["u"], model.u["slack"]
         price, T_free, lower, upper = (model.tvp[name] for name in _TIME_VARYING)
         mpc = do_mpc.controller.MPC(model)
@@ -106,7 +106,7 @@ class DoMpcPeer:
         self._guessed = False
 
     def solve(self, problem: MPCProblem) -> Array:
-        """Levels (N,) for one instance, everything included that a step of do-mpc needs."""
+        """Solve one instance, including all set-up that do-mpc needs per step; returns levels (N,)."""
         p = problem
         full = np.full(self._n, p.u_max)
         drive = self._operator.drive(full, p.features) / p.u_max
@@ -128,7 +128,7 @@ class DoMpcPeer:
 
 
 def without_extras(problem: MPCProblem) -> MPCProblem:
-    """The problem as the peer has it: no peak, no worth of heat at the end."""
+    """The problem as implemented in do-mpc: without peak cost and without terminal value of heat."""
     return replace(
         problem,
         terminal_price_per_K=np.zeros_like(problem.terminal_price_per_K),

@@ -1,4 +1,4 @@
-"""`tf-mpc bench free-response`: forecasters of the control-free temperature on series that none was made from."""
+"""`tf-mpc bench free-response`: forecasters of the control-free temperature on series not used in their design."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from thermoforce_mpc.research.bench.free_response_score import Score, forecast_o
 from thermoforce_mpc.research.bench.free_response_sources import Source, boptest_sources, embedded_sources, mons_sources
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 
-# What the shipped forecaster is measured against: given the same context, without weather.
+# Baselines of the shipped forecaster: same context, no weather.
 NAIVE = ("persistence", "seasonal_naive", "ar26", "ar49", "ets")
 _ORIGINS_PER_SOURCE = 60
 _ORIGINS_QUICK = 8
-# How weather-aware methods bear BOPTEST's forecast errors is tried where there is hourly weather of the test case.
+# Methods with weather are also scored with BOPTEST's forecast errors, on the hourly records of the test case.
 _LEVELS: tuple[Level, ...] = ("low", "medium", "high")
 _WEATHER_AWARE = ("arx26", "linear_weather", "residual")
 _ERROR_SEED = 1
@@ -44,16 +44,16 @@ def run_free_response_bench(
 ) -> dict[str, Any]:
     """Forecast 24 h from many origins on every source with every method.
 
-    The weather "forecast" is what came; on the test case's records weather-aware methods are also given forecasts with
-    BOPTEST's low, medium and high errors.
+    The weather forecast is the measured weather. On the records of the test case, methods with weather are also scored
+    with BOPTEST's low, medium and high forecast errors.
 
     Args:
-        reference: records of the real test case in the layout of docs/plant.md; left out without it.
-        houses: folder with `mons_house_30min.csv.gz`; left out without it.
-        backbone: forecaster's weights, as in `build_free_response`.
-        quick: fewer origins, and neither runs of two weeks nor the limit of what weather explains.
-        out: folder for the plot `free_response.png`; none without it.
-        progress: told each finished source.
+        reference: folder of records of the real test case in the layout of docs/plant.md; optional.
+        houses: folder with `mons_house_30min.csv.gz`; optional.
+        backbone: weights of the forecaster, as in `build_free_response`.
+        quick: fewer origins, without the two-week runs and the limit of weather corrections.
+        out: folder for the plot `free_response.png`; no plot if None.
+        progress: callback for progress lines.
 
     Raises:
         DataError: a folder was given but a file in it is missing.
@@ -78,7 +78,7 @@ def run_free_response_bench(
             try:
                 found = scores[source.name][name] = score(method, source, origins)
                 rows.append(_row(source, name, found))
-            except DataError as error:  # a method that needs more history than a source has is not scored on it
+            except DataError as error:  # methods that need more history than a source has are skipped
                 progress(f"{source.name}: {name} left out: {error}")
         for level in _LEVELS if source.group == "BOPTEST" else ():
             for name in _WEATHER_AWARE:
@@ -136,7 +136,7 @@ def _row(source: Source, method: str, found: Score, weather: str | None = None) 
 
 
 def _pooled(scores: dict[str, dict[str, Score]], groups: dict[str, str]) -> dict[str, dict[str, Score]]:
-    """Scores of all sources of a group together."""
+    """Scores pooled over the sources of each group."""
     pooled: dict[str, dict[str, Score]] = {}
     for group in dict.fromkeys(groups.values()):
         members = [scores[source] for source in scores if groups[source] == group]
@@ -177,7 +177,7 @@ def _targets(scores: dict[str, dict[str, Score]], groups: dict[str, str]) -> lis
 def _uncertainty_targets(
     scores: dict[str, dict[str, Score]], groups: dict[str, str], uncertain: dict[Level, dict[str, list[Score]]]
 ) -> list[Target]:
-    """Even a bad weather forecast should be better than none: against the backbone, which sees no weather."""
+    """Targets: with forecast errors, `residual` is at least as good as the backbone, which uses no weather."""
     blind = [scores[name]["chronos"] for name in scores if groups[name] == "BOPTEST"]
     if not blind:
         return []

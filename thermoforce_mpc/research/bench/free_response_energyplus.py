@@ -1,4 +1,4 @@
-"""Free runs of EnergyPlus zones: another physics than our own under typical-year weather (extra [energyplus])."""
+"""Free runs of EnergyPlus zones in typical-year weather, independent of the embedded plant (extra [energyplus])."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["energyplus_sources", "is_available"]
 
 _DAYS = 28
 _SEED = 1
-# A set-point that no free course of a heated zone gets below, and none of a cooled one above: the source stays off.
+# Set-points that keep the heating or cooling source off.
 _NEVER_C = {"heating": -90.0, "cooling": 150.0}
 _HEAVY = ZoneSpec("Chicago-OHare", "heating", capacity_W=4000.0, insulation_m=0.06, slab_m=0.18, window_m2=9.0)
 
@@ -26,8 +26,8 @@ _HEAVY = ZoneSpec("Chicago-OHare", "heating", capacity_W=4000.0, insulation_m=0.
 def energyplus_sources(workers: int = 1) -> list[Source]:
     """Three zones without heating or cooling, hourly, 28 days each, with internal gains that differ from day to day.
 
-    The two of the interventional suite (Chicago in winter, Phoenix in early summer) and a heavier, leakier one with
-    larger windows in Chicago's spring.
+    The two zones of the interventional suite (Chicago in winter, Phoenix in early summer) and one with a heavier floor,
+    less insulation and larger windows (Chicago in spring).
 
     Raises:
         PlantError: the engine is not installed or failed.
@@ -52,7 +52,7 @@ def _job(climate: Climate, day: int) -> Job:
 
 
 def _hourly(record: Record) -> tuple[Record, np.ndarray[tuple[int], np.dtype[np.float64]]]:
-    """Samples at full hours and what the temperature was there."""
+    """Record at full hours and its temperature, °C."""
     every = round(HOUR_S / record.step_s)
     n = record.n_steps // every
     off = np.zeros(n)

@@ -1,11 +1,10 @@
-"""How much of the frozen forecaster's error could a linear use of the weather have removed at all?
+"""Limit of linear weather corrections: share of the frozen forecaster's error that they could remove.
 
-Where `residual` is hardly better than the backbone alone, either its use of the weather is poor or the weather says
-little. To tell, the backbone's own errors are regressed, afterwards and for each record and lead time alone, on the
-weather of the hours forecast, as it differs from what the series has just seen, and on what `residual`'s own candidates
-would have changed. In sample, such a regression sees the answers: it is better than any fixed linear correction of
-this kind that knows only the past (of the squared error strictly, of the absolute error nearly so). Cross-validated by
-blocks of time, it is what several months of experience, not a week, might bring.
+If `residual` is hardly better than the backbone alone, either its use of the weather is poor or the weather explains
+little. To distinguish the two, the errors of the backbone are regressed, for each record and lead time, on the weather
+of the forecast hours relative to the recent past, and on the corrections by the candidates of `residual`. The in-sample
+fit is a bound: no fixed linear correction of this kind from past data is better (strictly for the squared error, nearly
+so for the absolute error). The fit cross-validated by blocks of time estimates what months of data could achieve.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from thermoforce_mpc.research.bench.free_response_sources import Source
 _LEADS_H = (6, 24)
 _ORIGINS, _LEAST_ORIGINS = 150, 100
 _BATCH = 32
-# Weather is compared with that of the same hours of so many days before.
+# Weather is compared with the same hours of the given numbers of days before.
 _DAYS_BEFORE = 3
 _LATEST_H, _SEEN_H = 3, 6
 _BLOCKS = 5
-# Per instant, on features of unit variance; in sample it only keeps the equations regular.
+# Ridge weights per origin for features of unit variance; the in-sample one only keeps the equations regular.
 _RIDGE, _RIDGE_IN_SAMPLE = 0.1, 1e-6
 
 
 def limit_rows(sources: Sequence[Source], backbone: str, progress: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Shares of the backbone's mean absolute error removed, one row per group and 6 h and 24 h ahead.
+    """Share of the backbone's mean absolute error that is removed, one row per group for 6 h and 24 h ahead.
 
-    By a regression on the weather ahead, by one on the candidates of `residual` as well (each in sample and
-    cross-validated), and by `residual` itself from the same instants. Records with fewer than 100 instants to forecast
-    from are left out, with a word to `progress`.
+    Columns: regression on the weather ahead, regression on the candidates of `residual` as well (each in sample and
+    cross-validated), and `residual` itself from the same origins. Records with fewer than 100 origins are left out and
+    reported to `progress`.
 
     Raises:
         DataError, BackboneError: see `ResidualFreeResponse` and `load_backbone`.
@@ -49,10 +48,10 @@ def limit_rows(sources: Sequence[Source], backbone: str, progress: Callable[[str
     for source in sources:
         origins = np.array(forecast_origins(source, _ORIGINS))
         if origins.size < _LEAST_ORIGINS:
-            progress(f"{source.name}: left out of the limit of weather, {origins.size} instants are too few")
+            progress(f"{source.name}: left out of the limit of weather: only {origins.size} origins")
             continue
         counted[source.group] = counted.get(source.group, 0) + origins.size
-        # Candidates keep no memory between instants, so their trials do not matter here; `residual` itself needs them.
+        # Only `residual` itself needs the trials; its candidates have no state.
         candidates, mixed, truth = _forecasts(source, origins, ResidualFreeResponse(chronos))
         errors = truth - candidates[:, 0]
         for hours in _LEADS_H:
@@ -63,7 +62,7 @@ def limit_rows(sources: Sequence[Source], backbone: str, progress: Callable[[str
             for features in (weather, both):
                 left += [in_sample(errors[:, :n], features), cross_validated(errors[:, :n], features, origins, n)]
             found.setdefault((source.group, hours), []).append(np.array([np.abs(e).mean() for e in left]))
-        progress(f"{source.name}: limit of weather from {origins.size} instants")
+        progress(f"{source.name}: limit of weather from {origins.size} origins")
     rows = []
     for (group, hours), sizes in found.items():
         alone, residual, *regressions = np.mean(sizes, axis=0)
@@ -84,11 +83,11 @@ def limit_rows(sources: Sequence[Source], backbone: str, progress: Callable[[str
 
 
 def weather_features(source: Source, origins: Array, n: int) -> Array:
-    """What is new in the weather of the `n` steps after each origin, shape (origins, 10, n).
+    """Changes of the weather in the `n` steps after each origin relative to earlier days, shape (origins, 10, n).
 
-    Of outdoor temperature and of sunlight: how much its mean up to each lead time, and its mean over the last 3 h
-    before that, differ from those of the same hours of the day before and of the mean of three days before; and how
-    much the last 6 h differed from the day before, which the series has hardly answered yet.
+    For outdoor temperature and for sunlight: differences of the mean up to each lead time, and of the mean over the
+    3 h before it, to the same hours of the day before and to the mean of three days before; and the difference of
+    the last 6 h before the origin to the day before, to which the series has hardly responded yet.
     """
     step_s = source.history.step_s
     day, latest, seen = (round(span / step_s) for span in (DAY_S, _LATEST_H * HOUR_S, _SEEN_H * HOUR_S))
@@ -107,12 +106,12 @@ def weather_features(source: Source, origins: Array, n: int) -> Array:
 
 
 def in_sample(errors: Array, features: Array) -> Array:
-    """What a regression of `errors` (T, N) on `features` (T, p, N), one per lead time, leaves of them, (T, N)."""
+    """Residuals (T, N) of regressions of `errors` (T, N) on `features` (T, p, N), one per lead time."""
     return _left(errors, features, np.ones(len(errors), bool), np.ones(len(errors), bool), _RIDGE_IN_SAMPLE)
 
 
 def cross_validated(errors: Array, features: Array, origins: Array, n: int) -> Array:
-    """As `in_sample`, each fifth of the time left out of the fit that is applied to it, and all that overlaps it."""
+    """As `in_sample`, but cross-validated: each fifth of the time and everything overlapping it is held out in turn."""
     left = np.empty_like(errors)
     block = np.arange(origins.size) * _BLOCKS // origins.size
     for number in range(_BLOCKS):
@@ -123,7 +122,7 @@ def cross_validated(errors: Array, features: Array, origins: Array, n: int) -> A
 
 
 def _left(errors: Array, features: Array, fitted: Array, tested: Array, ridge: float) -> Array:
-    """Errors of the instants `tested` (T,) less those predicted by regressions on the instants `fitted` (T,)."""
+    """Errors at the origins `tested` (T,) minus their prediction by regressions on the origins `fitted` (T,)."""
     middle, spread = features[fitted].mean(axis=0), np.maximum(features[fitted].std(axis=0), 1e-9)
     scaled = np.moveaxis((features - middle) / spread, 2, 0)
     scaled = np.concatenate([scaled, np.ones((*scaled.shape[:2], 1))], axis=2)
@@ -136,7 +135,7 @@ def _left(errors: Array, features: Array, fitted: Array, tested: Array, ridge: f
 
 
 def _forecasts(source: Source, origins: Array, method: ResidualFreeResponse) -> tuple[Array, Array, Array]:
-    """Medians of the candidates (T, 3, N), of `method` (T, N), and what came (T, N)."""
+    """Medians of the candidates (T, 3, N) and of `method` (T, N), and measured values (T, N), °C."""
     tasks = [window(source, int(origin)) for origin in origins]
     medians = []
     for first in range(0, len(tasks), _BATCH):

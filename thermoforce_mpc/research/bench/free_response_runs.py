@@ -1,4 +1,4 @@
-"""More of the free-response bench: intervals over two weeks, the worth of a longer history, and the time taken."""
+"""Free-response bench, further parts: intervals over two weeks, length of context, resolutions, computing time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Row = dict[str, Any]
 _LEVEL: Level = "medium"
 _ERROR_SEED = 1
 _LEADS_H = (6, 24)
-# An hourly run over what follows the first two weeks; its first two days, while it learns, are not scored.
+# Hourly forecasts start after two weeks of history; the first two days, the settling time, are not scored.
 _START_STEP, _SETTLING_STEPS, _LEAST_STEPS = 14 * 24, 48, 10 * 24
 _OFF_BY = 0.03
 _CONTEXTS_H = (48, 96, 168, 336)
@@ -33,9 +33,9 @@ _FINE_STEP_S, _LONG_H = 900.0, 48.0
 def interval_runs(
     sources: Sequence[Source], backbone: str, progress: Callable[[str], None]
 ) -> tuple[list[Row], list[Target]]:
-    """Do the calibrated intervals of `residual` hold 80 % in runs of two weeks with BOPTEST's medium forecast errors?
+    """Coverage of calibrated 80 % intervals of `residual` in runs of two weeks with BOPTEST's medium forecast errors.
 
-    One row per hourly source that is long enough: the share of all values held, and of those 6 h and 24 h ahead.
+    One row per sufficiently long hourly source: coverage over all lead times, and 6 h and 24 h ahead.
     """
     rows: list[Row] = []
     targets: list[Target] = []
@@ -60,11 +60,11 @@ def interval_runs(
 
 
 def context_rows(sources: Sequence[Source], backbone: str, at_most: int) -> list[Row]:
-    """24-h error of the frozen model when it is given less history, from the same instants, one row per group."""
+    """24-h error of the frozen model by length of context, from the same origins, one row per group."""
     method = build_free_response("chronos", backbone=backbone)
     rows = []
     for group in dict.fromkeys(source.group for source in sources):
-        # The same instants for all lengths: those with the longest context behind them.
+        # The same origins for all lengths: those with the longest context.
         longest = max(_CONTEXTS_H)
         row: Row = {"group": group, "24-h error in K by context": "chronos"}
         for hours in _CONTEXTS_H:
@@ -84,7 +84,7 @@ def context_rows(sources: Sequence[Source], backbone: str, at_most: int) -> list
 
 
 def look_rows(backbone: str, at_most: int) -> list[Row]:
-    """48 h at 15 minutes on the embedded plant: what one unrolled look at the series gives, and several."""
+    """Error and coverage over 48 h at 15 min on the embedded plant, for one resolution and for several."""
     sources = embedded_sources(_FINE_STEP_S, _LONG_H)
     day = round(DAY_S / _FINE_STEP_S)
     rows: list[Row] = []
@@ -100,9 +100,9 @@ def look_rows(backbone: str, at_most: int) -> list[Row]:
 
 
 def cost_rows(source: Source, backbone: str) -> list[Row]:
-    """Median time of one forecast of 24 h and of 48 h on one thread, and of those of many buildings at once.
+    """Median time of one forecast of 24 h and of 48 h on one thread, and of a batch of many buildings.
 
-    On a machine with other work the processor's own time says what the forecast costs.
+    Processor time is given as well, since it is independent of other load on the machine.
     """
     method = ChronosFreeResponse(backbone)
     free, history, boundary, _ = window(source, forecast_origins(source, 1)[0])

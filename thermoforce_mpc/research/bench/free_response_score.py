@@ -1,4 +1,4 @@
-"""Scoring one method on one source: instants to forecast from, what is known at each, errors and intervals."""
+"""Scoring of one method on one source: forecast origins, data available at each, errors and coverage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ _LOW, _HIGH = 0, -1  # rows of the 0.1 and 0.9 quantiles
 
 @dataclass(frozen=True)
 class Score:
-    """One method on one source: absolute errors (origins, N) K, share inside the 80 % interval, ms per forecast."""
+    """Scores of one method on one source.
+
+    Absolute errors (origins, N), K; whether inside the 80 % interval (origins, N); mean pinball loss, K; median time
+    of a forecast, ms.
+    """
 
     errors_K: Array
     inside: Array
@@ -29,7 +33,7 @@ class Score:
 
 
 def forecast_origins(source: Source, at_most: int) -> list[int]:
-    """Indices to forecast from: enough and almost gapless context, a gapless day after; spread over the record."""
+    """Forecast origins, evenly spread over the record, with almost gapless context and a gapless day ahead."""
     free, n = source.free_C, source.horizon
     known = np.isfinite(free)
     weather = np.isfinite(source.history.T_out_C) & np.isfinite(source.history.solar_W_m2)
@@ -46,9 +50,9 @@ def forecast_origins(source: Source, at_most: int) -> list[int]:
 
 
 def window(source: Source, origin: int, error: ForecastError | None = None) -> tuple[Array, Record, Boundary, Array]:
-    """Control-free history up to `origin`, its weather, the 24 h ahead, and what came, shape (N,).
+    """Control-free history up to `origin`, record with its weather, weather ahead, and following temperatures (N,), °C.
 
-    With `error` (hourly sources only) the weather ahead is what a forecaster with such errors would have said.
+    With `error` (hourly sources only) the weather ahead is a forecast with such errors.
     """
     n, first = source.horizon, max(0, origin - source.context_steps)
     whole = source.history
@@ -60,7 +64,7 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
     boundary = whole.slice(origin, origin + n).weather()
     if error is not None:
         hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
-        # At the end of a record its last value stands for what lies beyond; it only steers redrawing.
+        # Beyond the end of the record the last value is used; it only affects the redrawing of errors.
         hourly = np.pad(hourly, (0, MAX_HORIZON_H + 1 - hourly.size), mode="edge")
         T_out, solar = error.apply(boundary.time_s, boundary.T_out_C, hourly, boundary.solar_W_m2)
         boundary = replace(boundary, T_out_C=T_out, solar_W_m2=solar)
@@ -68,7 +72,7 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
 
 
 def score(method: FreeResponse, source: Source, origins: Sequence[int], error: ForecastError | None = None) -> Score:
-    """Forecast from every origin and compare with what came."""
+    """Forecast from every origin and compare with the measured values."""
     errors, inside, pinball, seconds = [], [], [], []
     state: object = None
     for origin in origins:

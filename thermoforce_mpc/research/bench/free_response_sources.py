@@ -1,4 +1,4 @@
-"""Control-free temperature series to test forecasters on: none of them comes from the generator of the training series.
+"""Control-free temperature series for the free-response bench, none from the generator of the training series.
 
 A reference folder has the layout of docs/plant.md (records of the real BOPTEST test case); a folder of houses holds the
 measured Mons house (Candanedo, Feldheim and Deramaix 2018). The embedded plant needs no folder.
@@ -16,8 +16,8 @@ import pandas as pd
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 
-# Modes of the forced response that is subtracted from the controlled records; with them least squares leaves 0.02 K on
-# pairs held out.
+# Time constants of the forced response that is subtracted from the controlled records; least squares with them has an
+# RMSE of 0.02 K on held-out pairs.
 _FORCED_TAU_H = np.array([0.45, 3.0, 48.0])
 _MONS_LATITUDE, _MONS_LONGITUDE, _MONS_TIMEZONE_H = 50.45, 3.95, 1.0
 _MONS_ROOMS = {"kitchen": "T1_degC", "living room": "T2_degC", "office": "T4_degC", "bedroom": "T8_degC"}
@@ -29,8 +29,8 @@ _WEATHER_GAP_STEPS = 6
 class Source:
     """One series.
 
-    `group` is what targets are stated for, `free_C` (n + 1,) the control-free temperature at the boundaries of
-    `history`; every forecast is given between `least_context_steps` and `context_steps` of it, for `horizon_h` hours.
+    Targets are stated per `group`. `free_C` (n + 1,) is the control-free temperature at the step boundaries of
+    `history`, °C. Forecasts over `horizon_h` hours get `least_context_steps` to `context_steps` steps of context.
     """
 
     name: str
@@ -43,12 +43,12 @@ class Source:
 
     @property
     def horizon(self) -> int:
-        """Steps in a forecast."""
+        """Number of steps of a forecast."""
         return round(self.horizon_h * HOUR_S / self.history.step_s)
 
 
 def boptest_sources(folder: Path) -> list[Source]:
-    """Records of the real test case: 28-day excitations and native control less the forced response, and a free run.
+    """Records of the real test case: 28-day runs (excitation, native control) minus forced response, and a free run.
 
     Raises:
         DataError: a file of the folder is missing.
@@ -66,7 +66,7 @@ def boptest_sources(folder: Path) -> list[Source]:
 def mons_sources(folder: Path) -> list[Source]:
     """Four rooms of the measured house, 30-min means.
 
-    Sunlight was not measured: it is estimated from humidity, and is NaN on days without.
+    Sunlight was not measured; it is estimated from humidity and NaN on days without humidity.
     """
     from thermoforce_mpc.boundary.weather.clearness import sunlight_from_humidity
     from thermoforce_mpc.boundary.weather.solar import sun_position
@@ -111,9 +111,9 @@ def embedded_sources(step_s: float = HOUR_S, horizon_h: float = 24.0) -> list[So
 
 
 def hourly_record(path: Path, gains: Array | None = None) -> tuple[Record, Array]:
-    """A 15-min record of the test case at hourly boundaries, and its temperature less the forced response of `gains`.
+    """A 15-min record of the test case at hourly boundaries, and its temperature minus the forced response, °C.
 
-    The forced response is rolled out at 15 min, since the machine switches inside the hour.
+    The forced response with `gains` is computed at 15 min, since the machine switches within the hour.
     """
     frame = pd.read_csv(path)
     time_s = frame["time"].to_numpy(float)
@@ -134,13 +134,13 @@ def hourly_record(path: Path, gains: Array | None = None) -> tuple[Record, Array
     )
     if gains is None:
         return history, history.T_zone_C
-    # Heat of row i acts until the time of row i; the row before the first boundary starts the modes.
+    # The heat of row i acts until the time of row i; the first row is only used for the initial state.
     forced = forced_temperature(frame["reaQHeaPumCon_y"].to_numpy(float), gains)[1:]
     return history, np.asarray(history.T_zone_C - forced[boundary])
 
 
 def forced_gains(folder: Path) -> Array:
-    """Steady gain of each mode, K/W, fitted by least squares to the hourly pairs: what heat adds, shape (modes,)."""
+    """Steady-state gain of each mode, K/W, by least squares on the hourly pairs, shape (modes,)."""
     frame = pd.read_csv(_existing(folder / "pairs" / "pairs_1h.csv.gz"))
     rows, effects = [], []
     for _, pair in frame.groupby("pair"):
@@ -151,13 +151,13 @@ def forced_gains(folder: Path) -> Array:
 
 
 def forced_temperature(heat_W: Array, gains: Array, step_h: float = 0.25) -> Array:
-    """F at the boundaries of the steps of `heat_W` (n,), K, shape (n + 1,); starts at the first day's steady state."""
+    """F at the step boundaries of `heat_W` (n,), K, shape (n + 1,), from the steady state of the first day's mean."""
     steady = np.full(_FORCED_TAU_H.size, heat_W[: round(24 / step_h)].mean())
     return np.asarray(_mode_states(heat_W, step_h, steady) @ gains)
 
 
 def _mode_states(heat_W: Array, step_h: float, start_W: Array) -> Array:
-    """First-order modes of unit steady gain, driven by heat, shape (n + 1, modes), W."""
+    """States of first-order modes of unit steady-state gain, driven by heat, shape (n + 1, modes), W."""
     poles = np.exp(-step_h / _FORCED_TAU_H)
     states = np.empty((heat_W.size + 1, poles.size))
     states[0] = start_W

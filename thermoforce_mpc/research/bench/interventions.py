@@ -1,4 +1,4 @@
-"""`tf-mpc bench interventions`: the paper's table of interventional validity on EnergyPlus, its test and figures."""
+"""`tf-mpc bench interventions`: the paper's table of interventional validity on EnergyPlus, with test and figures."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _SIGN_GOAL = 0.98
 def data_for(
     folder: Path, *, quick: bool, days: Sequence[int] = (), draw: int = 1, workers: int = 2, say: Say
 ) -> Dataset:
-    """The suite's data, simulated where they are not kept; further numbers of probe `days` are added to the usual.
+    """Data of the suite, read or simulated; numbers of probe `days` are added to those of the protocol.
 
-    `draw` is the seed of what people do in the house and of the probing.
+    `draw` is the seed of internal gains and probing.
     """
     protocol = QUICK if quick else Protocol()
     wanted = tuple(sorted({*protocol.probe_days, *days}))
@@ -54,19 +54,19 @@ def run_interventions_bench(
     """Run the suite and write `interventions.json`, the figures and `index.html` into `out`.
 
     Args:
-        data_folder: where simulated pairs are kept.
-        out: folder of the outcome, made where it is missing.
-        days: numbers of probe days, by default 3 (quick: 1); table, test and figures are of the first.
-        quick: fewer days of each kind.
+        data_folder: folder of the simulated pairs.
+        out: folder of the results, created if missing.
+        days: numbers of probe days, by default 3 (quick: 1); targets and figures use the first.
+        quick: fewer validation and test days.
         backbone: weights of the forecaster.
-        seed: of networks.
-        workers: processes.
-        methods: names in `METHODS`, by default all; targets need all.
-        draw: seed of what people do in the house and of the probing: another suite of the same kind.
-        progress: told each line.
+        seed: seed of the networks.
+        workers: number of processes.
+        methods: names in `METHODS`, by default all; targets are only computed for all.
+        draw: seed of internal gains and probing; each value is another suite of the same kind.
+        progress: callback for progress lines.
 
     Raises:
-        DataError: days that cannot be probed, or damaged data.
+        DataError: probe days out of range, or damaged data.
         PlantError: the engine is missing or failed.
     """
     from thermoforce_mpc.research.interventions.page import write_page
@@ -105,7 +105,7 @@ def run_interventions_bench(
 
 
 def table_rows(suite: SuiteResult, days: int) -> list[Row]:
-    """The paper's table: means over the three cells of each climate, the paper's own effect RMSE beside."""
+    """The paper's table: means over the three cells of each climate, with the effect RMSE printed in the paper."""
     rows = []
     for climate in dict.fromkeys(s.climate for s in suite.scores):
         for name, method in METHODS.items():
@@ -131,7 +131,7 @@ def table_rows(suite: SuiteResult, days: int) -> list[Row]:
 
 
 def wilcoxon_rows(suite: SuiteResult, days: int) -> list[Row]:
-    """Our methods against all others over the cells, one-sided."""
+    """One-sided Wilcoxon tests over the cells: each ThermoForce variant against all other methods."""
     rows = []
     for name in (MONOTONE, TWO_STATE, BEST):
         for other, method in METHODS.items():
@@ -145,7 +145,7 @@ def wilcoxon_rows(suite: SuiteResult, days: int) -> list[Row]:
 
 
 def cell_row(score: CellScore) -> Row:
-    """One method on one cell."""
+    """Table row of one method on one cell."""
     return {
         "cell": f"{score.climate} {score.window}",
         "method": METHODS[score.method].label,
@@ -160,9 +160,10 @@ def cell_row(score: CellScore) -> Row:
 
 
 def targets(suite: SuiteResult, days: int) -> list[Target]:
-    """Goals of the suite for the paper's monotone operator and for the best of ours.
+    """Targets for the paper's monotone operator and for the best variant.
 
-    Against the paper's baselines, and against all of ours, among them a grey box fitted to the same paired probe.
+    They are compared with the baselines of the paper and with all baselines, which include a grey box fitted to the
+    same paired probe.
     """
     out = []
     groups = {

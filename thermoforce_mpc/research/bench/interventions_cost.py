@@ -1,4 +1,4 @@
-"""What each part costs (paper table 'Computational cost'), and the solve of the MPC, which the paper does not time."""
+"""Computing time of each part (paper table 'Computational cost') and of the MPC solve (not in the paper)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _REPEATS = 20
 
 
 def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> tuple[list[Row], list[Target]]:
-    """Median wall time of every part after `days` probe days, ms, beside the paper's; and trained parameters."""
+    """Median wall time of every part after `days` probe days, ms, and trained parameters, with the paper's figures."""
     say("timing identification, rollout, forecast and solve")
     climate = next(iter(data.climates.values()))
     training = training_of(climate, days, seed)
@@ -72,14 +72,14 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
 
 
 def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]:
-    """Median time of the MPC's solve over 48 h at 15 min, and of all of its control step, ms.
+    """Median time of the MPC solve over 48 h at 15 min and of the whole control step, ms.
 
-    The controller is that of this climate's plant with its defaults: its machine runs at any level above a lowest, so a
-    solve is one quadratic programme per first level. It stands two days before the probe and is given the weather that
-    came.
+    The controller has the defaults of the plant of this climate. Its machine runs at any level above a lowest one, so a
+    solve is one quadratic programme per first level. It plans for the last two days before the probe with the measured
+    weather.
 
     Raises:
-        DataError: the solver failed, so that there is nothing to time.
+        DataError: the test case has no machine, or the solver failed.
     """
     testcase = load_testcase(f"energyplus:{training.climate.name}")
     zone = testcase.energyplus
@@ -89,7 +89,7 @@ def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]
     power = electric_power_W(zone, testcase.mode, past.heat_W, past.T_out_C[:-1])
     lowest = testcase.defaults.actuation.get("lowest_level")
     powered = replace(model, power=fit_power([replace(past, power_W=power)], lowest_level=lowest))
-    # The same instant again and again has nothing to calibrate by.
+    # Repeated planning at one instant gives no data for calibration.
     free = {"name": "residual", "options": {"calibrate": False}}
     options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": free}
     controller = build_controller("thermoforce_mpc", options, testcase, powered)
@@ -127,7 +127,7 @@ def _observation(probe: Probe, climate: Climate, band_K: float) -> Observation:
 
 
 def _milliseconds(action: Callable[[], Any], repeats: int, *, warm: bool = True) -> float:
-    """Median of `repeats` calls, after one to `warm` up where the first would take clearly longer than the others."""
+    """Median time of `repeats` calls, ms; `warm` adds a first call that is not timed."""
     if warm:
         action()
     times = []

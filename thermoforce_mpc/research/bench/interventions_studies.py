@@ -1,4 +1,4 @@
-"""The other tables on the paired data: operator ablation, γ sweep, data efficiency, cost. Each with its figure."""
+"""Studies on the paired data: operator ablation, γ sweep, data efficiency, cost, small office; each with a figure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from thermoforce_mpc.simulation.run_folder import write_json
 Row = dict[str, Any]
 Say = Callable[[str], None]
 
-# Order, modulation and exponents of v(u) of each operator that is compared; the paper compares the first two.
+# Compared operators: order, modulation and exponents of v(u); the paper compares the first two.
 _OPERATORS: dict[str, tuple[tuple[int, ...], Literal["neural", "linear"], tuple[float, ...]]] = {
     "linear": ((1,), "linear", (1.0,)),
     "neural": ((1,), "neural", (1.0,)),
@@ -57,11 +57,11 @@ def run_study(
 ) -> dict[str, Any]:
     """Run one study: 'ablation', 'gamma', 'data', 'efficiency' or 'office'.
 
-    Writes `<name>.json`, figure and page into `out`.
-    Arguments as in `run_interventions_bench`; `days` are by default all four, or the paper's three where there is one.
+    Writes `<name>.json`, figure and page into `out`. Arguments as in `run_interventions_bench`; `days` are by default
+    all simulated numbers (ablation, data) or 3.
 
     Raises:
-        DataError: the study is not known, or the data cannot be used.
+        DataError: unknown study, or unusable data.
         PlantError: the engine is missing or failed.
     """
     if name not in ("ablation", "gamma", "data", "efficiency", "office"):
@@ -93,7 +93,7 @@ def run_study(
 
 
 def _written(name: str, result: dict[str, Any], figure: Figure, out: Path, say: Say) -> dict[str, Any]:
-    """Figure, JSON and page of a study in `out`."""
+    """Write figure, JSON and page of a study into `out`."""
     out.mkdir(parents=True, exist_ok=True)
     drawn = save(figure, out, name)
     write_json(out / f"{name}.json", result)
@@ -103,7 +103,7 @@ def _written(name: str, result: dict[str, Any], figure: Figure, out: Path, say: 
 
 
 def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, workers: int, say: Say) -> dict[str, Any]:
-    """Every method on a building that is not ours, after three probe days."""
+    """Score every method on the DOE small office after three probe days."""
     data = office_data(seed=draw, workers=workers, quick=quick, say=say)
     suite = run_suite(
         Dataset({"small_office": data}, {}), [PROBE_DAYS_OFFICE], backbone=backbone, seed=seed, workers=workers, say=say
@@ -170,7 +170,7 @@ def _ablation_targets(rows: Sequence[Row]) -> list[Target]:
             gain: float(np.mean([r["effect_K"] for r in rows if r["days"] == k and r["gain"] == gain]))
             for gain in _OPERATORS
         }
-        # The paper's claim: at least level with few days, clearly better with seven and more.
+        # As in the paper: not worse with few days, clearly better from seven days on.
         limit = 1.0 if k >= 7 else 1.05
         out.append(Target(f"{k} days: neural against linear gain", effect["neural"] / effect["linear"], limit))
         for gain in ("curve", "two-state", "two-state, curve"):
@@ -219,7 +219,7 @@ def _data_efficiency(data: Dataset, days: Sequence[int], backbone: str, seed: in
 
 
 def _curves(rows: Sequence[Row], name: str, x: str, y: str) -> dict[str, tuple[list[float], list[float]]]:
-    """(x, y) of each name; where several rows share both, their mean."""
+    """(x, y) of each name; y is the mean over rows with equal name and x."""
     out = {}
     for label in dict.fromkeys(str(row[name]) for row in rows):
         mine = [row for row in rows if str(row[name]) == label]

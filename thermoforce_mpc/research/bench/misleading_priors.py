@@ -1,7 +1,7 @@
-"""Part of `tf-mpc bench probing`: what an identification says where its priors mislead, and whether its band admits it.
+"""Part of `tf-mpc bench probing`: accuracy and coverage of the uncertainty band with a wrong floor area.
 
-The priors of capacity and coupling are per floor area. A house that is told to be a quarter larger or smaller than it
-is has both wrong by about one of their standard deviations, in the same direction; the data have to speak against them.
+The priors of heat capacity and coupling are per floor area. A floor area that is a quarter too large or too small
+shifts both by about one standard deviation in the same direction; the data have to correct this.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from thermoforce_mpc.research.bench.operator_data import ReferencePair
 from thermoforce_mpc.research.bench.operator_score import score_pairs
 from thermoforce_mpc.simulation.bench_result import Target
 
-# Told floor areas as shares of the true one.
+# Given floor areas as shares of the true one.
 _TOLD = (1.0, 1.25, 0.8)
 _CONFIG = IdentificationConfig(modulation="linear", order=3)
 # A band of ± this many standard deviations holds 90 % of a normal distribution.
 _BAND = 1.645
-# Beyond a day pairs of a day and a quarter do not tell what is true.
+# Lags up to 24 h: the reference pairs last 1.25 days and do not determine longer ones.
 _LAGS_H = tuple(h for h in STEP_RESPONSE_H if h <= 24)
 _COVERED = 0.8
 
@@ -38,20 +38,20 @@ def run_misleading_priors(
     floor_area_m2: float,
     say: Callable[[str], None],
 ) -> tuple[list[Row], list[Target]]:
-    """Identify every record with the true and with false floor areas.
+    """Identify every record with the true floor area and with wrong ones.
 
     Args:
-        records: probed records by their days.
-        pairs: pairs of runs of the same plant, which effects are scored on and the true step response comes from.
+        records: probed records by number of days.
+        pairs: pairs of runs of the same plant for scoring effects and identifying the true step response.
         floor_area_m2: true floor area, m².
-        say: told what is being done.
+        say: callback for progress lines.
     """
     truth = identify(pairs=[p.pair for p in pairs], config=_CONFIG, floor_area_m2=floor_area_m2)
     rows: list[Row] = []
     targets: list[Target] = []
     for days, given in records.items():
         for share in _TOLD:
-            say(f"{days} days, told {100 * share:.0f} % of the floor area")
+            say(f"{days} days, given {100 * share:.0f} % of the floor area")
             errors, inside = [], []
             for record in given:
                 try:
@@ -77,9 +77,9 @@ def run_misleading_priors(
 
 
 def _inside(model: ThermalModel, truth: ThermalModel) -> Array:
-    """Whether the true answer per watt lies in the band, for each lag, shape (lags,)."""
+    """Whether the true step response per watt lies in the band, for each lag, shape (lags,), 1.0 or 0.0."""
     known, true = model.card.uncertainty, truth.card.uncertainty
-    # Both are the answers to full heat as each believes it to be at its reference.
+    # Both are responses to full heat at the reference of the respective model, so they are scaled to equal heat.
     scale = model.operator.heat_input.reference_W / truth.operator.heat_input.reference_W
     names = [f"step_response_{hours}h" for hours in _LAGS_H]
     return np.array(

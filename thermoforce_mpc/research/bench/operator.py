@@ -1,8 +1,8 @@
-"""`tf-mpc bench operator`: what the operator says an action does, against interventions of a reference building.
+"""`tf-mpc bench operator`: predicted effects of actions against interventions of a reference building.
 
-Four parts: trained on pairs and tested on pairs of other start days; identified from K days of a single run with
-excitation, and of one under feedback, and tested on all pairs (`bench.operator_runs`); speed. Nothing that is tested on
-is trained on, and a target that does not hold is reported as such.
+Four parts: operator trained on pairs and tested on pairs of other start days; identified from K days of a single run
+with excitation, and of one under feedback, and tested on all pairs (`bench.operator_runs`); speed. Training and test
+data are disjoint.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from thermoforce_mpc.research.bench.training_speed import (
 )
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 
-# Goals of this bench, K unless said otherwise.
+# Targets of this bench, K unless stated otherwise.
 _PAIRS_GOAL_K, _SIGN_GOAL, _AGAINST_FIRST_ORDER = 0.035, 0.995, 0.5
 _SPEED_GOAL = 20.0
 
@@ -44,10 +44,10 @@ def run_operator_bench(
     """Run the bench on the records in `reference` (layout in `bench.operator_data`).
 
     Args:
-        reference: folder with hourly pairs, their weather, excite_*.csv.gz runs, and native_*.csv.gz where there are.
+        reference: folder with hourly pairs, their weather, excite_*.csv.gz runs, and optionally native_*.csv.gz.
         quick: one split of the pairs and fewer windows.
-        epochs: epochs of training; by default those of an identification.
-        progress: told what is being done.
+        epochs: epochs of training; by default as in identification.
+        progress: callback for progress lines.
 
     Raises:
         DataError: files are missing or unusable.
@@ -79,7 +79,7 @@ def run_operator_bench(
 def _trained_on_pairs(
     pairs: Sequence[ReferencePair], quick: bool, options: dict[str, Any], say: Callable[[str], None]
 ) -> tuple[list[Row], list[Target]]:
-    """Every other start day trains, the others test; then the other way round."""
+    """Two folds: train on every other start day and test on the others, then the reverse."""
     days = sorted({p.start_day for p in pairs})
     rows: list[Row] = []
     worst: dict[tuple[str, str, str], PairScores] = {}
@@ -156,7 +156,7 @@ def _speed(epochs: int, say: Callable[[str], None]) -> tuple[list[Row], list[Tar
         {"part": "speed", "data": c.name, "plain_ms": 1e3 * c.plain_s, "fast_ms": 1e3 * c.fast_s, "ratio": c.ratio}
         for c in comparisons
     ]
-    # What the paper prints for its own machine, for orientation only, beside the nearest figure of this run.
+    # Times printed in the paper (another machine), for orientation, with the nearest figure of this run.
     single, trained, rolled = many.plain_s / _MANY_BUILDINGS, comparisons[1].fast_s, comparisons[5].fast_s
     paper = (
         ("RC identification (3 days)", 24.0, single),

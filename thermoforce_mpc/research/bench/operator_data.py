@@ -1,4 +1,4 @@
-"""Reading reference records of a building: single runs and paired interventions, in the layout of the operator bench.
+"""Reader of reference records of a building (single runs, paired interventions) in the layout of the operator bench.
 
 excite_*.csv.gz        15-min runs with excitation, samples at the ends of the steps, BOPTEST names
 pairs/pairs_1h.csv.gz  hourly pairs (columns pair, start_day, kind, h0, hour, uA, uB, TA_start, ... QA_W, PA_W, ...)
@@ -25,7 +25,7 @@ _POWERS = ["reaPHeaPum_y", "reaPFan_y", "reaPPumEmi_y"]
 
 @dataclass(frozen=True)
 class ReferencePair:
-    """A pair (first run with the intervention, second without), its start day and the hour the intervention starts."""
+    """A pair (first run with the intervention, second without), its start day and start hour of the intervention."""
 
     start_day: int
     kind: str
@@ -42,7 +42,7 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def read_run(path: Path) -> Record:
-    """A 15-min record of the test case. Samples are at the ends of the steps, so the first step is given up.
+    """Read a 15-min record of the test case. Samples are at the ends of the steps, so the first step is dropped.
 
     Raises:
         DataError: the file is missing, or lacks a column.

@@ -1,6 +1,6 @@
-"""Parts of `tf-mpc bench operator`: what K days of one run tell, with excitation and under feedback.
+"""Parts of `tf-mpc bench operator`: identification from K days of one run, with excitation and under feedback.
 
-Every window of every run is identified from alone, nothing but that window known, and scored on all pairs.
+Each window of each run is used alone for an identification, which is scored on all pairs.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, Referenc
 from thermoforce_mpc.research.bench.operator_score import PairScores, score_pairs
 from thermoforce_mpc.simulation.bench_result import Target
 
-# Goals, K unless said otherwise.
+# Targets, K unless stated otherwise.
 _FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}
 NEURAL_PENALTY = 1.02
 INPUT_NAMES = {"heat": "heat", "identity": "u"}
 
 _DAYS = (1, 3, 7, 27)
-# Days from which the neural gain is to be better than the linear one, and by how much at least counts as better.
+# Number of days from which the neural gain shall be better than the linear one, and the required ratio.
 _MANY_DAYS, _BETTER = 7, 0.995
 
 Row = dict[str, Any]
@@ -37,11 +37,11 @@ def few_shot(
     options: dict[str, Any],
     say: Callable[[str], None],
 ) -> tuple[list[Row], list[Target]]:
-    """K days of one run, every window of it, tested on all pairs."""
+    """Rows and targets for K days of one run: every window, tested on all pairs."""
     rows: list[Row] = []
     targets: list[Target] = []
     for days in _DAYS:
-        # On heat always; on u, the paper's input, where there are days enough for a network to have something to learn.
+        # Input heat always; input u (as in the paper) only with enough days to train a network.
         inputs = ("heat", "identity") if days >= _MANY_DAYS else ("heat",)
         found: dict[tuple[str, str], list[PairScores]] = {(i, g): [] for i in inputs for g in ("linear", "neural")}
         found["identity", "two-stage, order 1"] = []
@@ -88,7 +88,7 @@ def few_shot(
 def under_feedback(
     runs: dict[str, Record], pairs: Sequence[ReferencePair], quick: bool, say: Callable[[str], None]
 ) -> tuple[list[Row], list[Target]]:
-    """K days of a run under its native controller, which heats because it is cold; on heat, linear gain."""
+    """Rows and targets for K days of a run under the native controller (feedback); input heat, linear gain."""
     rows: list[Row] = []
     for days in _DAYS:
         scores, refused = [], 0
@@ -109,7 +109,7 @@ def under_feedback(
 
 
 def _windows(runs: dict[str, Record], days: int, quick: bool, say: Callable[[str], None]) -> Iterator[Record]:
-    """Every window of so many days, in turn."""
+    """Iterate over all windows of `days` days."""
     for name, run in runs.items():
         total = run.n_steps * run.step_s / DAY_S
         for first in np.arange(0.0, total - days + 1e-9, _stride(days, quick)):
@@ -125,7 +125,7 @@ def _stride(days: int, quick: bool) -> float:
 
 
 def _paper_estimate(record: Record, pairs: Sequence[ReferencePair]) -> PairScores | None:
-    """The paper's two-stage estimator on hourly means of the same days; None where it finds too few off or on steps."""
+    """The paper's two-stage estimator on hourly means of the same days; None if there are too few off or on steps."""
     try:
         fit = fit_two_stage([record.resample(round(HOUR_S / record.step_s))])
     except DataError:

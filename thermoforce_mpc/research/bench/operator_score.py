@@ -12,7 +12,7 @@ from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator import OperatorParameters, feature_matrix, forced_rollout
 from thermoforce_mpc.research.bench.operator_data import ReferencePair
 
-# Below this, K, the sign of an effect is not scored: nobody could feel or use it.
+# Smallest effect whose sign is scored, K.
 SIGN_FROM_K = 0.05
 
 
@@ -20,10 +20,10 @@ SIGN_FROM_K = 0.05
 class PairScores:
     """Effect error over all pairs and lags.
 
-    `rmse_K` K; `sign_accuracy` where |effect| > 0.05 K (NaN if nowhere); `effect_K` RMS of the effect, K; `n` lags;
-    `own_factor_rmse_K` the RMSE that would be left if the prediction of every pair were multiplied by the factor that
-    suits that very pair best, and `own_factor_sd` how much these factors differ: what the weather, the zone or the hour
-    of a pair could explain by a gain m(x) that hardly changes within a day lies between the two errors.
+    `rmse_K`: RMSE, K; `sign_accuracy`: where |effect| > 0.05 K (NaN if nowhere); `effect_K`: RMS of the effect, K; `n`:
+    number of lags. `own_factor_rmse_K` is the RMSE, K, after scaling the prediction of each pair by its least-squares
+    factor, and `own_factor_sd` the standard deviation of these factors. A gain m(x) that hardly changes within a day
+    can reduce `rmse_K` to `own_factor_rmse_K` at best.
     """
 
     rmse_K: float
@@ -37,7 +37,7 @@ class PairScores:
 def predicted_effect(operator: OperatorParameters, reference: ReferencePair) -> Array:
     """Effect of the first run's actions instead of the second's, shape (n,), K (paper eq:effect).
 
-    Both are rolled out over the free state of the second run: what the first run measured is not looked at.
+    Both are rolled out with the features of the second run; measurements of the first run are not used.
     """
     acted, baseline = reference.pair.a, reference.pair.b
     operator = operator.resampled(baseline.step_s)
@@ -60,7 +60,7 @@ def score_pairs(
         predicted.append(predicted_effect(operator, reference)[window])
         measured.append((run.T_zone_C - reference.pair.b.T_zone_C)[1:][window])
     p, m = np.concatenate(predicted), np.concatenate(measured)
-    # A pair without effect in the window (an action that came too late) keeps the factor 1.
+    # A pair without effect in the window (late action) keeps the factor 1.
     seen = [(x, y) for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() > SIGN_FROM_K]
     factors = np.array([float(x @ y) / float(x @ x) for x, y in seen])
     left = [f * x - y for f, (x, y) in zip(factors, seen, strict=True)]

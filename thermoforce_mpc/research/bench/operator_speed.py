@@ -1,4 +1,4 @@
-"""How long a rollout of the operator takes, as ratios within one run of the bench."""
+"""Computing times of operator rollouts, as ratios within one run of the bench."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from thermoforce_mpc.model.operator import OperatorParameters, forced_rollout, l
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
-# Agreement of two ways to compute the same thing before their times may be compared, K.
+# Largest difference between two implementations whose times are compared, K.
 _SAME_K = 1e-9
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Median seconds of the same computation done plainly and as the package does it."""
+    """Median times, s, of a plain implementation and of that of the package."""
 
     name: str
     plain_s: float
@@ -29,12 +29,12 @@ class Comparison:
 
     @property
     def ratio(self) -> float:
-        """How many times faster."""
+        """Ratio of the times, plain over package."""
         return self.plain_s / self.fast_s
 
 
 def random_operator(order: int, seed: int) -> OperatorParameters:
-    """An operator of this order with random weights, as in a house."""
+    """An operator of this order with random weights in the range of a house."""
     rng = np.random.default_rng(seed)
     poles, gains = np.array([0.14, 0.74, 0.98])[-order:], np.array([0.1, 0.5, 0.4])[-order:]
     base = linear_operator(poles, gains, step_s=3600.0)
@@ -48,7 +48,7 @@ def random_operator(order: int, seed: int) -> OperatorParameters:
 
 
 def median_s(work: Callable[[], object], repeats: int) -> float:
-    """Median duration of `repeats` calls after one to warm up, s."""
+    """Median duration of `repeats` calls after a warm-up call, s."""
     work()
     times = []
     for _ in range(repeats):
@@ -59,7 +59,7 @@ def median_s(work: Callable[[], object], repeats: int) -> float:
 
 
 def _casadi_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> tuple[Any, Array]:
-    """The exported rollout bound to fixed memory, and where its modes (n, r) appear after a call."""
+    """The exported rollout bound to fixed memory, and its output array of modes (n, r)."""
     buffer: Any
     buffer, evaluate = rollout_function(params, u.size).buffer()
     arguments = [np.ascontiguousarray(value) for value in (F0, u, features)]
@@ -72,7 +72,7 @@ def _casadi_rollout(params: OperatorParameters, F0: Array, u: Array, features: A
 
 
 class _Bound:
-    """A CasADi call with the memory it reads and writes: CasADi keeps addresses, not references."""
+    """A CasADi call that keeps its input and output arrays alive, since CasADi stores only their addresses."""
 
     def __init__(self, evaluate: Any, memory: tuple[Any, ...]) -> None:
         self._evaluate, self._memory = evaluate, memory
@@ -82,7 +82,7 @@ class _Bound:
 
 
 def compare_rollout(n_steps: int, repeats: int = 200) -> tuple[Comparison, Comparison]:
-    """One rollout: CasADi and numpy against the torch module called step by step, as the paper's rollout is printed."""
+    """Compare rollouts: CasADi and numpy against the torch module called step by step, as timed in the paper."""
     rng = np.random.default_rng(0)
     params = random_operator(3, 2)
     operator = ForcedResponseOperator(params)
@@ -111,7 +111,7 @@ def compare_rollout(n_steps: int, repeats: int = 200) -> tuple[Comparison, Compa
 
 
 def compare_module_call(n_steps: int, repeats: int = 200) -> Comparison:
-    """One rollout: CasADi against one call of the torch module over the whole horizon."""
+    """Compare rollouts: CasADi against one call of the torch module over the whole horizon."""
     rng = np.random.default_rng(0)
     params = random_operator(3, 2)
     operator = ForcedResponseOperator(params)
@@ -133,7 +133,7 @@ def compare_module_call(n_steps: int, repeats: int = 200) -> Comparison:
 
 
 def must_agree(what: str, a: Array, b: Array) -> None:
-    """Refuse to compare the speed of two things that are not the same; raises `ArithmeticError`."""
+    """Check that two results agree before their times are compared; raises `ArithmeticError` if not."""
     difference = float(np.abs(a - b).max())
     if not difference <= _SAME_K:
         raise ArithmeticError(f"{what}: the fast and the plain computation differ by {difference:g}")

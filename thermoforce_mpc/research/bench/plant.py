@@ -1,4 +1,4 @@
-"""How near the embedded plant comes to records of the real test case, and how fast it is."""
+"""`tf-mpc bench plant`: accuracy of the embedded plant against records of the real test case, and its speed."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ def run_plant_bench(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
-    """Score the emulator against whatever `reference` holds of the layout in docs/plant.md.
+    """Score the embedded plant against all records in `reference` (layout in docs/plant.md).
 
     Args:
         reference: folder with any of excite_*.csv.gz, off_*.csv.gz, native_*.csv.gz, baseline_kpis*.csv, pairs/.
         weather: the records' weather file; by default the only .mos file in `reference`.
         quick: every eighth native window, two thermostats, no scaling.
         out: folder for the plot `plant_replay.png`.
-        progress: told what is being done.
+        progress: callback for progress lines.
 
     Raises:
-        DataError: the folder holds nothing to score, a record lacks a column, or there is no weather file.
+        DataError: no records in the folder, a column is missing, or there is no weather file.
     """
     if weather is None:
         found = sorted(reference.glob("*.mos"))
@@ -75,7 +75,7 @@ def run_plant_bench(
         targets.append(Target(f"{what}: effect RMSE, K", rmse, 0.03))
     if not rows:
         raise DataError(f"{reference}: nothing to score (no excite_*, off_*, native_*, baseline_kpis* or pairs/)")
-    if published_windows(plant.weather.fingerprint):  # the thermostats were measured in this weather
+    if published_windows(plant.weather.fingerprint):  # the thermostat runs were recorded in this weather
         progress("thermostats")
         for thermostat in scores.THERMOSTATS[:: 4 if quick else 1]:
             off = scores.thermostat_energy(plant, thermostat) / thermostat.ener_tot - 1
@@ -94,7 +94,7 @@ def run_plant_bench(
 
 
 def _effects(plant: EmbeddedPlant, folder: Path, progress: Callable[[str], None]) -> dict[str, list[Array]]:
-    """Errors of the effects of interventions, for each kind of record in `folder`."""
+    """Errors of the effects of interventions, K, for each kind of record in `folder`."""
     effects: dict[str, list[Array]] = {}
     if (folder / "pairs.csv").is_file():
         progress("paired interventions")

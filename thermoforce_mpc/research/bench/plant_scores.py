@@ -1,4 +1,4 @@
-"""What is compared between the emulator and records of the real test case, one function for each kind of record."""
+"""Comparisons of the embedded plant with records of the real test case, one function for each kind of record."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from thermoforce_mpc.simulation.bench_result import Target
 
 STEP_S = 900.0
 SCORED_S = 14 * DAY_S
-# Native control before the records begin. The soil remembers it for weeks, so it is as long as it was there.
+# Native control before the records begin; as long as in the records, since the ground has a memory of weeks.
 REPLAY_WARMUP_S, WINDOW_WARMUP_S = 5 * DAY_S, 7 * DAY_S
 _POWERS = ["reaPHeaPum_y", "reaPFan_y", "reaPPumEmi_y"]
 _HIGHLY_DYNAMIC = "PriceElectricPowerHighlyDynamic"
@@ -27,7 +27,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Thermostat:
-    """One on/off thermostat measured on the real test case: centre of the dead band °C (±0.1 K), level, energy."""
+    """On/off thermostat run on the real test case: centre of the dead band, °C (±0.1 K), level, energy, kWh/m²."""
 
     start_day: int
     centre_C: float
@@ -35,8 +35,8 @@ class Thermostat:
     ener_tot: float
 
 
-# On/off thermostats at 15-min steps after 7 days of native control, measured on the real test case (BOPTEST 0.9 series)
-# with its own weather: energy in kWh/m².
+# On/off thermostats at 15-min steps after 7 days of native control, recorded on the real test case (BOPTEST 0.9 series)
+# with its own weather; energy in kWh/m².
 THERMOSTATS = (
     Thermostat(16, 21.3, 1.0, 2.543),
     Thermostat(44, 21.3, 1.0, 2.316),
@@ -49,7 +49,7 @@ THERMOSTATS = (
 
 
 def read(path: Path, columns: list[str]) -> pd.DataFrame:
-    """A CSV file with at least `columns`; raises `DataError` that names the file and what is missing."""
+    """Read a CSV file with at least `columns`; raises `DataError` naming the file and missing columns."""
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
@@ -64,7 +64,7 @@ def replay(plant: EmbeddedPlant, path: Path, warmup_s: float, *, native: bool = 
     """Apply the recorded level (or native control) and compare temperature and electric power.
 
     Returns:
-        The figures, the error of the zone temperature (K) and when it was (days since the start).
+        Table row, errors of the zone temperature, K, and their times, days since the start.
     """
     real = read(path, ["time", "reaTZon_y", "oveHeaPumY_u", *_POWERS])
     start_s = float(real.time.iloc[0]) - STEP_S
@@ -88,7 +88,7 @@ def replay(plant: EmbeddedPlant, path: Path, warmup_s: float, *, native: bool = 
 def native_windows(
     plant: EmbeddedPlant, path: Path, tariffs: Collection[str], every: int = 1
 ) -> tuple[list[Row], list[Target]]:
-    """Published KPIs of the native controller over every `every`-th window, costs for the `tariffs` given."""
+    """Compare with published KPIs of the native controller for every `every`-th window, and costs under `tariffs`."""
     published = read(path, ["price", "centre_day", "ener_tot", "cost_tot", "tdis_tot", "pele_tot"])
     published = published[published.price.isin(tariffs)]
     days = sorted(published.centre_day.unique())[::every]
@@ -97,7 +97,7 @@ def native_windows(
         start_s = (float(day) - 7) * DAY_S
         plant.reset(start_s, WINDOW_WARMUP_S)
         plant.advance(None, SCORED_S)
-        # The native controller does not look at prices: one simulation serves all tariffs.
+        # The native controller does not use prices: one simulation is valid for all tariffs.
         windows = published[published.centre_day == day]
         kpis = plant.kpis()
         for key in ("ener_tot", "tdis_tot", "pele_tot"):
@@ -119,7 +119,7 @@ def native_windows(
 
 
 def thermostat_energy(plant: EmbeddedPlant, thermostat: Thermostat) -> float:
-    """Energy of a thermostat over its two weeks, kWh/m²."""
+    """Energy of a thermostat run over two weeks, kWh/m²."""
     measured = plant.reset(thermostat.start_day * DAY_S, WINDOW_WARMUP_S)
     on = False
     for _ in range(round(SCORED_S / STEP_S)):
@@ -158,7 +158,7 @@ def hourly_pair_errors(plant: EmbeddedPlant, path: Path) -> Iterator[Array]:
 
 
 def recorded_tariff(path: Path) -> Tariff | None:
-    """The highly dynamic tariff in a record of the boundary conditions; None where it holds none."""
+    """The highly dynamic tariff in a record of the boundary conditions; None if there is none."""
     table = read(path, ["time"])
     if _HIGHLY_DYNAMIC not in table:
         return None

@@ -1,4 +1,4 @@
-"""How fast the embedded plant is, and how that grows with plants stepped together, in threads and in processes."""
+"""Speed of the embedded plant, and its scaling with several plants in threads and in processes."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _TOGETHER = (1, 2, 4, 16)
 _PROCESSES = (1, 2, 4)
 _BEST_OF = 3
 
-# A process builds its plant once, when it starts: what the weather does to each surface takes a while to work out.
+# Built once per process, since the computation of the weather on each surface takes a while.
 _plant: EmbeddedPlant | None = None
 
 
 def two_weeks_s(plant: EmbeddedPlant) -> float:
-    """Seconds for two weeks at 15-min control after a week of warm-up on one core, best of three."""
+    """Time for two weeks at 15-min control after a week of warm-up on one core, s, best of three."""
     best = np.inf
     for _ in range(_BEST_OF):
         began = time.perf_counter()
@@ -39,15 +39,18 @@ def two_weeks_s(plant: EmbeddedPlant) -> float:
 
 @dataclass(frozen=True)
 class Rate:
-    """Days simulated by all plants, and what they took: seconds of the clock, and of processors."""
+    """Days simulated by all plants, wall time, s, and processor time, s."""
 
     days: float
     wall_s: float
     cpu_s: float
 
     def row(self, plants: int, stepped_in: str, alone: Rate) -> dict[str, Any]:
-        """Figures beside those of one plant `alone`. Days per processor second tell, on a busy machine too, what
-        stepping together costs: where they do not fall, n free cores give n times the days."""
+        """Table row, with growth relative to one plant `alone`.
+
+        Days per processor second are independent of other load; if they stay constant, n free cores give n times
+        the days.
+        """
         return {
             "plants": plants,
             "stepped in": stepped_in,
@@ -60,10 +63,10 @@ class Rate:
 
 
 def scaling(weather: Weather, *, days: int = 10) -> list[dict[str, Any]]:
-    """Simulated days per second, all plants counted: hourly steps of n plants together, then whole runs in n processes.
+    """Simulated days per second of all plants: hourly steps of n plants in threads, then whole runs in n processes.
 
-    Threads step side by side, as paired interventions and what-if branches need it; processes run one plant each from
-    start to end, as the making of training data does. At most as many run at once as there are cores.
+    Threads advance plants step by step (paired interventions, what-if branches); processes run one plant each from
+    start to end (training data). At most one thread or process per core runs at a time.
     """
     plants = [EmbeddedPlant(weather) for _ in range(max(_TOGETHER))]
     threads = min(max(_TOGETHER), os.cpu_count() or 1)
@@ -78,11 +81,11 @@ def scaling(weather: Weather, *, days: int = 10) -> list[dict[str, Any]]:
 
 
 def run_in_processes(weather: Weather, levels: list[float], days: int, n_processes: int) -> list[Array]:
-    """Zone temperatures (24 days + 1,) °C at the hours of a run at each level, in as many processes as asked for.
+    """Hourly zone temperatures (24 days + 1,), °C, of one run per level, simulated in `n_processes` processes.
 
-    The outcome does not depend on the number of processes, to the last bit.
+    Results are bit-identical for any number of processes.
     """
-    # Started anew, not forked: a fork would copy the threads' locks of the compiled code in whatever state they are.
+    # Spawned, not forked: a fork would copy locks of the compiled code in an undefined state.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(n_processes, context, initializer=_begin, initargs=(weather,)) as executor:
         return list(executor.map(_run, levels, [days] * len(levels)))
@@ -100,7 +103,7 @@ def _threads(plants: list[EmbeddedPlant], days: int, threads: int) -> Rate:
 def _processes(weather: Weather, n: int, days: int = 60) -> Rate:
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(n, context, initializer=_begin, initargs=(weather,)) as executor:
-        list(executor.map(_run, [0.5] * n, [1] * n))  # started, compiled code loaded
+        list(executor.map(_run, [0.5] * n, [1] * n))  # warm-up: start processes, load compiled code
         began = time.perf_counter()
         cpu_s = sum(executor.map(_cpu_s, [0.5] * n, [days] * n))
         return Rate(n * days, time.perf_counter() - began, cpu_s)
@@ -119,7 +122,7 @@ def _run(level: float, days: int) -> Array:
 
 
 def _cpu_s(level: float, days: int) -> float:
-    """Processor seconds of a run."""
+    """Processor time of a run, s."""
     busy = time.process_time()
     _run(level, days)
     return time.process_time() - busy

@@ -1,9 +1,8 @@
-"""`tf-mpc bench probing`: is chosen probing worth it, do wrong priors show, is a machine that weakens noticed?
+"""`tf-mpc bench probing`: informative probing, wrong priors, and online adaptation, all on the embedded plant.
 
-All on the embedded plant. The first part identifies from probed days, drawn at random or chosen for what they tell, and
-scores the effect on pairs of probed runs. The second tells the identification a wrong floor area. The third runs the
-plant for weeks under a switching thermostat while its heat pump, after the first third, gives what a fifth less
-compressor speed gives.
+The first part identifies from days of random or informative probing and scores the effect on pairs of probed runs. The
+second gives the identification a wrong floor area. The third runs the plant for weeks under an on/off thermostat; after
+the first third the heat pump has the output of a compressor speed that is one fifth lower.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from thermoforce_mpc.simulation.bench_result import Target, bench_result
 _LEVELS = (0.0, 0.4, 0.7, 1.0)
 _PAIR_DAYS, _START_DAYS = (12, 25, 40, 60, 75, 90, 300, 330), (18, 33, 50, 68, 83, 310)
 _LINEAR = IdentificationConfig(modulation="linear")
-# The thermostat of the second part: switches at 21 °C ± 0.5 K, by night 1 K lower, so that there is something to see.
+# Thermostat of the third part: 21 °C ± 0.5 K, by night 1 K lower for excitation.
 _SET_C, _BAND_K, _NIGHT_K = 21.0, 0.5, 1.0
 _WEAKENED = 0.8
 _WEEKS, _LATE_DAYS, _FOUND_WITHIN = 4, 7, 0.1
@@ -44,7 +43,7 @@ def run_probing_bench(*, quick: bool = False, progress: Callable[[str], None] | 
 
     Args:
         quick: fewer days and one seed.
-        progress: told what is being done.
+        progress: callback for progress lines.
     """
     say = progress or (lambda text: None)
     plant = EmbeddedPlant(synthetic_weather())
@@ -59,7 +58,7 @@ def run_probing_bench(*, quick: bool = False, progress: Callable[[str], None] | 
 
 
 def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> list[ReferencePair]:
-    say("pairs to score by")
+    say("simulating pairs for scoring")
     config = ProbingConfig(design="random", warmup_days=2.0)
     pairs = []
     for day in _PAIR_DAYS[:4] if quick else _PAIR_DAYS:
@@ -71,7 +70,7 @@ def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> lis
 def _designs(
     plant: EmbeddedPlant, pairs: list[ReferencePair], quick: bool, say: Callable[[str], None]
 ) -> tuple[list[Row], list[Target], dict[int, list[Record]]]:
-    """Rows, targets, and the records of the chosen draws by their days."""
+    """Rows, targets, and the records of informative probing by number of days."""
     records: dict[int, list[Record]] = {1: [], 3: []}
     rows: list[Row] = []
     found: dict[tuple[int, str], list[float]] = {}
@@ -131,8 +130,8 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
         seen = run if measured else replace(run, heat_W=np.full(run.n_steps, np.nan))
         model = identify([given], config=_LINEAR, floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S)
         adapted = OnlineAdaptation(model, AdaptationConfig(enabled=True)).update(None, seen)
-        # What really changed in what is estimated, from the heat at full level in the first third and in the last
-        # days: for an operator on u that is all of it, for one with a heat capacity only what the map did not foresee.
+        # True change of the estimated gain, from the heat at full level in the first third and in the last days: for an
+        # operator on u the whole change, for one on heat only the part not predicted by its load map.
         on, steps_from_start = run.u > 0, np.arange(run.n_steps)
         early = on & (steps_from_start < run.n_steps // 3)
         late = on & (steps_from_start >= run.n_steps - round(_LATE_DAYS * DAY_S / run.step_s))
@@ -163,7 +162,7 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
 
 
 def _thermostat(plant: EmbeddedPlant, start_s: float, days: int, step_s: float = 900.0) -> Record:
-    """A run under a switching thermostat, the machine weakened after the first third; u is what was asked for."""
+    """A run under an on/off thermostat, the machine weakened after the first third; u is the requested level."""
     now = plant.reset(start_s, 3 * DAY_S)
     history = Record.beginning(now)
     on, n = False, round(days * DAY_S / step_s)

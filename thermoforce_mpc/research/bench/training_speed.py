@@ -1,4 +1,4 @@
-"""How long identification takes, as ratios within one run of the bench."""
+"""Computing times of identification, as ratios within one run of the bench."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 from thermoforce_mpc.research.bench.operator_speed import Comparison, median_s, must_agree, random_operator
 from thermoforce_mpc.research.many_buildings import fit_two_stage_many
 
-# Noise of the synthetic targets, K, so that the loss does not end at zero.
+# Noise of the synthetic targets, K, so that the final loss is not zero.
 _NOISE_K = 0.05
-# Agreement of batched and single identification, relative: the single one's bounded solver stops within a tolerance.
+# Relative tolerance between batched and single identification; the solver of the latter stops within a tolerance.
 _SAME_POLE = 1e-3
 
 
 class _Task:
-    """Operator to train on rollouts of a teacher with noise, its loss by convolution and by a loop over the steps."""
+    """Training of an operator on noisy rollouts of another; loss by convolution and by a loop over the steps."""
 
     def __init__(self, n_steps: int, rollouts: int) -> None:
         rng = np.random.default_rng(0)
@@ -38,16 +38,16 @@ class _Task:
         self.target = clean + _NOISE_K * torch.tensor(rng.normal(size=(rollouts, n_steps)))
 
     def start(self) -> ForcedResponseOperator:
-        """A fresh operator, the same every time, with other gains and weights than the teacher's."""
+        """Initial operator, always the same, with gains and weights that differ from the target operator."""
         base = random_operator(3, 1)
         return ForcedResponseOperator(OperatorParameters(**{**vars(base), "gains": 0.5 * base.gains}))
 
     def fast(self, operator: ForcedResponseOperator) -> Tensor:
-        """Mean squared error, all steps of all rollouts in one convolution."""
+        """Mean squared error by one convolution over all steps of all rollouts."""
         return ((self._forced(operator) - self.target) ** 2).mean()
 
     def loop(self, operator: ForcedResponseOperator) -> Tensor:
-        """The same, all rollouts at once but step by step."""
+        """Mean squared error by a loop over the steps, for all rollouts at once."""
         state = torch.zeros(self.rollouts, 3, dtype=torch.float64)
         total = torch.zeros((), dtype=torch.float64)
         for t in range(self.n):
@@ -62,7 +62,7 @@ class _Task:
 
 
 def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Comparison:
-    """One epoch (loss and gradient) by convolution against a loop over the steps of all rollouts at once."""
+    """Compare one epoch (loss and gradient): convolution against a loop over the steps for all rollouts at once."""
     task = _Task(n_steps, rollouts)
     operator = task.start()
     must_agree("training loss", task.fast(operator).detach().numpy(), task.loop(operator).detach().numpy())
@@ -82,11 +82,11 @@ def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Compariso
 
 
 class _Reached(Exception):
-    """The loss aimed at has been reached."""
+    """Raised when the target loss is reached."""
 
 
 def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> Comparison:
-    """Training to the loss that `epochs` of Adam in a loop over the steps end at, against how the package trains."""
+    """Compare training to the final loss of `epochs` epochs of Adam with a loop: that loop against the package."""
     task = _Task(n_steps, rollouts)
     plain = task.start()
     config = IdentificationConfig(optimiser="adam", epochs=epochs)
@@ -114,7 +114,7 @@ def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> 
 
 
 def compare_many_buildings(buildings: int, days: int = 3) -> Comparison:
-    """Two-stage identification of synthetic buildings, one after another against all at once."""
+    """Compare two-stage identification of synthetic buildings: one after another against one batch."""
     runs = [_run(seed, days) for seed in range(buildings)]
 
     def one_by_one() -> list[TwoStageFit]:
@@ -132,7 +132,7 @@ def compare_many_buildings(buildings: int, days: int = 3) -> Comparison:
 
 
 def _run(seed: int, days: int, step_s: float = 900.0) -> Record:
-    """A building of order 1 with its own time constant and gain, switched at random."""
+    """Simulated run of a first-order building with random time constant and random switching."""
     rng = np.random.default_rng(seed)
     n = round(days * DAY_S / step_s)
     time_s: Array = np.arange(n + 1, dtype=np.float64) * step_s
