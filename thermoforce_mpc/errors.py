@@ -1,38 +1,38 @@
-"""The exceptions of this package: one base, one branch per exit code of `tf-mpc`.
+"""Exceptions of the package: one base class, one branch per exit code of `tf-mpc`.
 
-A message says what was wrong, where (file, key, endpoint), and what to do about it.
-A failed *solve* is never an exception: it is a status on the `Plan`.
+A message says what was wrong, where (file, key, endpoint), and what to do.
+A failed solve is not an exception: it is reported by the status of the `Plan`.
 """
 
 from __future__ import annotations
 
 
 class ThermoForceError(Exception):
-    """Base of everything this package raises on purpose."""
+    """Base class of all exceptions of this package."""
 
 
 class InputError(ThermoForceError):
-    """Something the user gave cannot be used (exit code 2)."""
+    """User input is invalid (exit code 2)."""
 
 
 class ConfigError(InputError):
-    """A YAML file, an option or a `--set` value is wrong; names the file, the key and what is allowed."""
+    """A YAML file, an option or a `--set` value is invalid; names the file, the key and the allowed values."""
 
 
 class WeatherError(InputError):
-    """A weather file is missing, truncated, malformed, or does not cover the time asked for."""
+    """A weather file is missing, truncated, malformed, or does not cover the requested time."""
 
 
 class DataError(InputError):
-    """Data given for identification or forecasting cannot be used (too short, no excitation, wrong shape)."""
+    """Data for identification or forecasting are unusable (too short, no excitation, wrong shape)."""
 
 
 class ArtifactError(InputError):
-    """A saved model is missing, damaged, of another version, or fails its own check."""
+    """A saved model is missing, damaged, of another version, or fails its self-check."""
 
 
 class BackboneError(InputError):
-    """A forecaster cannot be loaded from the name or directory given."""
+    """A pretrained forecaster cannot be loaded from the given name or directory."""
 
 
 class PlantError(ThermoForceError):

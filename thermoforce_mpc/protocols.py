@@ -1,4 +1,7 @@
-"""The doors between the rooms: small structural protocols. One implementation is one file, named in one registry."""
+"""Structural protocols between packages: `Plant`, `FreeResponse`, `FollowingFreeResponse` and `Controller`.
+
+Each free response and each controller is one file, listed in one registry.
+"""
 
 from __future__ import annotations
 
@@ -19,45 +22,45 @@ from thermoforce_mpc.data import (
 
 @runtime_checkable
 class Plant(Protocol):
-    """A building that can be run: emulator, service, FMU or engine. Raises `PlantError` when it fails."""
+    """Simulated building: embedded emulator, BOPTEST service, FMU or EnergyPlus. Raises `PlantError` on failure."""
 
     @property
     def info(self) -> PlantInfo:
-        """Which plant, weather and version this is."""
+        """Plant kind, test case, weather and version."""
         ...
 
     def period(self, name: str) -> Period:
-        """The scored window called `name`: 'peak_heat_day', 'typical_heat_day', or a start day such as '44'."""
+        """Return the scored window `name`: 'peak_heat_day', 'typical_heat_day', or a start day such as '44'."""
         ...
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control; KPIs count from `start_s` on."""
+        """Start at `start_s` (s since 1 January) after `warmup_s` s of native control; KPIs count from `start_s`."""
         ...
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Hold `u` in [0, 1] (None: native control) for `duration_s` seconds."""
+        """Apply the actuator level `u` in [0, 1] (None: native control) for `duration_s` s."""
         ...
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead, every `interval_s`."""
+        """Return boundary conditions from now to `horizon_s` ahead, every `interval_s` s."""
         ...
 
     def past(self, step_s: float) -> Record:
-        """What is known since the start of the warm-up, at `step_s`; one instant where the plant keeps no record."""
+        """Return the record since the start of the warm-up at `step_s` s; one instant if the plant keeps no record."""
         ...
 
     def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs since the end of the warm-up: ener_tot, cost_tot, tdis_tot, emis_tot, pele_tot, ..."""
+        """Return BOPTEST's KPIs since the end of the warm-up: ener_tot, cost_tot, tdis_tot, emis_tot, pele_tot, ..."""
         ...
 
     def close(self) -> None:
-        """Release what the plant holds; safe to call twice."""
+        """Release processes, files and connections; safe to call twice."""
         ...
 
 
 @runtime_checkable
 class FreeResponse(Protocol):
-    """What the zone would do without us. Never sees the control."""
+    """Forecaster of the free response, the zone temperature without control action. It never receives the control."""
 
     @property
     def name(self) -> str:
@@ -65,30 +68,29 @@ class FreeResponse(Protocol):
         ...
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """Forecast the control-free temperature over the steps of `boundary`.
+        """Forecast the free response over the steps of `boundary`.
 
-        `free_C` (n + 1,) is the control-free history T − F at the boundaries of `history` (NaN gaps
-        allowed); of `history` only
-        time and weather may be used. Returns N = `boundary.n_steps` values, at the end of each step.
+        `free_C` (n + 1,), °C, is the past free response T − F at the times of `history` (NaN gaps allowed). Only time
+        and weather of `history` may be used. Returns N = `boundary.n_steps` values, one at the end of each step.
         """
         ...
 
 
 @runtime_checkable
 class FollowingFreeResponse(FreeResponse, Protocol):
-    """A free response that learns from the forecasts of a run: what it learned is a value that the run carries along.
+    """Free response that learns from its own forecasts during a run; the run carries the learned state.
 
-    Its `forecast` is that of a run which begins.
+    `forecast` gives the forecast at the start of a run.
     """
 
     def follow(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> tuple[FreeForecast, object]:
-        """As `forecast`, with what the last call of this run gave (None begins a run); and what to give to the next."""
+        """Forecast as `forecast` does, given the state of the last call (None: start of a run); also return the new."""
         ...
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """Everything that decides an action. It holds no state of a run: that travels in the plans."""
+    """Controller: decides the actuator level. It holds no state of a run; `Plan.state` carries it."""
 
     @property
     def name(self) -> str:
@@ -97,18 +99,18 @@ class Controller(Protocol):
 
     @property
     def step_s(self) -> float:
-        """How long a plan is followed before the next is asked for, s."""
+        """Control step, s: time between two calls of `plan`."""
         ...
 
     @property
     def horizon_s(self) -> float:
-        """How far ahead the controller wants its boundary forecast, s (at least one step)."""
+        """Length of the boundary forecast the controller needs, s (at least one step)."""
         ...
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
-        """Decide. Never raises for a failed solve: the plan's status says which fallback level acted, and why.
+        """Return the plan for an observation.
 
-        `state` is the `Plan.state` of the last plan of this run, None begins a run. The same observation and state give
-        the same plan.
+        A failed solve does not raise: the plan's status gives the fallback level used and the reason. `state` is the
+        `Plan.state` of the last plan of this run, None at its start. Same observation and state, same plan.
         """
         ...

@@ -1,1 +1,1 @@
-"""What surrounds the building besides weather: tariffs, scored windows, errors of the forecast."""
+"""Boundary conditions: weather, tariffs, scored windows and forecast errors."""

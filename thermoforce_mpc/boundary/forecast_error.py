@@ -1,8 +1,8 @@
-"""Errors of the weather forecast, as BOPTEST adds them at levels low, medium and high.
+"""Weather forecast errors of BOPTEST at levels low, medium and high.
 
-Outdoor temperature: a Gaussian first-order process along the horizon; global irradiance: a Laplace one, redrawn until
-daylight values stay within a fifth and twice the truth. Hourly, refreshed every hour, up to 48 h ahead, subtracted
-from the truth. Parameters: BOPTEST documentation, forecast uncertainty.
+Outdoor temperature: Gaussian first-order process along the horizon. Global irradiance: Laplace first-order process,
+redrawn until daylight forecasts lie between 0.2 and 2 times the true value. Errors are hourly, drawn anew every hour, up
+to 48 h ahead, and subtracted from the true value. Parameters: BOPTEST documentation, forecast uncertainty.
 """
 
 from __future__ import annotations
@@ -55,25 +55,25 @@ _DRAWS = 200
 
 
 class ForecastError:
-    """Forecast errors of one level and seed; the same hour gives the same errors, whatever was asked before."""
+    """Forecast errors of one level and seed; they depend only on level, seed and hour, not on earlier calls."""
 
     def __init__(self, level: Level, seed: int) -> None:
         self.level, self._seed = level, seed
 
     def apply(self, time_s: Array, T_out_C: Array, hourly_solar_W_m2: Array, solar_W_m2: Array) -> tuple[Array, Array]:
-        """Outdoor temperature °C and irradiance W/m² as a forecaster with these errors would give them.
+        """Return outdoor temperature °C and irradiance W/m² with forecast errors, shape (n,) each.
 
         Args:
-            time_s: instants asked for, shape (n,), the first being now.
-            T_out_C, solar_W_m2: the truth there.
-            hourly_solar_W_m2: true irradiance at the 49 full hours from the hour that holds now.
+            time_s: forecast instants, s since 1 January, shape (n,); the first is now.
+            T_out_C, solar_W_m2: true values at these instants, shape (n,).
+            hourly_solar_W_m2: true irradiance at 49 full hours from the one at or before now, shape (49,).
 
         Raises:
             InputError: the horizon is longer than 48 h.
         """
         hour = math.floor(time_s[0] / HOUR_S)
         ahead_h = time_s / HOUR_S - hour
-        # Counted from now, as the service does; errors begin with the full hour and hold beyond their last one.
+        # The limit counts from now, as in the service; errors start at the full hour, the last value is held.
         if (time_s[-1] - time_s[0]) / HOUR_S > MAX_HORIZON_H + 1e-9:
             raise InputError(f"forecast horizon beyond {MAX_HORIZON_H} h: not available with forecast uncertainty")
         rng = np.random.default_rng([self._seed, hour])
@@ -91,7 +91,7 @@ class ForecastError:
         return errors
 
     def _solar_errors(self, rng: np.random.Generator, truth: Array) -> Array:
-        """Redrawn while a daylight value leaves its range, then smoothed over three hours and clipped to the range."""
+        """Draw until all daylight values lie in range (200 times at most), smooth over 3 h, clip to the range."""
         p = _SOLAR[self.level]
         daylight = truth > _DAYLIGHT_W_M2
         errors = np.empty(MAX_HORIZON_H + 1)

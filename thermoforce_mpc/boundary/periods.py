@@ -1,9 +1,9 @@
-"""BOPTEST's scored windows: two weeks around the peak and around the typical heating day of a weather year.
+"""BOPTEST's scored windows: two weeks around the peak and the typical heating day of a weather year.
 
-Rule (BOPTEST's tool for finding days, facts only): from a year under native control, the peak day holds the highest
-15-minute mean of the heat pump's electric power; the typical day's highest such mean is the nearest at or below the
-median over all heating days. Windows begin seven days before. Only days that leave room for the warm-up and for the
-second week count, also for the typical day (BOPTEST asks that of the peak day alone).
+Rule (BOPTEST's tool for finding days): in a year of native control, the peak day has the highest 15-min mean of the
+heat pump's electric power; the typical day's highest 15-min mean is the nearest at or below the median over all heating
+days. A window begins seven days before its day. Both days must leave room for the warm-up and the second week (BOPTEST
+requires this of the peak day only).
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from thermoforce_mpc.data import DAY_S, Array, Period
 
 _QUARTERS = 96
 _HALF_WINDOW_D = 7
-# A window needs its warm-up before and its second week after the day.
+# Days that leave room for the warm-up and first week before, and the second week after.
 _FIRST_DAY, _LAST_DAY = 14, 358
 _HEATING_W = 1.0
 
 
-# BOPTEST publishes the days it found for its own weather. The emulator finds its peak day by the rule, but the typical
-# one follows from a median between neighbours in rank that lie months apart: a watt decides, and so does the release of
-# the test case they were found with. Days by the weather's fingerprint.
+# Days that BOPTEST publishes for its own weather, by the weather's fingerprint. The emulator reproduces the peak day by
+# the rule, but not the typical day: days next to the median in rank lie months apart, so a difference of 1 W, or
+# another release of the test case, changes it.
 _PUBLISHED = {"7856f6e4b8b7": {"peak_heat_day": 23, "typical_heat_day": 115}}
 
 
 def published_windows(fingerprint: str) -> dict[str, Period] | None:
-    """The windows BOPTEST publishes for its own weather (Brussels), or None for any other weather."""
+    """Return the windows BOPTEST publishes for its own weather (Brussels), or None for any other weather."""
     days = _PUBLISHED.get(fingerprint)
     return None if days is None else {name: centred_window(name, day) for name, day in days.items()}
 
 
 def heating_windows(power_W: Array) -> dict[str, Period]:
-    """The windows 'peak_heat_day' and 'typical_heat_day' of a year by BOPTEST's rule.
+    """Return the windows 'peak_heat_day' and 'typical_heat_day' of a year by BOPTEST's rule.
 
     Args:
-        power_W: 15-minute means of the heating power over 365 days under native control, shape (35040,).
+        power_W: 15-min means of the electric heating power over 365 days of native control, W, shape (35040,).
     """
     highest = np.asarray(power_W).reshape(365, _QUARTERS).max(axis=1)
     available = np.arange(_FIRST_DAY, _LAST_DAY)
@@ -47,5 +47,5 @@ def heating_windows(power_W: Array) -> dict[str, Period]:
 
 
 def centred_window(name: str, day: int) -> Period:
-    """The two weeks around a day of the year, counted from 0, as BOPTEST's scenarios have them."""
+    """Return the two weeks around `day` (day of the year, from 0), as in BOPTEST's scenarios."""
     return Period(name, (day - _HALF_WINDOW_D) * DAY_S)

@@ -1,4 +1,4 @@
-"""The three electricity tariffs of the test case, and emissions. Prices in EUR/kWh, emissions in kg CO2/kWh."""
+"""Electricity tariffs of the test case (EUR/kWh) and its emission factor (kg CO2/kWh)."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ Tariff = Callable[[Array], Array]
 
 
 def constant(time_s: Array) -> Array:
-    """The constant tariff."""
+    """Return the constant tariff, EUR/kWh, shape of `time_s` (s since 1 January)."""
     return np.full(np.shape(time_s), CONSTANT)
 
 
 def dynamic(time_s: Array) -> Array:
-    """Day and night: the day price holds from 07:00 up to and including the 22:00 sample."""
+    """Return the day/night tariff, EUR/kWh: the day price holds from 07:00 up to and including the 22:00 sample."""
     hour = (np.asarray(time_s) % DAY_S) / HOUR_S
-    # BOPTEST's price series is quarter-hourly and held forward: the 22:00 value lasts to 22:15.
+    # BOPTEST's price series has 15-min samples held to the next: the 22:00 value lasts to 22:15.
     return np.where((hour >= 7.0) & (hour < 22.25), DYNAMIC_DAY, DYNAMIC_NIGHT)
 
 
 def synthetic_spot(seed: int = 0) -> Tariff:
-    """A synthetic highly dynamic tariff: hourly, spot-like, mean near 0.24 EUR/kWh, with rare negative hours.
+    """Return a synthetic highly dynamic tariff: hourly, spot-like, mean near 0.24 EUR/kWh, rare negative hours.
 
-    Stands in for the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which are not ours to ship.
-    Morning and evening peaks, cheap nights and weekends, slow weather-driven swings.
+    It replaces the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which cannot be redistributed.
+    Morning and evening peaks, low prices at night and at weekends, slow weather-driven variation.
     """
     rng = np.random.default_rng(seed)
     hour = np.arange(8760.0)
@@ -52,27 +52,27 @@ def synthetic_spot(seed: int = 0) -> Tariff:
     fast = _autoregressive(rng, 8760, 0.7) * 0.0045
     season = 0.006 * np.cos(2 * np.pi * (day - 15) / 365)
     prices = 0.2375 + shape + night + weekend + season + slow + fast
-    # A few windy holiday nights, as every real year has.
+    # Three windy nights of 5 h with prices 0.1 to 0.3 lower.
     for start in rng.choice(8752, size=3, replace=False):
         prices[start : start + 5] -= rng.uniform(0.1, 0.3)
     return held_prices(hour * HOUR_S, np.asarray(np.round(prices, 5), dtype=np.float64))
 
 
 def tariff_from_file(path: Path) -> Tariff:
-    """Read a tariff of your own, held forward from each time to the next; a file of a whole year repeats.
+    """Read a tariff from a CSV file (or .csv.gz); each price holds until the next time.
 
-    A CSV file (or .csv.gz) with the columns `time`, s since 1 January, rising from 0, and `price`, per kWh; BOPTEST's
-    own column PriceElectricPowerHighlyDynamic does as well. A file that ends earlier serves until then.
+    Columns: `time`, s since 1 January, increasing from 0, and `price` per kWh, or BOPTEST's
+    PriceElectricPowerHighlyDynamic. A file of a whole year repeats; a shorter one is valid until its end.
 
     Raises:
         ConfigError: the file is missing or damaged, has other columns, a value that is not a number, or times that do
-            not rise.
+            not increase.
     """
     try:
         opened = gzip.open if path.suffix == ".gz" else open
         with opened(path, "rt", newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:  # the middle two: a .gz file cut short
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:  # EOFError, zlib.error: truncated .gz
         raise ConfigError(f"{path}: cannot be read ({error})") from error
     column = next((name for name in _PRICE_COLUMNS if rows and name in rows[0]), None)
     if column is None or "time" not in rows[0]:
@@ -82,17 +82,17 @@ def tariff_from_file(path: Path) -> Tariff:
         )
     time_s, price = (_numbers(path, rows, name) for name in ("time", column))
     if time_s.size < 2:
-        raise ConfigError(f"{path}: one price only; give at least two, so that it is known how long they hold")
+        raise ConfigError(f"{path}: only one price; give at least two, whose distance says how long the last one holds")
     if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{path}: times must rise and start at 0 s or before (first is {time_s[0]:g} s)")
     return held_prices(time_s, price, str(path))
 
 
 def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:
-    """The tariff whose prices (per kWh) hold from each `time_s` (s since 1 January, rising) to the next, every year.
+    """Return a tariff, periodic over the year, whose `price` (n,) per kWh holds from each `time_s` (n,) to the next.
 
-    The last price holds as long as the one before it. The tariff raises `ConfigError`, naming `source`, where it is
-    asked for a later time of the year.
+    `time_s` is in s since 1 January, increasing. The last price holds as long as the one before it. The tariff raises
+    `ConfigError`, naming `source`, for a later time of the year.
     """
     until_s = float(time_s[-1] + (time_s[-1] - time_s[-2]))
 
@@ -109,7 +109,7 @@ def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:
 
 
 def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> Array:
-    """One column (n,); raises `ConfigError` naming the line."""
+    """Return one column (n,); raises `ConfigError` naming the line of an invalid value."""
     values = np.empty(len(rows))
     for i, row in enumerate(rows):
         text = row[column]
@@ -123,7 +123,7 @@ def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> Array:
 
 
 def _autoregressive(rng: np.random.Generator, n: int, memory: float) -> Array:
-    """First-order noise of unit variance, shape (n,)."""
+    """Return first-order autoregressive noise of unit variance, shape (n,)."""
     noise = rng.standard_normal(n) * np.sqrt(1 - memory**2)
     out = np.empty(n)
     out[0] = noise[0]
@@ -133,5 +133,5 @@ def _autoregressive(rng: np.random.Generator, n: int, memory: float) -> Array:
 
 
 def by_name(highly_dynamic: Tariff | None = None) -> dict[str, Tariff]:
-    """The three tariffs by BOPTEST's names; the highly dynamic one is synthetic unless given."""
+    """Return the three tariffs by BOPTEST's names; the highly dynamic one is synthetic unless given."""
     return {"constant": constant, "dynamic": dynamic, "highly_dynamic": highly_dynamic or synthetic_spot()}

@@ -1,1 +1,1 @@
-"""What users write: settings, test cases and scenarios."""
+"""Configuration files: settings, test cases and scenarios."""

@@ -1,4 +1,4 @@
-"""A scenario: everything that decides what a run computes. One YAML file, every key explained here."""
+"""Scenario: the complete configuration of a run, one YAML file. Every key is described here."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from thermoforce_mpc.scenario.testcase import Price, TestCase
 
 
 class PlantSpec(StrictModel):
-    """Which plant is controlled."""
+    """Controlled plant."""
 
     kind: Literal["embedded", "boptest", "fmu"] = Field(
         "embedded",
-        description="what ships (emulator, or EnergyPlus where the test case says so), a BOPTEST service, or an FMU",
+        description="embedded: the emulator, or EnergyPlus if the test case says so; boptest: a service; fmu: an FMU",
     )
     path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)")
     url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
@@ -36,48 +36,51 @@ class PlantSpec(StrictModel):
 
     @model_validator(mode="after")
     def _knows_its_surroundings(self) -> PlantSpec:
-        """A file that would be ignored is refused: a service or an FMU has its own weather and prices."""
+        """Refuse files that would be ignored: a service or an FMU has its own weather and prices."""
         if self.kind != "embedded" and (self.weather != "synthetic" or self.prices_file is not None):
             raise ValueError(
-                f"weather and prices_file are for the emulator alone; kind '{self.kind}' brings its own, leave them out"
+                f"weather and prices_file apply only to kind 'embedded'; kind '{self.kind}' has its own, leave them out"
             )
         return self
 
     def files(self) -> dict[str, str]:
-        """Paths of the files that this plant is made from, by the field that names them."""
+        """Paths of the plant's input files, by field name."""
         named = {"path": self.path, "weather": self.weather, "prices_file": self.prices_file}
         return {field: path for field, path in named.items() if path not in (None, "synthetic")}
 
 
 class ProbingSpec(StrictModel):
-    """Where the operator comes from: a saved model, or days of probing before the warm-up of the scored window."""
+    """Source of the operator: a saved model, or days of probing before the warm-up of the scored window."""
 
     model: str | None = Field(None, description="folder of a saved model; probing is skipped")
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
-    probing: dict[str, Any] = Field(default_factory=dict, description="how to probe: levels, hold_steps, ...")
-    options: dict[str, Any] = Field(default_factory=dict, description="how to identify: order, actuator, gamma, ...")
+    probing: dict[str, Any] = Field(default_factory=dict, description="probing options: levels, hold_steps, ...")
+    options: dict[str, Any] = Field(default_factory=dict, description="identification options: order, gamma, ...")
 
 
 class ControllerSpec(StrictModel):
-    """Which controller decides. `options` belong to the controller named; `tf-mpc controllers` lists them."""
+    """Controller and its options; `tf-mpc controllers` lists both."""
 
     name: str = Field("thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`")
     options: dict[str, Any] = Field(default_factory=dict, description="options of that controller")
 
 
 class Scenario(StrictModel):
-    """What to run. Every field has a default but the test case."""
+    """Configuration of a run. Every field but the test case has a default."""
 
     testcase: str = Field(description="name in configs/testcases, or a YAML file")
     plant: PlantSpec = PlantSpec()
     period: str = Field(
         "peak_heat_day",
-        description="peak_heat_day, typical_heat_day, or a start day such as 44; left out, it is peak_cool_day "
-        "for a building that is cooled",
+        description="peak_heat_day, typical_heat_day, or a start day such as 44; default for cooled buildings: "
+        "peak_cool_day",
     )
     days: float = Field(14.0, gt=0, le=365, description="scored days")
     step_s: float | None = Field(
-        None, ge=300, le=14400, description="control step of all model-based controllers, s; by default their own"
+        None,
+        ge=300,
+        le=14400,
+        description="control step of all model-based controllers, s; default: their own",
     )
     price: Price = Field("constant", description="tariff")
     controller: ControllerSpec = ControllerSpec()
@@ -94,16 +97,16 @@ class Scenario(StrictModel):
 def load_testcase(name: str) -> TestCase:
     """Read a test case by name or YAML path; raises `ConfigError`.
 
-    `energyplus:NAME` is the file `energyplus_NAME.yaml` of those that ship.
+    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`.
     """
     path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1))
     return validate(TestCase, read_yaml(path), str(path))
 
 
 def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
-    """Read a scenario file (or none) and lay `overrides` on top; raises `ConfigError` naming file and key.
+    """Read a scenario file (or none) and apply `overrides`; raises `ConfigError` naming file and key.
 
-    A scenario without a period gets the peak of its building's season.
+    Without a period, a heated building gets 'peak_heat_day' and a cooled one 'peak_cool_day'.
     """
     data = merge(read_yaml(path) if path else {}, overrides)
     source = str(path) if path else "options"
@@ -114,7 +117,7 @@ def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
 
 
 def _is_cooled(testcase: str) -> bool:
-    """Whether a test case is cooled; one that cannot be read is reported by whoever goes on to use it."""
+    """Whether a test case is cooled; False if it cannot be read, which its later use reports."""
     try:
         return load_testcase(testcase).mode == "cooling"
     except ConfigError:

@@ -1,4 +1,4 @@
-"""Reading what users write: YAML files, `--set` overrides, and messages that name file, key and allowed values."""
+"""Read YAML files and `--set` overrides; error messages name file, key and allowed values."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class StrictModel(BaseModel):
-    """Base of everything users write: unknown keys are refused, values are immutable once read."""
+    """Base class of all configuration models: unknown keys are refused, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe YAML that refuses a key written twice: the second would silently win."""
+    """Safe YAML loader that refuses duplicate keys, of which PyYAML would silently keep the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
@@ -36,7 +36,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
 
 def configs_folder() -> Path:
-    """The `configs` folder: beside the package in a source tree, inside it once installed from a wheel."""
+    """Return the `configs` folder: beside the package in a source tree, inside it when installed from a wheel."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package.parent / "configs", package / "configs"):
         if (folder / "testcases").is_dir():
@@ -45,12 +45,12 @@ def configs_folder() -> Path:
 
 
 def named_configs(kind: str) -> dict[str, Path]:
-    """The shipped YAML files of one kind ('testcases' or 'scenarios'), by name."""
+    """Return the shipped YAML files of one kind ('testcases' or 'scenarios'), by name."""
     return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
 
 
 def find_config(kind: str, name: str) -> Path:
-    """The file of a shipped configuration by name, or the path itself when `name` is a YAML file."""
+    """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file."""
     path = Path(name)
     if path.suffix in {".yaml", ".yml"}:
         if not path.is_file():
@@ -63,7 +63,7 @@ def find_config(kind: str, name: str) -> Path:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """A `, did you mean ...?` for a near miss, else nothing."""
+    """Return ", did you mean ...?" if a known word is close, else an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)
     return f", did you mean '{close[0]}'?" if close else ""
 
@@ -84,7 +84,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
-    """Build `model` from `data`; raises `ConfigError` with every wrong key, its value and what is allowed."""
+    """Build `model` from `data`; raises `ConfigError` listing every invalid key, its value and what is allowed."""
     try:
         return model.model_validate(dict(data))
     except ValidationError as error:
@@ -93,7 +93,7 @@ def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `over` laid on top, nested mappings merged key by key."""
+    """Return `base` updated by `over`; nested mappings are merged key by key."""
     out = dict(base)
     for key, value in over.items():
         below = out.get(key)
@@ -102,10 +102,10 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
-    """Turn `a.b=1` words into nested mappings; values are read as YAML scalars or lists.
+    """Convert `a.b=1` assignments into nested mappings; values are parsed as YAML scalars or lists.
 
     Raises:
-        ConfigError: for a word without '=', an empty key, a value that is not YAML, or NaN.
+        ConfigError: an assignment has no '=', an empty key, a value that is not YAML, or NaN.
     """
     out: dict[str, Any] = {}
     for word in assignments:
@@ -127,7 +127,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def _explain(model: type[BaseModel], item: Any) -> str:
-    """One line for one pydantic error: dotted key, value, reason, and the allowed keys where a key is unknown."""
+    """Return one line per pydantic error: dotted key, reason, value; for an unknown key, the allowed keys."""
     path = [str(part) for part in item["loc"]]
     key = ".".join(path) or "(top level)"
     if item["type"] == "extra_forbidden":
@@ -140,7 +140,7 @@ def _explain(model: type[BaseModel], item: Any) -> str:
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Names of the fields of the nested model that `path` leads to (descends through unions and optionals)."""
+    """Return the field names of the nested model at `path` (descends through unions and optionals)."""
     current: type[BaseModel] | None = model
     for part in path:
         field = current.model_fields.get(part) if current else None

@@ -1,4 +1,4 @@
-"""Test cases: which point means what, in which unit, and how to act. One YAML file each, in `configs/testcases`."""
+"""Test cases: meaning and unit of each point, and the actuator. One YAML file each, in `configs/testcases`."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
 
 
 class Actuator(StrictModel):
-    """How u in [0, 1] reaches the plant: `<point>_u` runs from `minimum` to `maximum`, `<point>_activate` = 1.
+    """Mapping of the level u in [0, 1] to the plant: `<point>_u` in [`minimum`, `maximum`], `<point>_activate` = 1.
 
-    u is always the effort, heating or cooling. Where less is more, as with the set-point of a cooled room, `rising` is
-    false: then `<point>_u` = maximum − u · (maximum − minimum).
+    u is the heating or cooling effort. If the value falls with u, as the set-point of a cooled room does, `rising` is
+    false and `<point>_u` = maximum − u · (maximum − minimum).
     """
 
     point: str = Field(description="overwrite point of the test case, without the `_u` ending")
-    minimum: float = Field(0.0, description="lowest value, in `unit`; the one at u = 0 where `rising`")
-    maximum: float = Field(1.0, description="highest value, in `unit`; the one at u = 1 where `rising`")
+    minimum: float = Field(0.0, description="lowest value, in `unit`; the value at u = 0 if `rising`")
+    maximum: float = Field(1.0, description="highest value, in `unit`; the value at u = 1 if `rising`")
     rising: bool = Field(True, description="whether the value rises with u; false for the set-point of a cooled room")
-    unit: str = Field("1", description="unit of the value at the wire")
-    kind: Literal["level", "setpoint"] = Field("level", description="a machine's level, or the set-point of a loop")
+    unit: str = Field("1", description="unit of the value at the plant's interface")
+    kind: Literal["level", "setpoint"] = Field("level", description="level of a machine or set-point of a loop")
     held: dict[str, float] = Field(
         default_factory=dict,
-        description="other overwrite points held at a value (unit of the wire) while u acts; native otherwise",
+        description="other overwrite points held at a value (unit of the interface) while u acts; native otherwise",
     )
 
     @model_validator(mode="after")
@@ -41,14 +41,14 @@ class Actuator(StrictModel):
         return self
 
     def value(self, u: float) -> float:
-        """The value at the wire for `u` in [0, 1], in `unit`."""
+        """Return the value of `<point>_u` for `u` in [0, 1], in `unit`."""
         share = u if self.rising else 1.0 - u
         return self.minimum + share * (self.maximum - self.minimum)
 
     def inputs(self, u: float | None) -> dict[str, float]:
-        """Inputs at the wire for `u` in [0, 1], or None for native control.
+        """Return the plant inputs for `u` in [0, 1], or None for native control.
 
-        Everything is said in so many words: a point that is not mentioned keeps the value it had.
+        All points are set explicitly, since a point that is not set keeps its last value.
         """
         if u is None:
             return {f"{name}_activate": 0.0 for name in (self.point, *self.held)}
@@ -56,24 +56,22 @@ class Actuator(StrictModel):
         return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
 
     def level(self, value: float | Array) -> Array:
-        """The u in [0, 1] that gives `value` (any shape, in `unit`), clipped."""
+        """Return the level u for `value` (any shape, in `unit`), clipped to [0, 1]."""
         share = (np.asarray(value) - self.minimum) / (self.maximum - self.minimum)
         return np.clip(share if self.rising else 1.0 - share, 0.0, 1.0)
 
 
 class Measurements(StrictModel):
-    """Points that are measured. Temperatures are in kelvin at the wire, powers in W, irradiance in W/m²."""
+    """Measured points. At the plant's interface temperatures are in K, powers in W, irradiance in W/m²."""
 
     zone_temperature: str
     outdoor_temperature: str
     solar: str = Field(description="global horizontal irradiance")
     electric_power: tuple[str, ...] = Field(
-        min_length=1, description="points whose sum is the power that is paid for at `forecast.price`: electric, or gas"
+        min_length=1, description="points whose sum is the power billed at `forecast.price`: electric, or gas"
     )
-    heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat; empty if not measured")
-    return_water: str | None = Field(
-        None, description="temperature of the water that returns from the emitters, for the power model"
-    )
+    heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat, W; empty if not measured")
+    return_water: str | None = Field(None, description="return water temperature of the emitters, for the power model")
 
     @property
     def flows(self) -> list[str]:
@@ -82,7 +80,7 @@ class Measurements(StrictModel):
 
 
 class ForecastPoints(StrictModel):
-    """Points of the forecast. Temperatures are in kelvin at the wire."""
+    """Forecast points. Temperatures are in K at the plant's interface."""
 
     outdoor_temperature: str = "TDryBul"
     solar: str = "HGloHor"
@@ -100,29 +98,29 @@ class ForecastPoints(StrictModel):
 
 
 class EnergyPlusZone(StrictModel):
-    """A zone of the interventional suite as a plant, and the machine that serves it (extra `[energyplus]`)."""
+    """EnergyPlus zone of the interventional suite as a plant, and its machine (extra `[energyplus]`)."""
 
     climate: Literal["heating_chicago", "cooling_phoenix"] = Field(description="building and weather of the suite")
-    supply_C: float = Field(description="temperature at which the machine gives or takes heat indoors, °C")
-    carnot_share: float = Field(gt=0, lt=1, description="its efficiency as a share of Carnot's")
-    least_lift_K: float = Field(15.0, gt=0, description="smallest temperature difference it is reckoned with, K")
+    supply_C: float = Field(description="indoor supply temperature of the machine, °C")
+    carnot_share: float = Field(gt=0, lt=1, description="efficiency as a fraction of the Carnot efficiency")
+    least_lift_K: float = Field(15.0, gt=0, description="lower limit of the temperature lift, K")
     band_K: float = Field(3.0, gt=0, description="width of the comfort band at daytime, K")
     native_margin_K: float = Field(
-        0.3, ge=0, description="how far inside the comfort bound the plant's own thermostat has its set-point, K"
+        0.3, ge=0, description="distance of the native thermostat's set-point inside the comfort bound, K"
     )
     periods: dict[str, int] = Field(default_factory=dict, description="named windows: first day of the year, from 0")
 
 
 class Defaults(StrictModel):
-    """What suits this building where a scenario says nothing else."""
+    """Defaults of this building; a scenario overrides them."""
 
     actuation: dict[str, Any] = Field(default_factory=dict, description="options `actuation` of the MPC and of pi")
-    probing: dict[str, Any] = Field(default_factory=dict, description="options of the probing")
-    identification: dict[str, Any] = Field(default_factory=dict, description="options of the identification")
+    probing: dict[str, Any] = Field(default_factory=dict, description="probing options")
+    identification: dict[str, Any] = Field(default_factory=dict, description="identification options")
 
 
 class TestCase(StrictModel):
-    """One building: names, units, area, actuator and default control step."""
+    """Building: point names, units, floor area (m²), actuator and default control step (s)."""
 
     __test__ = False  # not a pytest class, whatever its name
 
@@ -131,13 +129,13 @@ class TestCase(StrictModel):
     floor_area_m2: float = Field(gt=0)
     currency: str = "EUR"
     mode: Literal["heating", "cooling"] = Field("heating", description="sign of the actuator's effect on the zone")
-    step_s: float = Field(3600.0, ge=60, le=86400, description="default control step")
+    step_s: float = Field(3600.0, ge=60, le=86400, description="default control step, s")
     actuator: Actuator
     measurements: Measurements
     forecast: ForecastPoints = ForecastPoints()
     thermostat_C: float | None = Field(
-        None, description="set-point of the on/off thermostat it is compared with; by default that thermostat's own"
+        None, description="set-point of the baseline on/off thermostat, °C; default: that thermostat's own"
     )
     defaults: Defaults = Defaults()
-    energyplus: EnergyPlusZone | None = Field(None, description="the EnergyPlus zone that this test case is")
-    embedded: bool = Field(False, description="whether the embedded emulator is this test case")
+    energyplus: EnergyPlusZone | None = Field(None, description="EnergyPlus zone of this test case")
+    embedded: bool = Field(False, description="whether the embedded emulator implements this test case")

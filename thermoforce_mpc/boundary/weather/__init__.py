@@ -1,4 +1,4 @@
-"""Weather of a year: files (.mos, .epw), a synthetic default, the sun's position, and irradiance on tilted planes."""
+"""Weather years: file readers (.mos, .epw), synthetic default, sun position, irradiance on tilted planes."""
 
 from thermoforce_mpc.boundary.weather.readers import load_weather
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather

@@ -1,10 +1,9 @@
-"""Sunlight where none was measured: a clear sky's, dimmed day by day by how humid the outdoor air was.
+"""Estimate of global irradiance from relative humidity: clear-sky irradiance times one clearness per day.
 
-Cloud leaves its mark in what nearly every station records: a clouded day is humid throughout, on a sunny one the air
-warms and dries. The mark is a matter of days, not of hours, so a day gets one clearness. On Brussels' year, which the
-coefficients have not seen, the error of a day's clearness is 0.16 (a clear sky's 0.51, one constant's, chosen
-afterwards, 0.20); the range of temperature of the day (Hargreaves and Samani 1982) does as well there, and worse in
-most other places (tests/boundary/weather/test_clearness.py).
+Relative humidity stays high on cloudy days and falls on sunny ones. This holds for days, not for hours, so each day
+gets one clearness. RMSE of the daily clearness on Brussels' year, which is not in the fit: 0.16 (clear sky 0.51; the
+best constant, chosen on that year, 0.20). The daily temperature range (Hargreaves and Samani 1982) has the same error
+there and a larger one in most other places (tests/boundary/weather/test_clearness.py).
 """
 
 from __future__ import annotations
@@ -17,33 +16,32 @@ from thermoforce_mpc.boundary.weather.solar import Sun
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import WeatherError
 
-# Least squares of a day's clearness on its humidity and its square over sixteen typical years of the United States
-# (TMY3, those that EnergyPlus brings), days weighted by a clear sky's energy. Its errors there are 0.11 to 0.21.
+# Least-squares fit of daily clearness to humidity and its square over the 16 TMY3 years of the United States shipped
+# with EnergyPlus, days weighted by clear-sky energy. RMSE there: 0.11 to 0.21.
 _COEFFICIENTS = (0.884, 0.484, -1.150)
-# Some light comes through any cloud, and no day beats a clear one.
+# Overcast days keep a diffuse share; the maximum is the clear sky.
 _CLEARNESS_RANGE = (0.1, 1.0)
 
 
 def clear_sky_W_m2(sun: Sun) -> Array:
-    """Global horizontal irradiance under a clear sky, W/m², shape of `sun.zenith` (Haurwitz 1945)."""
+    """Return clear-sky global horizontal irradiance, W/m², shape of `sun.zenith` (Haurwitz 1945)."""
     zenith_deg = pd.Series(np.rad2deg(sun.zenith).ravel())
     return clearsky.haurwitz(zenith_deg)["ghi"].to_numpy().reshape(sun.zenith.shape)
 
 
 def sunlight_from_humidity(time_s: Array, humidity: Array, sun: Sun) -> Array:
-    """Estimated global horizontal irradiance, W/m², shape (n,): right for days, not for the clouds of an hour.
+    """Estimate global horizontal irradiance, W/m², shape (n,). Valid for daily sums, not for single hours.
 
-    A day's clearness follows from its relative humidity, averaged with a clear sky's irradiance as the weight. A day of
-    which only a part is given is judged by that part, and hours in which humidity was not measured do not count: what
-    is left may be a morning, more humid than its day, so give whole days.
+    A day's clearness follows from its mean relative humidity, weighted by clear-sky irradiance. Only the given,
+    measured hours of a day count. Give whole days: mornings alone are more humid than their day.
 
     Args:
-        time_s: s since 1 January, local standard time, shape (n,); a day is from midnight to midnight.
-        humidity: relative humidity outdoors, 0 to 1, shape (n,), NaN where not measured.
-        sun: its position at `time_s`.
+        time_s: s since 1 January, local standard time, shape (n,); a day runs from midnight to midnight.
+        humidity: outdoor relative humidity, 0 to 1, shape (n,), NaN if not measured.
+        sun: sun position at `time_s`.
 
     Returns:
-        NaN by daylight on days without any humidity measured by daylight, zero at night.
+        Irradiance: 0 at night, NaN in daylight on days without a humidity measured in daylight.
 
     Raises:
         WeatherError: shapes differ, or a humidity is not between 0 and 1.

@@ -1,4 +1,4 @@
-"""Gets the weather of the BOPTEST test case for users who have a network; nothing else here needs one."""
+"""Download of the weather year of the BOPTEST test case; the only module of the package that needs a network."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from thermoforce_mpc.boundary.weather.readers import load_weather
 from thermoforce_mpc.errors import WeatherError
 
 FILE_NAME = "Brussels.mos"
-# The IDEAS library's copy, at a commit: the file cannot change under us, and its values are checked all the same. Not
-# every copy will do: another one there, and one in a neighbouring test case, lacks the row of 1 January 01:00.
+# Copy in the IDEAS library at a fixed commit; its values are checked as well. Other copies (one more there, one in
+# another BOPTEST test case) lack the row of 1 January 01:00.
 URL = (
     "https://raw.githubusercontent.com/open-ideas/IDEAS/767bfedefd296b7fb9e319d367dfaacaacd09a95"
     "/IDEAS/Resources/weatherdata/Brussels.mos"
@@ -24,18 +24,18 @@ _MOST_BYTES = 5_000_000
 
 
 def fetch_brussels(folder: Path, url: str = URL, fingerprint: str = FINGERPRINT) -> Path:
-    """The Brussels weather year in `folder`; downloaded when it is not there yet, checked in either case.
+    """Return the path of the Brussels weather year in `folder`, downloading it if missing; always check its values.
 
-    The file is ASHRAE's IWEC data under its own licence: for your own use, not to be passed on.
+    The file is ASHRAE's IWEC data, licensed for your own use, not for redistribution.
 
     Raises:
-        WeatherError: no network, not the file expected, or a file of that name in `folder` that is not it. Nothing is
-            left half-written.
+        WeatherError: no network, unexpected content at `url`, or another file of that name in `folder`. No partial
+            file is left.
     """
     path = Path(folder) / FILE_NAME
     if path.exists():
         if load_weather(path).fingerprint != fingerprint:
-            raise WeatherError(f"{path}: is not the Brussels year of the test case; move it away and fetch again")
+            raise WeatherError(f"{path}: is not the Brussels year of the test case; move the file and fetch again")
         return path
     content = _download(url)
     try:
@@ -60,7 +60,7 @@ def fetch_brussels(folder: Path, url: str = URL, fingerprint: str = FINGERPRINT)
 
 
 def _download(url: str) -> bytes:
-    """The body at `url`, refused when it grows beyond any weather file."""
+    """Return the body at `url`; raises `WeatherError` beyond 5 MB or if the request fails."""
     try:
         with requests.get(url, timeout=_TIMEOUT_S, stream=True) as response:
             response.raise_for_status()
@@ -68,7 +68,7 @@ def _download(url: str) -> bytes:
             for chunk in response.iter_content(65536):
                 content += chunk
                 if len(content) > _MOST_BYTES:
-                    raise WeatherError(f"{url}: more than {_MOST_BYTES} bytes, which is no weather file")
+                    raise WeatherError(f"{url}: more than {_MOST_BYTES} bytes, so not a weather file")
             return bytes(content)
     except requests.RequestException as error:
         raise WeatherError(

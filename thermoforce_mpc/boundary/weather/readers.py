@@ -1,4 +1,4 @@
-"""Readers for Modelica's `.mos` weather tables (TMY3 layout) and EnergyPlus' `.epw`."""
+"""Readers for Modelica `.mos` weather tables (TMY3 layout) and EnergyPlus `.epw` files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from thermoforce_mpc.errors import WeatherError
 
 _HOURS = 8760
 
-# Columns by position, counted from 0, in either layout.
+# Column positions, from 0.
 _MOS_COLUMNS = {
     "time_s": 0,
     "T_dry_C": 1,
@@ -55,8 +55,8 @@ def load_weather(path: Path) -> Weather:
     """Read a weather year from a `.mos` or `.epw` file.
 
     Raises:
-        WeatherError: the file is missing, of another kind, truncated, not hour by hour, or holds values that cannot
-            be; the message names the file and what to do.
+        WeatherError: the file is missing, of another type, truncated, not hourly, or has values out of physical
+            range; the message names the file and what to do.
     """
     path = Path(path)
     readers = {".mos": _read_mos, ".epw": _read_epw}
@@ -71,12 +71,12 @@ def load_weather(path: Path) -> Weather:
 
 
 def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
-    """Header lines start with '#' (`#LOCATION,...`) or declare the table; rows start with the time in seconds."""
+    """Read a `.mos` file: header lines start with '#' or declare the table, data rows start with the time in s."""
     location = next((line for line in lines if line.upper().startswith("#LOCATION")), None)
     if location is None:
         raise WeatherError(f"{path}: no '#LOCATION' line, so latitude and longitude are unknown")
     rows = [line.split() for line in lines if line[:1].isdigit() or line[:1] == "-"]
-    # Some years repeat midnight of the next 1 January as a last row.
+    # Some files repeat midnight of the next 1 January as a last row.
     columns = _columns(path, rows[: _HOURS + 1], _MOS_COLUMNS)
     columns = {key: values[:_HOURS] for key, values in columns.items()}
     time_s, hourly = columns.pop("time_s"), np.arange(_HOURS) * HOUR_S
@@ -91,15 +91,15 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
 
 
 def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
-    """Eight header lines, then rows for hours 1 to 24; the row of hour h is the state at h o'clock.
+    """Read an `.epw` file: eight header lines, then rows for hours 1 to 24; row h is the state at h o'clock.
 
-    Not pvlib's `read_epw`: it takes truncated files, short rows and text in cells without a word, refuses rows that end
-    in a comma and towns in Latin-1, and names neither file nor row.
+    pvlib's `read_epw` is not used: it accepts truncated files, short rows and text in cells without an error, refuses
+    rows that end in a comma and Latin-1 place names, and names neither file nor row.
     """
     if len(lines) < 9 or not lines[0].upper().startswith("LOCATION"):
         raise WeatherError(f"{path}: does not start with a LOCATION line, so it is not an EPW file")
     columns = _columns(path, [line.split(",") for line in lines[8:] if line.strip()], _EPW_COLUMNS)
-    # A leap year: 29 February is dropped, the year of the plant has 365 days.
+    # 29 February is dropped: the plant's year has 365 days.
     kept = (columns["month"] != 2) | (columns["day"] != 29)
     columns = {key: values[kept] for key, values in columns.items()}
     date = np.stack([columns.pop(key) for key in ("month", "day", "hour")], axis=1)
@@ -114,12 +114,12 @@ def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
             f"{path}: hourly row {wrong[0] + 1} is {found}, expected {expected}; this reader needs the hours of one "
             "year in order, 1 to 24 a day"
         )
-    # Hour 24 of 31 December is midnight, which is where the year begins.
+    # Hour 24 of 31 December is midnight, the first row of the year.
     return _weather(path, name, lines[0], {key: np.roll(values, 1) for key, values in columns.items()})
 
 
 def _columns(path: Path, rows: list[list[str]], columns: dict[str, int]) -> dict[str, Array]:
-    """The named columns of at least a year of rows."""
+    """Return the named columns of `rows`, shape (rows,) each; raises `WeatherError` below 8760 rows."""
     if len(rows) < _HOURS:
         raise WeatherError(f"{path}: {len(rows)} hourly rows, a year has {_HOURS}; the file is truncated")
     width = max(columns.values()) + 1
@@ -135,7 +135,7 @@ def _columns(path: Path, rows: list[list[str]], columns: dict[str, int]) -> dict
 
 
 def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) -> Weather:
-    """Angles to radians, cover from tenths, humidity from per cent; latitude, longitude and zone from the header."""
+    """Convert units (degrees to rad, tenths and per cent to fractions); read the site from the header line."""
     cells = [cell.strip() for cell in location.split(",")]
     try:
         latitude, longitude, zone = (float(cell) for cell in cells[6:9])

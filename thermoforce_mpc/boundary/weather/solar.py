@@ -1,4 +1,4 @@
-"""The sun's position, and irradiance on tilted planes: pvlib's, but for what the BOPTEST test case does otherwise."""
+"""Sun position and irradiance on tilted planes: pvlib, except where the BOPTEST test case differs from it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ _LEAST_DIFFUSE_W_M2 = 1e-4
 
 @dataclass(frozen=True)
 class Sun:
-    """Position at each instant, rad: `declination`, `hour_angle` (0 at solar noon, positive after) and `zenith`."""
+    """Sun position, rad, shape of the times: `declination`, `hour_angle` (0 at solar noon, positive after), `zenith`.
+
+    `latitude` is that of the site, rad.
+    """
 
     latitude: float
     declination: Array
@@ -27,19 +30,20 @@ class Sun:
 
     @property
     def azimuth(self) -> Array:
-        """Clockwise from north, rad."""
-        hour_angle = np.mod(self.hour_angle + np.pi, 2.0 * np.pi) - np.pi  # pvlib reads east or west off its sign
+        """Azimuth clockwise from north, rad."""
+        hour_angle = np.mod(self.hour_angle + np.pi, 2.0 * np.pi) - np.pi  # pvlib takes east or west from its sign
         return np.asarray(
             solarposition.solar_azimuth_analytical(self.latitude, hour_angle, self.declination, self.zenith)
         )
 
 
 def sun_position(time_s: Array, latitude_deg: float, longitude_deg: float, timezone_h: float) -> Sun:
-    """Position of the sun at `time_s` (s since 1 January, local standard time).
+    """Return the sun position at `time_s` (s since 1 January, local standard time).
 
-    Declination (23.45° obliquity) and equation of time (Duffie and Beckman) are the IBPSA library's: the zenith is the
-    test case's to the rounding of its records, 5e-6 rad. pvlib's put it up to 0.013 (Cooper) or 0.015 rad (Spencer)
-    off, its true sun 0.016, and the emulator's RMSE in April rises from 0.010 to 0.057 K or more.
+    Declination (23.45° obliquity) and equation of time (Duffie and Beckman) are those of the IBPSA library: the zenith
+    agrees with the test case to the rounding of its records, 5e-6 rad. With pvlib's formulas the zenith error is up to
+    0.013 rad (Cooper), 0.015 rad (Spencer) or 0.016 rad (true sun position), and the emulator's RMSE in April rises
+    from 0.010 to 0.057 K or more.
     """
     time_s = np.asarray(time_s, dtype=np.float64)
     day = time_s / DAY_S
@@ -55,7 +59,7 @@ def sun_position(time_s: Array, latitude_deg: float, longitude_deg: float, timez
 
 @dataclass(frozen=True)
 class PlaneIrradiance:
-    """On one plane, W/m²: `beam`, and `diffuse` from sky and ground; angle of incidence in degrees."""
+    """Irradiance on one plane, W/m²: `beam`, and `diffuse` from sky and ground; angle of incidence in degrees."""
 
     beam: Array
     diffuse: Array
@@ -63,7 +67,7 @@ class PlaneIrradiance:
 
 
 def on_plane(weather: Weather, sun: Sun, time_s: Array, tilt_deg: float, azimuth_deg: float) -> PlaneIrradiance:
-    """Irradiance at `time_s` on a plane, `tilt_deg` 0 facing up, `azimuth_deg` clockwise from north."""
+    """Return the irradiance at `time_s` on a plane; `tilt_deg` 0 faces up, `azimuth_deg` is clockwise from north."""
     normal, diffuse = weather.at("normal_W_m2", time_s), weather.at("diffuse_W_m2", time_s)
     global_horizontal = weather.at("global_W_m2", time_s)
     angles = (tilt_deg, azimuth_deg, np.rad2deg(sun.zenith), np.rad2deg(sun.azimuth))
@@ -81,20 +85,20 @@ def sky_diffuse(
     diffuse_W_m2: Array,
     beam_W_m2: Array,
 ) -> Array:
-    """Diffuse irradiance from the sky on a plane, W/m², shape (n,): Perez et al. (1990) as the test case has it.
+    """Return sky diffuse irradiance on a plane, W/m², shape (n,): Perez et al. (1990) as in the test case.
 
-    pvlib is told three things that its defaults do otherwise. The test case's release of the IBPSA library takes the
-    sky's clearness from *horizontal* beam light (corrected there in May 2021, issue 1477; 0.1 K in the emulator's
-    zone). Its sky keeps shining for as long as the weather file says so, also when the sun has just set (up to 0.06 K),
-    and its brightness is at most 1 (without it a west wall takes up to 380 W/m² more at sunset).
+    Three differences from pvlib's defaults, as in the test case's release of the IBPSA library. Clearness is taken from
+    *horizontal* beam irradiance (corrected there in May 2021, issue 1477; 0.1 K in the emulator's zone). Diffuse
+    irradiance counts after sunset as long as the weather file has any (up to 0.06 K). Brightness is at most 1 (without
+    the limit a west wall receives up to 380 W/m² more at sunset).
 
     Args:
-        tilt_deg: of the plane, 0 facing up.
-        azimuth_deg: of the plane, clockwise from north.
-        zenith_deg: of the sun, may exceed 90, shape (n,) as all below.
-        sun_azimuth_deg: of the sun, clockwise from north.
+        tilt_deg: tilt of the plane, 0 faces up.
+        azimuth_deg: azimuth of the plane, clockwise from north.
+        zenith_deg: zenith of the sun, may exceed 90, shape (n,) as all below.
+        sun_azimuth_deg: azimuth of the sun, clockwise from north.
         diffuse_W_m2: diffuse horizontal irradiance.
-        beam_W_m2: the beam's part of the global horizontal irradiance.
+        beam_W_m2: beam part of the global horizontal irradiance.
     """
     diffuse = np.maximum(diffuse_W_m2, _LEAST_DIFFUSE_W_M2)
     air_mass = atmosphere.get_relative_airmass(np.minimum(zenith_deg, 90.0), model="kasten1966")

@@ -1,7 +1,7 @@
-"""A deterministic temperate-maritime weather year, for users who have no file. Synthetic, and always named so.
+"""Deterministic synthetic weather year of a temperate-maritime climate, the default without a weather file.
 
-Not a place: seasonal and daily cycles, passing weather systems and clouds with the statistics of a north-west European
-coast. Figures next to a measured year are in docs/weather.md.
+Seasonal and daily cycles, passing weather systems and clouds with the statistics of a north-west European coast, not a
+real site; the name says 'synthetic'. Comparison with a measured year: docs/weather.md.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ from thermoforce_mpc.boundary.weather.year import Weather, black_body_sky_C
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
 _HOURS = 8760
-# Share of Haurwitz' clear sky that a hazy maritime sky lets through.
+# Transmittance of a hazy maritime sky relative to Haurwitz' clear sky.
 _TURBIDITY = 0.86
 _LATITUDE, _LONGITUDE, _ZONE = 51.0, 4.5, 1.0
 _KELVIN = 273.15
 _STEFAN_BOLTZMANN = 5.670374419e-8
-# What IWEC files say where no cloud limits the view.
+# Value of IWEC files for an unlimited ceiling.
 _UNLIMITED_CEILING_M = 22_000.0
 
 
 def synthetic_weather(seed: int = 0) -> Weather:
-    """The synthetic year of `seed`: same seed, same bytes."""
+    """Return the synthetic year of `seed`; the same seed gives the same bytes."""
     rng = np.random.default_rng(seed)
     hour = np.arange(float(_HOURS))
     day = hour / 24.0
-    # Slow systems of some days, and fronts of half a day.
+    # Weather systems of about 90 h and fronts of 14 h.
     systems = 3.1 * _periodic_noise(rng, 90.0) + 1.2 * _periodic_noise(rng, 14.0)
     cover = _cover(rng)
     clear = 1.0 - cover
     season = -np.cos(2.0 * np.pi * (day - 20.0) / 365.0)  # coldest around 20 January
-    # The daily swing grows with the sun and shrinks under cloud.
+    # The daily amplitude rises in summer and falls with cloud cover.
     swing = (1.2 + 3.2 * (season + 1.0) / 2.0) * (0.35 + 1.1 * clear)
     cycle = np.cos(2.0 * np.pi * (hour % 24 - 15.0) / 24.0)
     # Clear winter weather is cold, clear summer weather warm.
@@ -64,12 +64,12 @@ def synthetic_weather(seed: int = 0) -> Weather:
 
 
 def _vapour_pressure_Pa(T_C: Array) -> Array:
-    """Saturation over water, of supercooled water below freezing (Magnus formula, coefficients of Alduchov 1996)."""
+    """Return saturation pressure over water, supercooled below 0 °C (Magnus formula, Alduchov 1996)."""
     return np.asarray(610.94 * np.exp(17.625 * T_C / (T_C + 243.04)))
 
 
 def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:
-    """Gaussian noise of unit variance, correlated over `hours`, that joins itself at the turn of the year."""
+    """Return Gaussian noise of unit variance with correlation time `hours`, periodic over the year, (8760,)."""
     frequency = np.fft.rfftfreq(_HOURS)
     # Spectrum of a first-order process, drawn in the frequency domain so that the series is periodic.
     amplitude = 1.0 / np.sqrt(1.0 + (2.0 * np.pi * frequency * hours) ** 2)
@@ -80,18 +80,19 @@ def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:
 
 
 def _cover(rng: np.random.Generator) -> Array:
-    """Opaque cover, 0 to 1: often overcast, sometimes clear, little in between."""
+    """Return opaque cover, 0 to 1: often overcast, sometimes clear, rarely in between."""
     state = 0.85 * _periodic_noise(rng, 18.0) + 0.5 * _periodic_noise(rng, 4.0) + 0.55
     return np.asarray(np.clip(0.5 + 0.55 * np.tanh(1.3 * state), 0.0, 1.0))
 
 
 def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
-    """Means over the hour that ends at each row: clear-sky after Haurwitz (1945), thinned by cover, split by clearness.
+    """Return global horizontal, direct normal and diffuse horizontal irradiance, W/m², means over the hour that ends.
 
-    Cover factor after Kasten and Czeplak (1980); diffuse share after Erbs, Klein and Duffie (1982), written out, as
-    pvlib's takes the sun's distance in too and the year would have 2.6 % less diffuse light than what was published.
+    Clear sky after Haurwitz (1945), cover factor after Kasten and Czeplak (1980), diffuse share after Erbs, Klein and
+    Duffie (1982). The latter is written out because pvlib's version includes the sun's distance, which gives 2.6 % less
+    diffuse irradiance over the year than the figures in docs/weather.md.
     """
-    # pvlib behind these takes a third of a second to import; who reads a file need not wait for it.
+    # Imported here: pvlib takes 0.3 s to import and a run with a weather file does not need it yet.
     from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2
     from thermoforce_mpc.boundary.weather.solar import sun_position
 
@@ -108,7 +109,7 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
         0.9511 - 0.1604 * clearness + 4.388 * clearness**2 - 16.638 * clearness**3 + 12.336 * clearness**4,
     )
     diffuse = global_ * np.where(clearness > 0.8, 0.165, diffuse_share)
-    # With the sun at the horizon all light is diffuse: the quotient below would blow up.
+    # Near the horizon all irradiance is taken as diffuse, since dividing by cos(zenith) diverges.
     normal = np.where(cos_mean > 0.04, (global_ - diffuse) / np.maximum(cos_mean, 0.04), 0.0)
     diffuse = np.where(cos_mean > 0.04, diffuse, global_)
     return global_, np.clip(normal, 0.0, 1000.0), diffuse

@@ -1,4 +1,4 @@
-"""One year of weather at hourly rows, read between the rows as the BOPTEST test case does."""
+"""Hourly weather year, interpolated between the rows as in the BOPTEST test case."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ YEAR_S = 365 * DAY_S
 _HOURS = 8760
 _KELVIN = 273.15
 _STEFAN_BOLTZMANN = 5.670374419e-8
-# Rows of radiation are means over the hour that ends there; read half an hour ahead they are centred on their hour.
+# Radiation rows are means over the hour that ends there; reading them half an hour ahead centres them on that hour.
 _RADIATION_SHIFT_S = 1800.0
 _RADIATION = ("global_W_m2", "normal_W_m2", "diffuse_W_m2")
 
-# What a row may hold: (lowest, highest) per column.
+# Valid range (lowest, highest) per column.
 _LIMITS = {
     "T_dry_C": (-70.0, 60.0),
     "T_dew_C": (-80.0, 50.0),
@@ -31,8 +31,8 @@ _LIMITS = {
     "opaque_cover": (0.0, 1.0),
     "pressure_Pa": (50_000.0, 110_000.0),
 }
-# What a row says besides, on which nothing in a building depends. Limited as the test case's reader limits it, so that
-# a gap there (a ceiling of 99999 m, a cover of 99) keeps no one from using the year.
+# Columns that no building model uses; only reported. They are clipped as in the test case's reader, so that missing
+# values (a ceiling of 99999 m, a cover of 99) do not make a file unusable.
 _REPORTED = {
     "relative_humidity": (0.0, 1.0),
     "infrared_W_m2": (0.0, np.inf),
@@ -43,14 +43,14 @@ _REPORTED = {
 
 @dataclass(frozen=True)
 class Weather:
-    """Hourly rows of a year, all arrays of shape (8760,), the first row at 1 January 00:00 local standard time.
+    """Hourly weather year; all arrays have shape (8760,), the first row is 1 January 00:00 local standard time.
 
     `T_dry_C`, `T_dew_C` °C; global horizontal, direct normal and diffuse horizontal irradiance W/m² (means over the
     hour that ends at the row); `wind_m_s`; `wind_from_rad` clockwise from north; `opaque_cover` 0 to 1; `pressure_Pa`.
-    Reported only: `relative_humidity` and `total_cover` 0 to 1, horizontal `infrared_W_m2`, cloud `ceiling_m`.
+    Only reported: `relative_humidity` and `total_cover` 0 to 1, horizontal `infrared_W_m2`, cloud `ceiling_m`.
 
     Raises:
-        WeatherError: a column has the wrong length, a value that is not finite, or one out of its physical range.
+        WeatherError: a column has the wrong length, a value that is not finite, or one outside its physical range.
     """
 
     name: str
@@ -94,9 +94,9 @@ class Weather:
 
     @property
     def fingerprint(self) -> str:
-        """Twelve hexadecimal digits that tell these values and this place from any other, whatever the file's form.
+        """Hash of values and site, twelve hexadecimal digits, independent of the file format.
 
-        Columns that are reported only do not count.
+        Columns that are only reported are excluded.
         """
         digest = hashlib.sha256()
         place = np.array([self.latitude_deg, self.longitude_deg, self.timezone_h])
@@ -105,9 +105,9 @@ class Weather:
         return digest.hexdigest()[:12]
 
     def at(self, column: str, time_s: Array) -> Array:
-        """`column` at `time_s` (s since 1 January, periodic over the year), any shape, by smooth interpolation.
+        """Interpolate `column` at `time_s` (s since 1 January, periodic over the year), any shape.
 
-        Akima's spline is what Modelica's `ContinuousDerivative` tables use; radiation is clipped at zero.
+        Akima splines, as Modelica's `ContinuousDerivative` tables; the result is clipped to the column's valid range.
         """
         shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
         values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
@@ -115,7 +115,7 @@ class Weather:
         return np.asarray(np.clip(values, low, high))
 
     def _spline(self, column: str) -> Akima1DInterpolator:
-        """Kept once made: it costs more than reading a horizon from it."""
+        """Return the column's spline, cached: building it costs more than evaluating a horizon."""
         if column not in self._splines:
             rows = getattr(self, column)
             # Three rows beyond either end make the spline periodic.
@@ -124,7 +124,7 @@ class Weather:
         return self._splines[column]
 
     def sky_temperature_C(self, time_s: Array) -> Array:
-        """Black-body sky temperature from dew point, dry bulb and opaque cover, °C.
+        """Return black-body sky temperature from dew point, dry bulb and opaque cover, °C, shape of `time_s`.
 
         Clear-sky emissivity and cover factor after Clark and Allen (1978) and Walton (1983), as in EnergyPlus'
         engineering reference and the IBPSA Modelica library.
@@ -134,7 +134,7 @@ class Weather:
 
 
 def black_body_sky_C(T_dry_C: Array, T_dew_C: Array, opaque_cover: Array) -> Array:
-    """See `Weather.sky_temperature_C`."""
+    """Return black-body sky temperature, °C; see `Weather.sky_temperature_C`."""
     tenths = 10.0 * opaque_cover
     clear = 0.787 + 0.764 * np.log((T_dew_C + _KELVIN) / _KELVIN)
     emissivity = clear * (1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3)
