@@ -1,1 +1,1 @@
-"""Plants: buildings that can be run. Each implements `thermoforce_mpc.protocols.Plant`."""
+"""Plants: simulated buildings that implement `thermoforce_mpc.protocols.Plant`."""

@@ -1,4 +1,4 @@
-"""What every simulated plant refuses at its edge, in the same words."""
+"""Input checks shared by all simulated plants, with common messages."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from thermoforce_mpc.errors import InputError
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:
-    """The window of two weeks from start day `name`; `named` are the windows that have names, for the message.
+    """Return the window of two weeks from start day `name`; `named` lists the named windows for the message.
 
     Raises:
-        InputError: not a number, or no day of the year.
+        InputError: `name` is not a number, or not a day of the year.
     """
     try:
         day = float(name)
@@ -29,7 +29,7 @@ def day_period(name: str, named: Iterable[str]) -> Period:
 
 
 def check_start(start_s: float, warmup_s: float) -> None:
-    """Raises `InputError` unless both are finite nonnegative numbers of seconds and the start lies inside the year."""
+    """Raise `InputError` unless both are finite, nonnegative seconds and the start lies inside the year."""
     for label, value in (("start", start_s), ("warm-up", warmup_s)):
         if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
             raise InputError(f"{label} of {value!r} s: expected a finite, nonnegative number of seconds")
@@ -38,7 +38,7 @@ def check_start(start_s: float, warmup_s: float) -> None:
 
 
 def check_level_and_duration(u: float | None, duration_s: float) -> None:
-    """Raises `InputError` unless `u` is None or in [0, 1] and `duration_s` is positive and less than a year."""
+    """Raise `InputError` unless `u` is None or in [0, 1] and `duration_s` is positive and less than a year."""
     number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
     if not number:
         raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
@@ -47,7 +47,7 @@ def check_level_and_duration(u: float | None, duration_s: float) -> None:
 
 
 def forecast_times(now_s: float, horizon_s: float, interval_s: float) -> Array:
-    """Instants from `now_s` to `horizon_s` ahead every `interval_s`, s, shape (N + 1,).
+    """Return the instants from `now_s` to `horizon_s` ahead every `interval_s`, s, shape (N + 1,).
 
     Raises:
         InputError: horizon or interval is not positive, or the horizon is shorter than the interval.

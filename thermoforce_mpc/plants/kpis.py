@@ -1,4 +1,4 @@
-"""Key performance indicators as BOPTEST defines them, computed in one place for every plant.
+"""Key performance indicators as BOPTEST defines them, used for every plant.
 
 Definitions: BOPTEST documentation (Blum et al. 2021, doi:10.1080/19401493.2021.1986574): 30-s samples, integrals by the
 trapezoidal rule, per square metre of floor, peak as the highest mean over 15 minutes.
@@ -22,7 +22,7 @@ PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPo
 
 @dataclass(frozen=True)
 class Supply:
-    """One energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
+    """Energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
 
     `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh.
     """
@@ -35,14 +35,14 @@ class Supply:
 
 @dataclass(frozen=True)
 class Violation:
-    """A signal of one zone outside its bounds: `excess` (n,) is nonnegative, K or ppm."""
+    """Bound violation of one zone's signal: `excess` (n,) is nonnegative, K or ppm."""
 
     zone: str
     excess: Array
 
 
 def excess(value: Array, lower: Array, upper: Array) -> Array:
-    """How far `value` lies outside the bounds, shape (n,), in its unit."""
+    """Return the distance of `value` outside its bounds (0 inside), shape (n,), in its unit."""
     return np.asarray(np.maximum(np.maximum(lower - value, value - upper), 0.0))
 
 
@@ -54,17 +54,17 @@ def building_kpis(
     air_quality: Sequence[Violation],
     area_m2: float,
 ) -> dict[str, float]:
-    """KPIs of a building with any number of zones and energy carriers over samples at `time_s` (n,), s.
+    """Return the KPIs of a building with any number of zones and energy carriers over samples at `time_s` (n,), s.
 
-    Energy, cost and emissions add up over carriers; discomfort is the mean over zones. A KPI that nothing was given for
-    (no zone with CO2, no gas) is left out.
+    Energy, cost and emissions are summed over carriers; discomfort is the mean over zones. KPIs without data (no zone
+    with CO2, no gas) are omitted.
 
     Returns:
-        `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, and kW/m² of
-        `pele_tot`, `pgas_tot`, `pdih_tot`.
+        `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, and `pele_tot`,
+        `pgas_tot`, `pdih_tot` kW/m².
 
     Raises:
-        DataError: arrays differ in length, time does not increase, or an array holds a value that is not finite.
+        DataError: arrays differ in length, time does not increase, or a value is not finite.
     """
     if np.size(time_s) < 2 or not (np.diff(time_s) > 0).all():
         raise DataError("KPIs: time must increase over at least two samples")
@@ -110,7 +110,7 @@ def compute_kpis(
     emission_kg_per_kWh: Array,
     area_m2: float,
 ) -> dict[str, float]:
-    """KPIs of one zone with electricity alone over samples at `time_s` (n,), s; every other array has shape (n,).
+    """Return the KPIs of one zone with electricity only over samples at `time_s` (n,), s; all arrays have shape (n,).
 
     Returns:
         `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, `pele_tot` kW/m².
@@ -132,29 +132,29 @@ def compute_kpis(
 
 @dataclass(frozen=True)
 class CountedKpis:
-    """KPIs of a record that grows, of which the samples up to `until_s` need not be read again.
+    """Cached KPIs of a growing record, so that samples up to `until_s` need not be read again.
 
-    `until_s` lies whole windows of the peak after the first sample; `kpis` are those of the samples up to it, None
-    while there is no such window. Integrals of two parts that share a sample add up; the peak is the higher one.
+    `until_s` lies a whole number of 15-min peak windows after the first sample; `kpis` cover the samples up to it, None
+    before the first whole window. Integrals of adjacent parts are summed; the peak is their maximum.
     """
 
     until_s: float
     kpis: Mapping[str, float] | None = None
 
     def counting(self, edge_s: float, between: Callable[[float, float], dict[str, float]]) -> CountedKpis:
-        """The same up to `edge_s`, the time of a sample that lies whole windows after `until_s`.
+        """Return the cache extended to `edge_s`, the time of a sample a whole number of windows after `until_s`.
 
-        `between(i, j)` are the KPIs of the samples from time i to time j, both included, j > i.
+        `between(i, j)` returns the KPIs of the samples from time i to time j, both included, j > i.
         """
         if edge_s == self.until_s:
             return self
         return CountedKpis(edge_s, self._and(between(self.until_s, edge_s), of_whole_windows=True))
 
     def up_to(self, now_s: float, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
-        """KPIs of all samples up to `now_s`."""
+        """Return the KPIs of all samples up to `now_s`; `between` as in `counting`."""
         if now_s == self.until_s:
             return dict(self.kpis or {})
-        # A window that has just begun has no mean yet.
+        # An incomplete window does not count for the peak.
         whole = now_s - self.until_s >= PEAK_WINDOW_S
         return self._and(between(self.until_s, now_s), of_whole_windows=whole)
 
@@ -168,7 +168,7 @@ class CountedKpis:
 
 
 def peak_power(time_s: Array, power_W: Array) -> float:
-    """Highest mean over consecutive 15-minute windows from the first sample, W (the whole span when shorter)."""
+    """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter)."""
     energy_J = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (power_W[1:] + power_W[:-1]) / 2)])
     edges = np.arange(time_s[0], time_s[-1] + 1e-6, PEAK_WINDOW_S)
     if edges.size < 2:

@@ -1,4 +1,4 @@
-"""What a plant reported and recorded at its points, in the words and units of the package."""
+"""Conversion of a plant's points and records to the names and units of the package."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _KELVIN = 273.15
 
 
 def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Array) -> Array:
-    """Time means of the sum of `points` between `edges` (n + 1,), shape (n,); NaN where there are no points.
+    """Return time means of the sum of `points` between `edges` (n + 1,), shape (n,); NaN without points.
 
-    Each sample stands for the time since the one before it: at a switch, the sample at the start of an interval still
-    belongs to the action before.
+    Each sample holds for the time since the previous one: at a switch, the sample at the start of an interval belongs
+    to the previous action.
     """
     if not points or edges.size < 2:
         return np.full(edges.size - 1, math.nan)
@@ -28,7 +28,7 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Ar
 
 
 def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: Array) -> dict[str, Array]:
-    """Means between `edges` of all that acts over a step, by the names of a `Record`; `u` is given, (n,)."""
+    """Return means between `edges` (n + 1,) of power, heat and return temperature by `Record` names, and `u` (n,)."""
     water = [m.return_water] if m.return_water else []
     return {
         "u": u,
@@ -41,7 +41,7 @@ def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: 
 def measurement(
     time_s: float, points: Mapping[str, float], m: Measurements, acting: Mapping[str, Array] | None = None
 ) -> Measurement:
-    """What is sampled now (NaN where a point is missing) and the one step of `acting` before it (NaN without)."""
+    """Return a measurement from sampled points (NaN if missing) and step means `acting` (1,) (NaN if None)."""
 
     def mean(name: str) -> float:
         return math.nan if acting is None else float(acting[name][0])

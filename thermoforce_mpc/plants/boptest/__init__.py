@@ -1,1 +1,1 @@
-"""A building behind the BOPTEST REST service."""
+"""Plant behind the BOPTEST REST service."""

@@ -1,4 +1,4 @@
-"""The real plant: a test of a BOPTEST service behind the `Plant` protocol. Kelvin ends here."""
+"""BOPTEST service behind the `Plant` protocol. Temperatures are K at the service and °C in the package."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
 _KELVIN = 273.15
-# BOPTEST initialises a scenario's time period with this much of the embedded control, and ends it after this much.
+# Warm-up under native control and length of a scenario's time period in BOPTEST.
 _SCENARIO_WARMUP_S = 7 * DAY_S
 _SCENARIO_LENGTH_S = 14 * DAY_S
 _CLOCK_TOLERANCE_S = 1e-3
@@ -39,7 +39,7 @@ Uncertainty = Literal["none", "low", "medium", "high"]
 
 
 class BoptestPlant:
-    """One test case on a service. The test is stopped when the plant is closed.
+    """Test case of a BOPTEST service. Closing the plant stops the test.
 
     ```python
     with BoptestPlant("http://127.0.0.1:8000", testcase) as plant:
@@ -59,16 +59,16 @@ class BoptestPlant:
         config: TransportConfig | None = None,
         start_timeout_s: float = 120.0,
     ) -> None:
-        """Select the test case and check that every point of `testcase` exists there, in the unit expected.
+        """Select the test case and check that every point of `testcase` exists there in the expected unit.
 
         Args:
-            forecast_uncertainty: level of the service's errors of the weather forecast, drawn with `seed`.
-            config: how patient the client is.
-            start_timeout_s: how long the test may be queued for.
+            forecast_uncertainty: level of the service's weather forecast errors, drawn with `seed`.
+            config: time-outs and retries of the client.
+            start_timeout_s: longest time the test may be queued, s.
 
         Raises:
-            ConfigError: the service does not offer the test case, `testcase` does not fit its points, or the seed is 0
-                where forecast errors are drawn.
+            ConfigError: the service does not offer the test case, `testcase` does not fit its points, or forecast
+                errors are requested with seed 0.
             PlantError: the service cannot be reached or failed.
         """
         self.testcase = testcase
@@ -101,7 +101,7 @@ class BoptestPlant:
 
     @property
     def info(self) -> PlantInfo:
-        """Which service and version this is; versions differ in results and must not be mixed."""
+        """Service and version; results of different versions must not be mixed."""
         return PlantInfo(
             kind="boptest",
             testcase=self.testcase.name,
@@ -112,13 +112,13 @@ class BoptestPlant:
         )
 
     def period(self, name: str) -> Period:
-        """The window of the service's scenario `name`, or of a start day.
+        """Return the window of the service's scenario `name`, or of a start day.
 
-        The service tells where a scenario starts only by initialising it, so asking for one (the first time) puts the
+        The service gives the start of a scenario only by initialising it, so the first call for a scenario puts the
         plant at its start.
 
         Raises:
-            InputError: neither a scenario of the service nor a day of the year.
+            InputError: `name` is neither a scenario of the service nor a day of the year.
             PlantError: the service failed.
         """
         try:
@@ -132,10 +132,10 @@ class BoptestPlant:
         return Period(f"day {day:g}", day * DAY_S)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of the embedded control.
+        """Start at `start_s` after `warmup_s` of native control.
 
-        Where the times are those of a window that `period` gave, the service's official scenario is set, which ends
-        after two weeks. A test that the service dropped while idle is selected anew.
+        If the times equal those of a window returned by `period`, the service's scenario is set, which ends after two
+        weeks. A test that the service dropped while idle is selected again.
 
         Raises:
             InputError: a time is not a finite nonnegative number, or the tariff is unknown.
@@ -158,10 +158,10 @@ class BoptestPlant:
         return self._at_rest(points, warmup_s, end_s=math.inf)
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Hold `u` in [0, 1] (None: nothing is overwritten) for `duration_s`.
+        """Apply `u` in [0, 1] (None: native control) for `duration_s`.
 
         Raises:
-            InputError: `u` or `duration_s` is not a number the plant can take.
+            InputError: `u` or `duration_s` is out of range.
             PlantError: the service failed, or its scenario is over.
         """
         if u is not None and not (math.isfinite(u) and 0.0 <= u <= 1.0):
@@ -186,7 +186,7 @@ class BoptestPlant:
             if abs(self._now_s - before_s - duration_s) > _CLOCK_TOLERANCE_S:
                 raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")
             if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
-                # Whatever is asked past the end may cost the results, so they are taken first.
+                # KPIs are read now, since requests past the end of the scenario may discard the results.
                 self._final_kpis = self._read_kpis()
             record = self._recorded(before_s, self._now_s, [f"{actuator.point}_u", *self.testcase.measurements.flows])
         edges = np.array([before_s, self._now_s])
@@ -194,19 +194,19 @@ class BoptestPlant:
         return measurement(self._now_s, points, m, acting_means(record, m, self._levels(record, edges), edges))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, as the service forecasts them.
+        """Return the service's forecast of boundary conditions from now to `horizon_s` ahead every `interval_s`.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-            PlantError: the service failed (under forecast uncertainty it refuses horizons beyond 48 h), or forecasts
-                other instants than those asked for.
+            PlantError: the service failed (with forecast uncertainty it refuses horizons beyond 48 h), or returned
+                other instants than requested.
         """
         instants = forecast_times(self._now_s, horizon_s, interval_s)
         f = self.testcase.forecast
         price = f.price[next(name for name in PRICES if name == self._scenario.electricity_price)]
         names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, f.emission]
         with _failures():
-            # A point may serve twice, as a price that is the same in two tariffs.
+            # A point may occur twice, for example one price for two tariffs.
             data = self._client.forecast(list(dict.fromkeys(names)), horizon_s, interval_s)
         series = {name: np.array(values) for name, values in data.items()}
         told = series["time"]
@@ -232,7 +232,7 @@ class BoptestPlant:
         )
 
     def past(self, step_s: float) -> Record:
-        """What the service recorded since the start of the warm-up, at `step_s`; older remainders are cut.
+        """Return the service's record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
 
         Raises:
             InputError: `step_s` is not positive.
@@ -245,7 +245,7 @@ class BoptestPlant:
         names = [*sampled, f"{self.testcase.actuator.point}_u", *m.flows]
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, names)
-        # The record begins with the warm-up on services that keep it, with the present on those that do not.
+        # Services that do not record the warm-up start the record at the present.
         n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
         edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
         T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in sampled)
@@ -258,16 +258,16 @@ class BoptestPlant:
         )
 
     def kpis(self) -> dict[str, float]:
-        """The service's own KPIs since the end of the warm-up; those a test case does not have are left out."""
+        """Return the service's KPIs since the end of the warm-up; KPIs the test case does not have are omitted."""
         if self._final_kpis is not None:
             return dict(self._final_kpis)
         with _failures():
             return self._read_kpis()
 
     def close(self) -> None:
-        """Stop the test at the service; safe to call twice. A failure to stop is logged: the service drops idle tests.
+        """Stop the test at the service; safe to call twice.
 
-        Never raises, so that it cannot hide what went wrong before.
+        A failure is only logged, since the service drops idle tests and raising would hide an earlier error.
         """
         try:
             self._client.stop()
@@ -294,7 +294,7 @@ class BoptestPlant:
                 raise ConfigError(f"testcase '{self.testcase.name}' is not offered: {error}") from error
 
     def _wake(self) -> None:
-        """Select the test anew when the service dropped it: a run begins from nothing anyway."""
+        """Select the test again if the service dropped it; a reset needs no earlier state."""
         with _failures():
             try:
                 self._client.status()
@@ -314,12 +314,12 @@ class BoptestPlant:
         return self._at_rest(points, _SCENARIO_WARMUP_S, end_s=points["time"] + _SCENARIO_LENGTH_S)
 
     def _at_rest(self, points: dict[str, float], warmup_s: float, end_s: float) -> Measurement:
-        """The measurement right after an initialisation: nothing has been averaged yet."""
+        """Return the measurement right after an initialisation; step means are NaN."""
         self._now_s = points["time"]
         self._begin_s = max(self._now_s - warmup_s, 0.0)
         self._end_s = end_s
         self._final_kpis = None
-        self._step_s = math.nan  # initialising may have put the service's own step back
+        self._step_s = math.nan  # initialising may reset the service's step
         return measurement(self._now_s, points, self.testcase.measurements)
 
     def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
@@ -329,7 +329,7 @@ class BoptestPlant:
         return {name: np.array(values) for name, values in data.items()}
 
     def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
-        """Mean u in [0, 1] between the edges; the service records what acted, whoever decided it."""
+        """Return mean u in [0, 1] between `edges` (n + 1,), shape (n,), under native or external control."""
         actuator = self.testcase.actuator
         u = actuator.level(record[f"{actuator.point}_u"])
         return interval_means({"time": record["time"], "u": u}, ["u"], edges)
@@ -340,7 +340,7 @@ class BoptestPlant:
 
 @contextlib.contextmanager
 def _failures() -> Iterator[None]:
-    """Turn the client's errors into this package's, keeping the service's words."""
+    """Convert the client's errors to `PlantError`, keeping the service's message."""
     try:
         yield
     except BoptestError as error:

@@ -1,4 +1,4 @@
-"""Whether a test case file fits a plant: every point must exist there, in the unit and within the limits expected."""
+"""Check of a test case file against a plant: every point must exist in the expected unit and within its limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KELVIN, _POWER, _IRRADIANCE = "K", "W", "W/m2"
 
 
 class _Wanted(NamedTuple):
-    """A key of the test case file, the point it names, among which points, and the unit (None: any)."""
+    """Key of the test case file, the point it names, the points offered, and the expected unit (None: any)."""
 
     key: str
     point: str
@@ -32,7 +32,7 @@ def check_points(
     """Compare a test case file with the points that `plant` offers.
 
     Raises:
-        ConfigError: lists every key that names an unknown point or one in another unit, and a value that the plant
+        ConfigError: lists every key that names an unknown point or one in another unit, and every value that the plant
             would silently clip.
     """
     actuator, m, f = testcase.actuator, testcase.measurements, testcase.forecast

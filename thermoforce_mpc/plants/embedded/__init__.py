@@ -1,4 +1,4 @@
-"""The embedded plant: nothing to install besides."""
+"""Embedded plant: the emulator that ships with the package, without further dependencies."""
 
 from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant, Snapshot
 

@@ -1,7 +1,7 @@
-"""The house as a chain of heat-capacity nodes: what it is made of, from outside in.
+"""Constructions of the house as chains of heat-capacity nodes, layers listed from outside to inside.
 
-Facts: documentation and model of the BOPTEST test case `bestest_hydronic_heat_pump` (BESTEST case 900 scaled to
-192 m², IDEAS library). Every construction is a row of nodes, all rows together one tridiagonal system.
+Source: documentation and model of the BOPTEST test case `bestest_hydronic_heat_pump` (BESTEST case 900 scaled to
+192 m², IDEAS library). Every construction is a chain of nodes; all chains form one tridiagonal system.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SOIL_START_K = 283.95
 
 @dataclass(frozen=True)
 class Layer:
-    """A homogeneous layer: thickness m, conductivity W/(m·K), density kg/m³, heat capacity J/(kg·K), nodes."""
+    """Homogeneous layer: thickness m, conductivity W/(m·K), density kg/m³, heat capacity J/(kg·K), node count."""
 
     thickness: float
     conductivity: float
@@ -40,7 +40,7 @@ ROOF = (
     Layer(0.1118, 0.04, 12.0, 840.0, 2),
     Layer(0.010, 0.16, 950.0, 840.0, 2),
 )
-# From the tile down to the soil; the pipes lie between screed and PUR.
+# From the tile down to the soil; the pipes lie between screed and PUR insulation.
 TILE = Layer(0.01, 1.4, 2100.0, 840.0, 2)
 SCREED = Layer(0.05, 0.6, 1100.0, 840.0, 2)
 FLOOR = (
@@ -52,7 +52,7 @@ FLOOR = (
     Layer(0.33, 2.0, 2000.0, 1000.0, 5, _SOIL_START_K),
     Layer(0.50, 2.0, 2000.0, 1000.0, 7, _SOIL_START_K),
 )
-# The concrete slab on which the soil's edge loss acts is where layers 3 and 4 meet.
+# The edge loss to the soil acts on the concrete slab, at the interface of layers 3 and 4.
 PARTITION = (
     Layer(0.08, 0.75, 1400.0, 840.0, 2),
     Layer(0.10, 0.036, 110.0, 840.0, 3),
@@ -63,19 +63,19 @@ PARTITION_M2 = 183.6
 
 WINDOW_M2 = 24.0
 _PANE_J_K = 143_068.0
-# Two panes and the gap between them. The test case gives 0.539419 m²K/W for the gap, which is the conduction of 13 mm
-# of air alone (0.0241 W/mK); the panes also radiate to each other, in the IDEAS library with 5.86 W/(m²·K) between
-# black surfaces. Without that part the house loses a tenth too little heat.
+# Two panes and the gap. The test case documents 0.539419 m²K/W for the gap, the conduction of 13 mm of air alone
+# (0.0241 W/mK). In the IDEAS library the panes also exchange radiation, 5.86 W/(m²·K) between black surfaces; without
+# it the house's heat loss is 10 % too low.
 _PANE_RESISTANCE = 0.002995
 _PANE_EMISSIVITY = 0.9
 _GAP_CONDUCTION = 1.0 / 0.539419
 _GAP_RADIATION = 5.86 / (2.0 / _PANE_EMISSIVITY - 1.0)
 _WINDOW_RESISTANCE = 2 * _PANE_RESISTANCE + 1.0 / (_GAP_CONDUCTION + _GAP_RADIATION)
 
-# Outside surfaces in the order used everywhere: south, west, north, east walls, roof.
+# Outside wall areas, m²; all surface arrays use the order south, west, north, east, roof.
 WALLS_M2 = (19.2, 32.4, 43.2, 32.4)
 
-# Share of each inside surface in the mean radiant temperature, area times short-wave absorptance (model constants).
+# Weight of each inside surface in the mean radiant temperature, area times short-wave absorptance (model constants).
 RADIANT_SHARE = {
     "south": 0.02159,
     "west": 0.03644,
@@ -87,7 +87,7 @@ RADIANT_SHARE = {
     "partition_gypsum": 0.18927,
     "window": 0.03014,
 }
-# Long-wave emissivity inside.
+# Inside long-wave emissivity.
 EMISSIVITY = {
     "south": 0.9,
     "west": 0.9,
@@ -99,7 +99,7 @@ EMISSIVITY = {
     "partition_gypsum": 0.85,
     "window": 0.9,
 }
-# Resistance of each surface to the one radiant node, K⁴/W (emissivity and Carroll's view factor).
+# Resistance between each surface and the radiant node, K⁴/W (emissivity and Carroll's view factor).
 RADIANT_RESISTANCE = {
     "south": 1.00445e6,
     "west": 5.88451e5,
@@ -127,11 +127,12 @@ SURFACE_M2 = {
 
 @dataclass(frozen=True)
 class Network:
-    """All nodes in one row.
+    """Thermal network of n nodes in one chain.
 
-    `capacity` (n,) J/K, `start_K` (n,); `coupling` (n,) W/K between node i and i + 1, zero where a construction ends.
-    `outside` (6,) indices of the outside surfaces (south, west, north, east, roof, window), `inside` (9,) of the inside
-    surfaces in the order of `SURFACES`; `pipe` the heated node, `slab` the one the soil's edge loss is taken from.
+    `capacity` (n,) J/K, `start_K` (n,) K; `coupling` (n,) W/K between nodes i and i + 1, zero at the end of a
+    construction. `outside` (6,): node indices of the outside surfaces (south, west, north, east, roof, window);
+    `inside` (9,): those of the inside surfaces in the order of `SURFACES`. `pipe` is the heated node, `slab` the node
+    with the edge loss to the soil.
     """
 
     capacity: Array
@@ -144,14 +145,14 @@ class Network:
 
 
 def build_network() -> Network:
-    """Put all constructions in a row."""
+    """Build the network of all constructions."""
     capacity: list[float] = []
     coupling: list[float] = []
     start: list[float] = []
     ends: dict[str, tuple[int, int]] = {}
 
     def add(name: str, layers: tuple[Layer, ...], area: float) -> list[int]:
-        """Append one construction; returns the node at the start of each layer, and the last node."""
+        """Append one construction; return the first node of each layer, and the last node."""
         first = len(capacity)
         at = [first]
         capacity.append(0.0)

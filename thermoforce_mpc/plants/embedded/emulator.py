@@ -1,4 +1,4 @@
-"""The embedded plant: the BOPTEST test case `bestest_hydronic_heat_pump` re-written from its documented physics."""
+"""Embedded plant: emulator of the BOPTEST test case `bestest_hydronic_heat_pump` from its documented physics."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from thermoforce_mpc.version import VERSION
 _KELVIN = 273.15
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
 
-# Shorter steps would drown in the rounding of the clock.
+# Shortest step, s; shorter ones are lost in the rounding of the clock.
 LEAST_STEP_S = 1e-3
-# Samples are told apart down to this, s.
+# Smallest time difference between two samples, s.
 _CLOCK_S = 1e-6
 
-# Overwrite inputs of the test case in the kernel's order: (name, lowest, highest) at the wire.
+# Overwrite inputs of the test case in the kernel's order: (name, lowest, highest), in units of BOPTEST's interface.
 OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
-# What an input of the test case holds until it is given a value, whatever its limits: 0 K is a set-point never met.
+# Initial value of every input, outside the limits of a set-point (0 K).
 NEVER_GIVEN = 0.0
 
-# Measurements of the test case: name at the wire and column of the record.
+# Measurements of the test case: BOPTEST name and column of the record.
 MEASUREMENTS = {
     "reaTZon_y": "T_operative",
     "reaPHeaPum_y": "P_heat_pump",
@@ -56,7 +56,7 @@ MEASUREMENTS = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A moment of the plant: state, clock and record so far. Opaque; give it back to `EmbeddedPlant.restore`."""
+    """State, clock and record of the plant at one instant; opaque, for `EmbeddedPlant.restore`."""
 
     nodes: Array
     scalars: Array
@@ -70,7 +70,7 @@ class Snapshot:
 
 
 class EmbeddedPlant:
-    """The emulator behind the `Plant` protocol. Deterministic: same inputs, same bytes.
+    """Emulator behind the `Plant` protocol. Deterministic: same inputs, same bytes.
 
     ```python
     with EmbeddedPlant(load_weather(Path("Brussels.mos"))) as plant:
@@ -78,7 +78,7 @@ class EmbeddedPlant:
         measurement = plant.advance(u=0.5, duration_s=900)
     ```
 
-    Time may run over the end of the year: the weather year repeats.
+    The weather year is periodic: time may run over its end.
     """
 
     def __init__(
@@ -91,8 +91,8 @@ class EmbeddedPlant:
         """Build the plant for a weather year.
 
         Args:
-            highly_dynamic: tariff of that name; by default a synthetic one, see `boundary.tariffs`.
-            forecast_error: errors of the weather forecast; by default the forecast is perfect.
+            highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
+            forecast_error: weather forecast errors; default: a perfect forecast.
         """
         self.weather = weather
         self._forecast_error = forecast_error
@@ -105,7 +105,7 @@ class EmbeddedPlant:
 
     @property
     def info(self) -> PlantInfo:
-        """Which plant, weather and version this is."""
+        """Plant, weather and version."""
         return PlantInfo(
             kind="embedded",
             testcase="bestest_hydronic_heat_pump",
@@ -115,10 +115,10 @@ class EmbeddedPlant:
         )
 
     def period(self, name: str) -> Period:
-        """The scored window 'peak_heat_day', 'typical_heat_day' (BOPTEST's rule for this weather), or a start day.
+        """Return the window 'peak_heat_day' or 'typical_heat_day' (BOPTEST's rule for this weather), or of a start day.
 
         Raises:
-            InputError: neither a known window nor a day of the year.
+            InputError: `name` is neither a known window nor a day of the year.
         """
         try:
             day = float(name)
@@ -133,7 +133,7 @@ class EmbeddedPlant:
         return Period(f"day {day:g}", day * DAY_S)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control, cut at the beginning of the year.
+        """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
 
         Raises:
             InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
@@ -158,19 +158,19 @@ class EmbeddedPlant:
         return self._measurement(np.empty((0, len(kernel.RECORD))))
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Hold the compressor level `u` in [0, 1] (None: native control) for `duration_s`.
+        """Apply the compressor level `u` in [0, 1] (None: native control) for `duration_s`.
 
         Raises:
-            InputError: `u` or `duration_s` is not a number the plant can take.
+            InputError: `u` or `duration_s` is out of range.
         """
         return self.advance_points({} if u is None else {"oveHeaPumY": u}, duration_s)
 
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
-        """Advance with overwrite inputs by their names at the wire (kelvin); those not named stay native.
+        """Advance with overwrite inputs by BOPTEST name (temperatures in K); inputs not given stay native.
 
         Raises:
             InputError: an unknown input, a value that is neither 0 nor a finite number within its limits, or a duration
-                that is not between a millisecond and a year.
+                that is not between 1 ms and a year.
         """
         limits = {name: (low, high) for name, low, high in OVERWRITES}
         for name, value in overrides.items():
@@ -187,7 +187,7 @@ class EmbeddedPlant:
         return self._measurement(self._advance(overrides, float(duration_s)))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
+        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
@@ -211,7 +211,7 @@ class EmbeddedPlant:
         )
 
     def past(self, step_s: float) -> Record:
-        """Everything since the start of the warm-up at `step_s`; older remainders are cut.
+        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
 
         Raises:
             InputError: `step_s` is not positive.
@@ -234,12 +234,12 @@ class EmbeddedPlant:
         )
 
     def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs since the end of the warm-up (no computing time: that is the loop's to know).
+        """Return BOPTEST's KPIs since the end of the warm-up, except the computing time, which the loop measures.
 
-        Samples are read once for each tariff, however often this is asked, but for those of the windows of the peak
-        that are not over, or whose end lies between two samples.
+        Sums are cached per tariff. Later calls read only the new samples, and those of a 15-min peak window that is
+        not over or ends between two samples.
         """
-        if self._now_s - self._start_s < _CLOCK_S:  # nothing has been simulated since: BOPTEST answers zeros
+        if self._now_s - self._start_s < _CLOCK_S:  # no step simulated yet: BOPTEST returns zeros
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
         counted = self._counted.get(self._price, CountedKpis(self._start_s))
         counted = counted.counting(self._latest_edge(counted.until_s), self._kpis_between)
@@ -247,7 +247,7 @@ class EmbeddedPlant:
         return counted.up_to(self._now_s, self._kpis_between)
 
     def _latest_edge(self, since_s: float) -> float:
-        """Latest sample after `since_s` that ends a window of the peak; `since_s` where there is none, s."""
+        """Return the time of the latest sample after `since_s` that ends a peak window, s; else `since_s`."""
         for time_s in reversed(self._times):
             into_s = (time_s - self._start_s + _CLOCK_S) % PEAK_WINDOW_S
             found = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > since_s + _CLOCK_S))
@@ -258,7 +258,7 @@ class EmbeddedPlant:
         return since_s
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
-        """KPIs of the samples between two times, both included."""
+        """Return the KPIs of the samples between two times, both included."""
         record = self.recorded(start_s, final_s)
         time_s = record["time"]
         lower, upper = schedule.bounds_C(time_s)
@@ -277,7 +277,7 @@ class EmbeddedPlant:
 
     @property
     def now_s(self) -> float:
-        """Now, s since 1 January."""
+        """Current time, s since 1 January."""
         return self._now_s
 
     @property
@@ -287,17 +287,17 @@ class EmbeddedPlant:
 
     @property
     def tariff_names(self) -> tuple[str, ...]:
-        """Tariffs that this plant knows."""
+        """Names of the available tariffs."""
         return tuple(self._tariffs)
 
     def tariff(self, name: str) -> tariffs.Tariff:
-        """The tariff called `name`; raises `InputError`."""
+        """Return the tariff `name`; raises `InputError`."""
         if name not in self._tariffs:
             raise InputError(f"unknown tariff '{name}'; known: {', '.join(self._tariffs)}")
         return self._tariffs[name]
 
     def use(self, price: str, forecast_error: ForecastError | None) -> None:
-        """Change what surrounds the house without disturbing it: tariff and errors of the forecast.
+        """Set tariff and forecast errors; the plant's state does not change.
 
         Raises:
             InputError: the tariff is unknown.
@@ -306,13 +306,13 @@ class EmbeddedPlant:
         self._price, self._forecast_error = price, forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
-        """Samples between two times: 'time' s and every column of `kernel.RECORD`, units of the wire.
+        """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, shape (n,) each.
 
-        An advance leaves equally spaced samples, 30 to 60 s apart (30 where its length is a multiple);
-        a shorter one leaves one. The record starts with the warm-up and ends now; arrays of one length, empty where
-        nothing was recorded.
+        Units are those of `kernel.RECORD`. Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its
+        length is a multiple of 30 s), or one sample if it is shorter. The record starts with the warm-up and ends now;
+        arrays are empty if nothing was recorded.
         """
-        # From the latest backwards: a client that asks for the present must not pay for the past.
+        # From the latest backwards, so that a request for recent samples does not read the whole record.
         times, parts = [np.empty(0)], [self._first[:0]]
         for time_s, rows in zip(
             itertools.chain(reversed(self._times), [np.array([self._begin_s])]),
@@ -328,14 +328,14 @@ class EmbeddedPlant:
         return {"time": np.concatenate(times[::-1])} | {name: values[:, i] for name, i in _COLUMN.items()}
 
     def snapshot(self) -> Snapshot:
-        """Keep this moment, to come back to it or branch from it."""
+        """Return a snapshot, to restore or branch from."""
         return Snapshot(
             self._nodes.copy(), self._scalars.copy(), self._now_s, self._begin_s, self._start_s, self._price,
             tuple(self._record), tuple(self._times), self._first,
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a moment of this plant, or of another one with the same weather."""
+        """Restore a snapshot of this plant, or of another one with the same weather."""
         s = snapshot
         self._nodes, self._scalars = s.nodes.copy(), s.scalars.copy()
         self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
@@ -343,7 +343,7 @@ class EmbeddedPlant:
         self._counted = {}
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: the plant holds no resources."""
 
     def __enter__(self) -> EmbeddedPlant:
         return self
@@ -354,7 +354,7 @@ class EmbeddedPlant:
         self.close()
 
     def _advance(self, overrides: Mapping[str, float], duration_s: float) -> Array:
-        # As BOPTEST samples: as many equal steps as there are whole 30 s in it, at least one.
+        # As in BOPTEST: the number of equal steps is that of whole 30 s in the duration, at least one.
         n = max(math.floor(duration_s / kernel.STEP_S + 1e-9), 1)
         rows = np.empty((n, len(kernel.RECORD)))
         forced = np.array([float(overrides.get(name, math.nan)) for name, _, _ in OVERWRITES])
@@ -365,14 +365,14 @@ class EmbeddedPlant:
         )  # fmt: skip
         time_s = self._now_s + duration_s / n * np.arange(1.0, n + 1)
         self._now_s += duration_s
-        time_s[-1] = self._now_s  # not a rounding beside it
+        time_s[-1] = self._now_s  # exact, without rounding
         rows.setflags(write=False)
         self._record.append(rows)
         self._times.append(time_s)
         return rows
 
     def _native_year(self) -> Array:
-        """15-minute means of the compressor's power over a year of native control, shape (35040,), W."""
+        """Return 15-min means of the compressor power over a year of native control, W, shape (35040,)."""
         here = self.snapshot()
         try:
             self.reset(0.0, 0.0)
@@ -382,7 +382,7 @@ class EmbeddedPlant:
             self.restore(here)
 
     def _measurement(self, rows: Array) -> Measurement:
-        """Samples of the last recorded row, means over `rows` (NaN when there are none)."""
+        """Return a measurement: samples of the last recorded row, means over `rows` (n, 17) (NaN if empty)."""
         last = self._record[-1][-1] if self._record else self._first[0]
         means = rows.mean(axis=0) if rows.size else np.full(len(kernel.RECORD), math.nan)
         points = {name: float(last[_COLUMN[column]]) for name, column in MEASUREMENTS.items()}
@@ -399,7 +399,7 @@ class EmbeddedPlant:
         )
 
     def _sample(self) -> Array:
-        """The record's row for the very first instant, (1, columns): native control is at work from the start."""
+        """Return the sample at the first instant under native control, shape (1, 17)."""
         rows = np.empty((1, len(kernel.RECORD)))
         native = np.full(len(OVERWRITES), math.nan)
         kernel.sample(self._scalars, self._now_s, native, self._grid, rows[0])

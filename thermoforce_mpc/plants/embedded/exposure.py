@@ -1,4 +1,4 @@
-"""What the weather does to each surface: everything that does not depend on the house's state, on a 15-minute grid."""
+"""Weather forcing of each surface on a 15-min grid: all terms that do not depend on the house's state."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ GRID_S = 900.0
 _KELVIN = 273.15
 _SHORT_WAVE_ABSORPTANCE = 0.6
 
-# Where the walls face, degrees clockwise from north.
+# Azimuth of the walls, degrees clockwise from north.
 _FACING_DEG = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
-# Wind from more than this off the normal leaves the surface in the lee.
+# A surface is leeward if the wind comes from more than this angle off its normal.
 _LEE_RAD = np.deg2rad(100.0)
 
-# Double glazing against the angle of incidence, degrees: transmitted, absorbed in the outer and in the inner pane
+# Double glazing by angle of incidence, degrees: fractions transmitted, absorbed in the outer and in the inner pane
 # (BESTEST glazing of the IDEAS library, from WINDOW 6.3).
 _ANGLE = [0, 10, 20, 30, 40, 45, 50, 60, 70, 80, 88.9, 90]
 # fmt: off
@@ -52,18 +52,18 @@ N_COLUMNS = 17
 
 @dataclass(frozen=True)
 class Exposure:
-    """Forcing of the house over a year, periodic.
+    """Forcing of the house over a periodic year.
 
     `grid` (35041, 17): outdoor and sky temperature K; forced convection coefficient of south, west, north, east, roof
-    W/(m²·K); short-wave absorbed there W/m²; through the window as beam and as diffuse, and absorbed in its outer and
-    inner pane, W; global horizontal irradiance W/m².
+    W/(m²·K); short-wave absorbed there W/m²; transmitted by the window as beam and as diffuse, and absorbed in its
+    outer and inner pane, W; global horizontal irradiance W/m².
     """
 
     grid: Array
 
 
 def build_exposure(weather: Weather) -> Exposure:
-    """Work out the exposure of a weather year; about a second."""
+    """Compute the exposure of a weather year; takes about 1 s."""
     time_s = np.arange(0.0, YEAR_S + GRID_S, GRID_S)
     sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
     grid = np.empty((time_s.size, N_COLUMNS))

@@ -1,6 +1,6 @@
-"""Air-to-water heat pump with a scroll compressor (Jin 2002, as in the IDEAS library), quasi-static in the refrigerant.
+"""Air-to-water heat pump with a scroll compressor (Jin 2002, as in the IDEAS library), quasi-static refrigerant.
 
-The constant loss does not scale with speed, so running slowly is inefficient: the trait every controller must know.
+The constant loss does not scale with speed, so the COP falls at part load.
 Parameters: data record Carrier_30AW015_15kW_4_9COP_R410A of the test case.
 """
 
@@ -31,8 +31,8 @@ FAN_KG_S = 3.0
 PUMP_W = 20.4986
 PUMP_KG_S = 0.5
 
-# Heat exchangers of saturated effectiveness (0.999): the refrigerant couples to the leaving node through 999·C while
-# water or air flows, and through the exchanger's own conductance where it stands still.
+# Heat exchangers with an effectiveness limited to 0.999: the refrigerant couples to the leaving node through 999·C
+# while water or air flows, and through the exchanger's own conductance without flow.
 WATER_J_KG_K = 4184.0
 AIR_J_KG_K = 1014.54
 CONDENSER_W_K = 999.0 * PUMP_KG_S * WATER_J_KG_K
@@ -48,7 +48,7 @@ PROTECTION_HYSTERESIS_K = 3.0
 
 @njit(cache=True)
 def heat_pump(T_evaporating: float, T_condensing: float, speed: float) -> tuple[float, float, float]:
-    """Electric power of the compressor, condenser heat and evaporator heat, W, at `speed` in (0, 1] while on.
+    """Return electric power of the compressor, condenser heat and evaporator heat, W, at `speed` in (0, 1].
 
     Args:
         T_evaporating, T_condensing: refrigerant temperatures, K.
@@ -69,5 +69,5 @@ def heat_pump(T_evaporating: float, T_condensing: float, speed: float) -> tuple[
 
 @njit(cache=True, inline="always")
 def _smooth_max(a: float, b: float, width: float) -> float:
-    """max(a, b), rounded where the two are nearer than `width`."""
+    """Return max(a, b), smoothed over a difference of about `width`."""
     return 0.5 * (a + b + math.sqrt((a - b) ** 2 + width**2))

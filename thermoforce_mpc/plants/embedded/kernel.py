@@ -1,11 +1,10 @@
-"""One step of the whole plant: native control, heat pump, water, air and walls. Compiled; no allocation per step.
+"""Time step of the whole plant: native control, heat pump, water, air and walls. Compiled; no allocation per step.
 
-A sample shows the machine as it is at that instant: what control, refrigerant, pump and fan do follows from the state
-there and drives the step that begins.
+Control, refrigerant, pump and fan at a sample follow from the state at that instant and act over the next step.
 
-The envelope is stepped implicitly (first order, L-stable): film coefficients are taken from the step before, and the
-nodes of all constructions form one tridiagonal system in which only the air and the radiant node are shared. It is
-solved for three right-hand sides (own, per kelvin of air, per kelvin of the radiant node) and closed by two equations.
+The envelope uses implicit Euler (first order, L-stable) with film coefficients of the previous step. The nodes of all
+constructions form one tridiagonal system that shares only the air and the radiant node. It is solved for three
+right-hand sides (constant, per K of air, per K of the radiant node); two balances then give air and radiant node.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ from thermoforce_mpc.plants.embedded import schedule as s
 from thermoforce_mpc.plants.embedded.heat_pump import heat_pump
 from thermoforce_mpc.plants.embedded.schedule import is_occupied
 
-# Length of a step where nothing asks for another, and least distance of samples but for shorter advances.
+# Default step length, s; also the shortest distance of samples, except for shorter advances.
 STEP_S = 30.0
 
-# Scalars of the state, after the nodes: the first twelve are carried from step to step (T_SUPPLY and T_RETURN are the
-# water of condenser and floor, the LAST ones of the step that ended), the others what the machine does in that state.
+# Scalar states, besides the nodes: the first twelve are carried from step to step (T_SUPPLY and T_RETURN: water of
+# condenser and floor; LAST_*: values of the previous step), the others are computed from them by `_operate`.
 (T_AIR, T_SUPPLY, T_RETURN, T_EVAPORATOR, INTEGRAL, COMPRESSOR_ON, BLOCKED, CO2_PPM, T_OPERATIVE,
  LAST_Q_CONDENSER, LAST_Q_EVAPORATOR, LAST_T_PIPE,
  SETPOINT, INTEGRAL_RATE, LEVEL, POWER, Q_CONDENSER, Q_EVAPORATOR, PUMP, FAN) = range(20)  # fmt: skip
 N_SCALARS = 20
 
-# Columns of the record, one row a sample (kelvin, W, ppm); water temperatures are those that the sensors show.
+# Columns of the record, one row per sample (K, W, ppm); water temperatures are sensor readings.
 RECORD = (
     "T_operative", "P_heat_pump", "P_fan", "P_pump", "Q_condenser", "Q_floor", "T_supply", "T_return", "COP", "level",
     "T_setpoint", "CO2", "T_out", "solar", "fan", "pump", "Q_evaporator",
@@ -40,7 +39,7 @@ RECORD = (
 
 _KELVIN = 273.15
 _SIGMA = 5.670374419e-8
-_CP_AIR = 1006.0 + 1860.0 * 0.006  # dry air and its usual vapour
+_CP_AIR = 1006.0 + 1860.0 * 0.006  # dry air with 6 g/kg of vapour
 _AIR_J_K = 1.2 * c.VOLUME_M3 * _CP_AIR
 _INFILTRATION_KG_S = 1.2 * c.VOLUME_M3 * 0.5 / 3600.0
 _INFILTRATION_W_K = _INFILTRATION_KG_S * _CP_AIR
@@ -54,7 +53,7 @@ _CONDENSER_J_K = 30.0 * hp.WATER_J_KG_K
 _FLOOR_J_K = 168.9 * hp.WATER_J_KG_K
 _FLOOR_W_K = c.AREA_M2 / 0.10207009
 _EVAPORATOR_J_K = 180.0 * hp.AIR_J_KG_K
-# The expansion vessel is connected between supply sensor and pump.
+# Temperature of the expansion vessel, connected between supply sensor and pump.
 _VESSEL_K = 293.15
 
 # Native PI: gain 1/K, integral time s, anti-windup.
@@ -64,7 +63,7 @@ _SWITCH_ON, _SWITCH_OFF = 0.01, 0.005
 _WALL_EMISSIVITY = 0.9
 _SKY_VIEW = np.array([0.5 * math.cos(math.pi / 4)] * 4 + [1.0, 0.5 * math.cos(math.pi / 4)])
 _OUTSIDE_M2 = np.array([*c.WALLS_M2, c.AREA_M2, c.WINDOW_M2])
-# Window panes radiate linearly about 280 K.
+# Long-wave radiation of the window panes, linearised about 280 K.
 _WINDOW_RADIATION = 0.9 * _SIGMA * (280.0 + 285.0) * (280.0**2 + 285.0**2)
 
 _N_INSIDE = len(c.SURFACES)
@@ -73,13 +72,13 @@ _RADIANT_W_K = (2 * 295.15 - 2) * (295.15**2 + 293.15**2) / np.array([c.RADIANT_
 _SHARE = np.array([c.RADIANT_SHARE[name] for name in c.SURFACES]) / sum(c.RADIANT_SHARE.values())
 _EMITTED = np.array([c.SURFACE_M2[n] * c.EMISSIVITY[n] for n in c.SURFACES])
 _EMITTED = _EMITTED / _EMITTED.sum()
-# Beam light falls on the floor, which absorbs 55 % and reflects the rest to all others.
+# Beam irradiance falls on the floor, which absorbs 55 % and reflects the rest to all other surfaces.
 _FLOOR = c.SURFACES.index("floor")
 _CEILING = c.SURFACES.index("roof")
 _BEAM = np.where(np.arange(_N_INSIDE) == _FLOOR, 0.0, _SHARE)
 _BEAM = 0.45 * _BEAM / _BEAM.sum()
 _BEAM[_FLOOR] = 0.55
-# Khalifa-type films: A·1.823/Dh^0.121·|dT|^1.293 on walls, with Dh of the wall's own outline.
+# Khalifa-type films: A·1.823/Dh^0.121·|dT|^1.293 on walls, with Dh from the perimeter of each wall.
 _DH = 4.0 * _INSIDE_M2 / (2.0 * _INSIDE_M2 / c.HEIGHT_M + 2.0 * c.HEIGHT_M)
 _WALL_FILM = _INSIDE_M2 * 1.823 / _DH**0.121
 _SIDE = math.sqrt(c.AREA_M2)
@@ -90,7 +89,7 @@ _ZERO_ROUNDING_K = 1e-4
 
 @njit(cache=True)
 def _horizontal_film(buoyant_K: float) -> float:
-    """W/K of floor or ceiling; positive `buoyant_K` drives air through the room. Blended over ±0.1 K."""
+    """Return the film conductance of floor or ceiling, W/K; buoyant for positive `buoyant_K`, blended over ±0.1 K."""
     d = abs(buoyant_K) + _ZERO_ROUNDING_K
     share = min(max(0.5 + 0.5 * buoyant_K / _BLEND_K, 0.0), 1.0)
     share = share * share * (3.0 - 2.0 * share)
@@ -99,7 +98,7 @@ def _horizontal_film(buoyant_K: float) -> float:
 
 @njit(cache=True)
 def soil_heat_W(time_s: float) -> float:
-    """Heat taken out at the underside of the slab: ISO 13370 edge loss, mean and two periodic parts, W."""
+    """Return the heat loss at the underside of the slab, W: ISO 13370 edge loss, mean and two periodic parts."""
     month = time_s / 3.1536e7 * 12.0
     mean = 0.0823985 * c.AREA_M2 * (295.15 - 283.95)
     outside = 11.921 * 2.0 * math.cos(2.0 * math.pi / 12.0 * (month - 1.0 + 0.1322))
@@ -109,7 +108,7 @@ def soil_heat_W(time_s: float) -> float:
 
 @njit(cache=True, inline="always")
 def _read_weather(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
-    """Put the columns of the exposure at `time_s` into `w`."""
+    """Interpolate the exposure linearly at `time_s` into `w` (17,)."""
     at = (time_s % ((grid.shape[0] - 1) * x.GRID_S)) / x.GRID_S
     row = int(at)
     share = at - row
@@ -119,8 +118,8 @@ def _read_weather(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
 
 @njit(cache=True)
 def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
-    """Set what the machine does in the state at `time_s`. To do it twice changes nothing, whatever the step."""
-    # Native control. Its integral follows its own level while that is overwritten.
+    """Set control, heat pump, pump and fan for the state at `time_s`. Idempotent, independent of the step length."""
+    # Native control. While the level is overwritten, the integral follows the native level.
     if math.isnan(overrides[1]):
         occupied = is_occupied(time_s)
         setpoint = _KELVIN + (
@@ -136,7 +135,7 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
     if not math.isnan(overrides[0]):
         level = overrides[0]
 
-    # Heat pump: protection, hysteresis, then quasi-static refrigerant with the heat flows of the step before.
+    # Heat pump: protection, hysteresis, then quasi-static refrigerant with the heat flows of the previous step.
     condenser_W_K = hp.STILL_CONDENSER_W_K if overrides[2] < 0.5 else hp.CONDENSER_W_K
     evaporator_W_K = hp.STILL_EVAPORATOR_W_K if overrides[3] < 0.5 else hp.EVAPORATOR_W_K
     T_condensing = scalars[T_SUPPLY] + scalars[LAST_Q_CONDENSER] / condenser_W_K
@@ -170,8 +169,7 @@ def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
     if scalars[PUMP] > 0.5:
         floor_W = _FLOOR_W_K * (T_supply - scalars[LAST_T_PIPE])
     else:
-        # A sensor in standing water shows the mean of what is on either side: between condenser and vessel, and
-        # between floor and condenser.
+        # Without flow a sensor reads the mean of its two neighbours: condenser and vessel, floor and condenser.
         T_supply, T_return = 0.5 * (T_supply + _VESSEL_K), 0.5 * (T_return + T_supply)
     power = scalars[POWER]
     row[0] = scalars[T_OPERATIVE]
@@ -195,14 +193,14 @@ def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
 
 @njit(cache=True)
 def sample(scalars: np.ndarray, time_s: float, overrides: np.ndarray, grid: np.ndarray, row: np.ndarray) -> None:
-    """Write the sample at `time_s` into `row` (17,), with what the machine does under `overrides`, see `advance`."""
+    """Write the sample at `time_s` under `overrides` (4,) into `row` (17,), see `advance`."""
     w = np.empty(x.N_COLUMNS)
     _read_weather(grid, time_s, w)
     _operate(scalars, time_s, overrides)
     _note(scalars, w, row)
 
 
-@njit(cache=True, nogil=True)  # without the interpreter's lock several plants step at once
+@njit(cache=True, nogil=True)  # nogil: several plants step in parallel threads
 def advance(
     nodes: np.ndarray,
     scalars: np.ndarray,
@@ -241,13 +239,13 @@ def advance(
         scalars[LAST_Q_CONDENSER], scalars[LAST_Q_EVAPORATOR] = to_water, from_air
         scalars[LAST_T_PIPE] = nodes[pipe]
 
-        # Air through the evaporator: warmed by the fan, cooled by the refrigerant.
+        # Air through the evaporator: heated by the fan, cooled by the refrigerant.
         air_flow = fan * hp.FAN_KG_S * hp.AIR_J_KG_K
         inlet_W = air_flow * w[x.T_OUT] + fan * hp.FAN_W
         scalars[T_EVAPORATOR] = (_EVAPORATOR_J_K / dt * scalars[T_EVAPORATOR] + inlet_W - from_air) / (
             _EVAPORATOR_J_K / dt + air_flow
         )
-        # Water round the circuit: condenser volume, then the floor's.
+        # Water circuit: condenser volume, then floor volume.
         flow = pump * hp.PUMP_KG_S * hp.WATER_J_KG_K
         to_floor = _FLOOR_W_K if pump > 0.5 else 0.0
         a11, a12 = _CONDENSER_J_K / dt + flow, -flow
@@ -259,7 +257,7 @@ def advance(
         scalars[T_RETURN] = (a11 * b2 - a21 * b1) / determinant
         floor_W = to_floor * (scalars[T_SUPPLY] - nodes[pipe])
 
-        # Envelope: own heat of every node, then what crosses its surfaces.
+        # Envelope: storage and conduction of every node, then its surface exchange.
         for i in range(n):
             diagonal[i] = capacity[i] / dt + coupling[i] + (coupling[i - 1] if i > 0 else 0.0)
             right[i, 0] = capacity[i] / dt * nodes[i]
@@ -307,7 +305,7 @@ def advance(
             right[i, 2] += _RADIANT_W_K[k]
         right[inside[n_inside - 1], 0] += w[x.PANE_INNER]
 
-        # Thomas algorithm on all constructions at once: couplings between them are zero.
+        # Thomas algorithm for all constructions at once: couplings between them are zero.
         factor[0] = diagonal[0]
         for i in range(1, n):
             ratio = coupling[i - 1] / factor[i - 1]
@@ -320,7 +318,7 @@ def advance(
             for j in range(3):
                 right[i, j] = (right[i, j] + coupling[i] * right[i + 1, j]) / factor[i]
 
-        # Heat balance of air and of the massless radiant node, in terms of the two alone.
+        # Heat balances of the air and of the massless radiant node, two equations in these two temperatures.
         m11, m12, r1 = _AIR_J_K / dt + _INFILTRATION_W_K, 0.0, _AIR_J_K / dt * scalars[T_AIR]
         r1 += _INFILTRATION_W_K * w[x.T_OUT] + (_GAIN_CONVECTIVE_W if occupied else 0.0)
         m21, m22, r2 = 0.0, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""R410A: saturation, enthalpies and the Martin-Hou equation of state, as the test case's compressor model uses them.
+"""R410A properties of the test case's compressor model: saturation, enthalpies, Martin-Hou equation of state.
 
 Property fits of the refrigerant R410A in the IBPSA Modelica library (DuPont technical data, Martin and Hou 1955).
 All temperatures in K, pressures in Pa, specific volume in m³/kg, enthalpies in J/kg, heat capacities in J/(kg·K).
@@ -19,7 +19,7 @@ _K = 5.75
 
 @njit(cache=True, inline="always")
 def saturation_pressure(T: float) -> float:
-    """Saturation pressure at temperature T."""
+    """Return saturation pressure at temperature T."""
     x = 1.0 - T / CRITICAL_K - 0.2086902
     poly = -1.440004 + x * (-6.865265 + x * (-0.5354309 + x * (-3.749023 + x * (-3.521484 + x * -7.75))))
     return _CRITICAL_PA * math.exp(CRITICAL_K / T * poly)
@@ -27,21 +27,21 @@ def saturation_pressure(T: float) -> float:
 
 @njit(cache=True, inline="always")
 def liquid_enthalpy(T: float) -> float:
-    """Enthalpy of saturated liquid."""
+    """Return enthalpy of saturated liquid."""
     x = (1.0 - T / CRITICAL_K) ** (1.0 / 3.0) - 0.5541498
     return 1000.0 * (221.1749 + x * (-514.9668 + x * (-631.625 + x * (-262.2749 + x * (1052.0 + x * 1596.0)))))
 
 
 @njit(cache=True, inline="always")
 def vapour_enthalpy(T: float) -> float:
-    """Enthalpy of saturated vapour."""
+    """Return enthalpy of saturated vapour."""
     x = (1.0 - T / CRITICAL_K) ** (1.0 / 3.0)
     return 1000.0 * (406.0598 + x * (-34.78156 + x * (262.8079 + x * (223.8549 + x * (-1162.627 + x * 570.6635)))))
 
 
 @njit(cache=True)
 def pressure_and_slopes(T: float, v: float) -> tuple[float, float, float]:
-    """Martin-Hou: p(T, v), ∂p/∂v at constant T, ∂p/∂T at constant v."""
+    """Return p(T, v), ∂p/∂v at constant T and ∂p/∂T at constant v (Martin-Hou)."""
     d = v - _B
     e = math.exp(-_K * T / CRITICAL_K)
     de = -_K / CRITICAL_K * e
@@ -60,12 +60,12 @@ def pressure_and_slopes(T: float, v: float) -> tuple[float, float, float]:
 
 @njit(cache=True)
 def vapour_volume(p: float, T: float) -> float:
-    """Specific volume of vapour at p, T: Newton's method from the ideal gas."""
+    """Return the specific volume of vapour at p, T, by Newton's method from the ideal gas."""
     v = _R * T / p
     for _ in range(50):
         value, slope, _unused = pressure_and_slopes(T, v)
         change = (value - p) / slope
-        # The ideal gas is on the large side; a full step may overshoot below the liquid branch.
+        # The ideal gas overestimates v; a full Newton step may overshoot below the liquid branch.
         v = max(v - change, 0.5 * v)
         if abs(change) < 1e-13 + 1e-11 * v:
             break
@@ -74,7 +74,7 @@ def vapour_volume(p: float, T: float) -> float:
 
 @njit(cache=True)
 def isentropic_exponent(T: float, v: float) -> float:
-    """cp/cv of vapour at T, v."""
+    """Return cp/cv of vapour at T, v."""
     d = v - _B
     ideal = 1000.0 * (0.2676087 + T * (2.115353e-3 + T * (-9.848184e-7 + T * 6.493781e-11)))
     e = math.exp(-_K * T / CRITICAL_K)

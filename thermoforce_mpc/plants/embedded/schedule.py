@@ -1,4 +1,4 @@
-"""Occupancy, comfort bounds and the native set-point of the test case, by the clock."""
+"""Occupancy, comfort bounds and native set-point of the test case by time of day and week."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ LOWER_EMPTY_C, UPPER_EMPTY_C = 15.0, 30.0
 # Native set-point above the lower bound, K.
 SETPOINT_OCCUPIED_K, SETPOINT_EMPTY_K = 0.2, 5.5
 CO2_LIMIT_PPM = 894.0
-# Distance of the boundary data's samples.
+# Sampling interval of the boundary data, s.
 _DATA_S = 900.0
 
 
 @njit(cache=True)
 def is_occupied(time_s: float) -> bool:
-    """Before 07:00 and from 20:00 on weekdays, all day at weekends; day 0 is a Tuesday."""
+    """Whether the house is occupied: weekdays before 07:00 and from 20:00, weekends all day; day 0 is a Tuesday."""
     day = math_floor(time_s / 86400.0)
     weekday = day % 7
     hour = (time_s - day * 86400.0) / 3600.0
@@ -28,12 +28,12 @@ def is_occupied(time_s: float) -> bool:
 
 @njit(cache=True, inline="always")
 def math_floor(x: float) -> int:
-    """The integer below `x`."""
+    """Return the largest integer not above `x`."""
     return int(np.floor(x))
 
 
 def occupied(time_s: Array) -> Array:
-    """Occupancy by the clock, as the house knows it, see `is_occupied`. Booleans."""
+    """Return occupancy (booleans, shape of `time_s`) by the rule of `is_occupied`, as the plant uses it."""
     time_s = np.asarray(time_s, dtype=np.float64)
     day = np.floor(time_s / 86400.0)
     hour = (time_s - day * 86400.0) / 3600.0
@@ -41,21 +41,21 @@ def occupied(time_s: Array) -> Array:
 
 
 def occupied_sample(time_s: Array) -> Array:
-    """Occupancy as BOPTEST's boundary data have it, for forecasts and KPIs. Booleans.
+    """Return occupancy (booleans, shape of `time_s`) of BOPTEST's boundary data, for forecasts and KPIs.
 
-    The data lie every 15 min and are held until the next; the one of 07:00 still counts as occupied.
+    The data have 15-min samples, each held until the next; the 07:00 sample still counts as occupied.
     """
     data_s = np.floor(np.asarray(time_s, dtype=np.float64) / _DATA_S + 1e-9) * _DATA_S
     return occupied(data_s) | (data_s % 86400.0 == 7 * 3600.0)
 
 
 def bounds_C(time_s: Array) -> tuple[Array, Array]:
-    """Lower and upper comfort bound of the boundary data, °C, see `occupied_sample`."""
+    """Return the lower and upper comfort bound of the boundary data, °C, see `occupied_sample`."""
     return set_points_C(occupied_sample(time_s))
 
 
 def set_points_C(at_home: Array) -> tuple[Array, Array]:
-    """Set-points for heating and cooling where somebody is at home (booleans) and where not, °C."""
+    """Return heating and cooling set-points, °C, for occupancy `at_home` (booleans)."""
     return (
         np.where(at_home, LOWER_OCCUPIED_C, LOWER_EMPTY_C),
         np.where(at_home, UPPER_OCCUPIED_C, UPPER_EMPTY_C),

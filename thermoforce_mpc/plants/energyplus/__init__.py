@@ -1,1 +1,1 @@
-"""EnergyPlus as a building: models written by our code, run in worker processes through the engine's runtime API."""
+"""EnergyPlus plants: generated models, run in worker processes through the engine's runtime API."""

@@ -1,4 +1,4 @@
-"""The two buildings that EnergyPlus runs here: their zones and climates, set-points, and internal gains."""
+"""The two EnergyPlus buildings: zones, climates, set-points and internal gains."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ COMFORT_H = (5.0, 23.0)
 
 @dataclass(frozen=True)
 class Climate:
-    """One of the two buildings: its zone, the day its season's probe part begins, and its set-points.
+    """Zone, first day of the probing part (day of the year, from 0) and set-points of one building.
 
-    `comfort_C` holds from 05:00 to 23:00, `setback_C` at night: every window, with its horizon, lies between.
+    `comfort_C` holds from 05:00 to 23:00, which contains every evaluation window with its horizon; `setback_C` at
+    night.
     """
 
     name: ClimateName
@@ -57,7 +58,7 @@ CLIMATES: dict[ClimateName, Climate] = {
 
 
 def base_setpoint(climate: Climate, n_days: int) -> Array:
-    """The occupant's set-points over `n_days` from midnight, °C, one per step."""
+    """Return the occupants' set-points over `n_days` from midnight, °C, one per step."""
     step_h = climate.spec.step_s / HOUR_S
     hour = np.arange(round(n_days * 24 / step_h)) * step_h % 24.0
     comfortable = (hour >= COMFORT_H[0]) & (hour < COMFORT_H[1])
@@ -65,9 +66,9 @@ def base_setpoint(climate: Climate, n_days: int) -> Array:
 
 
 def gains(climate: Climate, first_day: int, n_days: int, seed: int) -> Array:
-    """Internal gains as a share of the full ones, one per step; the same day has the same gains in every run.
+    """Return internal gains as a fraction of the full gains, one per step; a day has the same gains in every run.
 
-    A daily profile times what people happened to do that day: no model can know it, every model has to live with it.
+    A daily profile times random daily and hourly factors, an unmeasured disturbance for every model.
     """
     step_h = climate.spec.step_s / HOUR_S
     per_day = round(24 / step_h)

@@ -1,7 +1,7 @@
-"""Where the engine, its weather files and its reference buildings are, and which versions they have.
+"""Location and versions of the EnergyPlus engine, its weather files and its reference buildings.
 
-The engine is the wheel `pyenergyplus-lbnl` (extra `[energyplus]`): shared library, Python API, TMY3 weather files and
-DOE reference buildings in one.
+The wheel `pyenergyplus-lbnl` (extra `[energyplus]`) contains the shared library, the Python API, TMY3 weather files and
+DOE reference buildings.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ PACKAGE = "pyenergyplus-lbnl"
 
 
 def is_available() -> bool:
-    """Whether the engine's package is installed."""
+    """Return whether the engine's package is installed."""
     return importlib.util.find_spec("pyenergyplus") is not None
 
 
 def engine_folder() -> Path:
-    """Folder of the engine's Python API; raises `PlantError` where it is not installed."""
+    """Return the folder of the engine's Python API; raises `PlantError` if it is not installed."""
     spec = importlib.util.find_spec("pyenergyplus")
     if spec is None or spec.origin is None:
         raise PlantError(f"EnergyPlus is not installed: pip install 'thermoforce-mpc[energyplus]' (package {PACKAGE})")
@@ -31,13 +31,13 @@ def engine_folder() -> Path:
 
 
 def engine_version() -> str:
-    """Version of the engine's wheel, which is that of the engine."""
+    """Return the version of the engine's wheel, which is that of the engine."""
     engine_folder()
     return importlib.metadata.version(PACKAGE)
 
 
 def weather_file(name: str) -> Path:
-    """The one TMY3 file of the package whose name contains `name`; raises `WeatherError` naming what there is."""
+    """Return the TMY3 file whose name contains `name`; raises `WeatherError`, listing the files, if not exactly one."""
     folder = engine_folder() / "data" / "weather"
     found = sorted(folder.glob(f"*{name}*.epw"))
     if len(found) != 1:
@@ -49,10 +49,10 @@ def weather_file(name: str) -> Path:
 
 
 def reference_building(name: str) -> Path:
-    """The IDF of a DOE reference building shipped with the engine, such as 'RefBldgSmallOfficeNew2004_Chicago'.
+    """Return the IDF of a DOE reference building shipped with the engine, as 'RefBldgSmallOfficeNew2004_Chicago'.
 
     Raises:
-        PlantError: there is none of that name.
+        PlantError: there is no building of that name.
     """
     path = engine_folder() / "data" / "model" / f"{name}.idf"
     if not path.is_file():
@@ -62,13 +62,13 @@ def reference_building(name: str) -> Path:
 
 @cache
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def engine_hash() -> str:
-    """SHA-256 of the engine's shared library."""
+    """Return the SHA-256 of the engine's shared library; raises `PlantError` if it is missing."""
     folder = engine_folder().parent
     for name in ("libenergyplusapi.so", "libenergyplusapi.dylib", "EnergyPlusAPI.dll"):
         if (folder / name).is_file():

@@ -1,7 +1,7 @@
-"""One run of the engine that is told step by step what to do: the process behind the plant.
+"""Worker process of the EnergyPlus plant: one engine run whose actuator level is set step by step over a pipe.
 
-The engine owns the main loop, so its callback waits for the next request. A process runs one simulation and ends with
-it; a pipe that is closed at the other end ends both.
+The engine owns the main loop, so its callback blocks until the next request. A process runs one simulation and ends
+with it, or when the other end closes the pipe.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
 
 @dataclass(frozen=True)
 class Advance:
-    """Hold `u` in [0, 1] (None: the thermostat's PI loop) for `steps` steps."""
+    """Request: apply `u` in [0, 1] (None: the thermostat's PI loop) for `steps` steps."""
 
     u: float | None
     steps: int
@@ -28,14 +28,14 @@ class Advance:
 
 @dataclass(frozen=True)
 class Stretch:
-    """What came of it: the reading each step ended with, and the level that acted over it."""
+    """Answer: the reading at the end of each step, and the actuator level of each step."""
 
     readings: tuple[Reading, ...]
     u: tuple[float, ...]
 
 
 class Live:
-    """`Driver` that answers requests from a pipe; the first answer is the state the engine's own warm-up ends with."""
+    """`Driver` that answers requests from a pipe; the first answer is the state after the engine's warm-up."""
 
     def __init__(self, job: Job, pipe: Connection) -> None:
         self._job, self._pipe = job, pipe
@@ -50,11 +50,11 @@ class Live:
 
     @property
     def done(self) -> bool:
-        """Whether the other end has gone, or the run period is over."""
+        """Whether the other end closed the pipe, or the run period is over."""
         return self._closed or self._step >= self._job.n_steps
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Heat in W for each actuated source over the coming step; waits for a request where the last one is done."""
+        """Return the heat of each actuated source over the next step, W; wait for a request if the last is done."""
         if self.done:
             return {HVAC: 0.0, GAINS: 0.0}
         if not warming_up and len(self._answer) >= self._request.steps:
@@ -69,7 +69,7 @@ class Live:
         return {HVAC: self._sign * self._acting * spec.capacity_W, GAINS: gains * spec.gains_W}
 
     def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
-        """Take in what the step ended with; True when the run may stop."""
+        """Store the reading at the end of the step; return True when the run may stop."""
         self._last = reading = read()
         if not warming_up and not self._closed:
             self._step += 1
@@ -96,14 +96,14 @@ class Live:
 
 
 def serve(job: Job, pipe: Connection) -> None:
-    """Run the simulation of `job` in this process, answering over `pipe`; what goes wrong is sent as text."""
+    """Run the simulation of `job` in this process, answering over `pipe`; errors are sent as text."""
     days = math.ceil(job.n_steps * job.spec.step_s / DAY_S)
     try:
         model = json.dumps(zone_model(job.spec, job.first_day, days))
         run_engine(model, weather_file(job.spec.weather), Live(job, pipe))
     except (BrokenPipeError, KeyboardInterrupt):
         return
-    except Exception as error:  # whatever the engine or a callback raised is the other end's to report
+    except Exception as error:  # any error is reported by the other end
         try:
             pipe.send(f"{type(error).__name__}: {error}")
         except OSError:

@@ -1,7 +1,7 @@
-"""An EnergyPlus zone behind the `Plant` protocol: the engine runs in a process of its own and is told what to do.
+"""EnergyPlus zone behind the `Plant` protocol; the engine runs in its own process.
 
-Building, gains and climates are those of the interventional suite. What it adds is what a controller needs: electric
-power by a machine of a fixed share of Carnot's efficiency, comfort bounds, tariffs and a forecast.
+Building, gains and climates are those of the interventional suite. The plant adds the electric power of a machine with
+a fixed fraction of the Carnot efficiency, comfort bounds, tariffs and a forecast.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 _KELVIN = 273.15
 _STEPS_PER_HOUR = 12
-# How long the engine can be asked to go on: a year and what the warm-up and a forecast may add.
+# Length of the engine's run period, days: a year plus warm-up and forecast.
 _RUN_DAYS = 400
 _PATIENCE_S = 5.0
 _GAINS_SEED = 1
 
 
 def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Array) -> Array:
-    """Electric power for a heat flow (either sign), W: a share of Carnot's efficiency between air and supply.
+    """Return the electric power for a heat flow of either sign, W: a fixed fraction of the Carnot efficiency.
 
-    The temperatures are those of supply and outdoor air; their difference counts for no less than `least_lift_K`.
+    The temperature lift is that between supply and outdoor air, at least `least_lift_K`.
     """
     supply_K = zone.supply_C + _KELVIN
     lift = (zone.supply_C - T_out_C) if mode == "heating" else (T_out_C - zone.supply_C)
@@ -48,7 +48,7 @@ def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Ar
 
 
 class EnergyPlusPlant:
-    """One zone of the suite, run by the engine's runtime API.
+    """EnergyPlus zone of the interventional suite, run through the engine's runtime API.
 
     ```python
     with EnergyPlusPlant(load_testcase("energyplus:heating_chicago")) as plant:
@@ -56,8 +56,7 @@ class EnergyPlusPlant:
         measurement = plant.advance(u=0.5, duration_s=900)
     ```
 
-    Time goes in steps of 5 minutes: whatever is asked for is a multiple of that. There is no snapshot, so every reset
-    starts a new process.
+    Durations are multiples of the 5-min step. There is no snapshot; every reset starts a new process.
     """
 
     def __init__(
@@ -67,14 +66,14 @@ class EnergyPlusPlant:
         highly_dynamic: tariffs.Tariff | None = None,
         forecast_error: ForecastError | None = None,
     ) -> None:
-        """Read the weather; nothing is simulated yet.
+        """Read the weather; the engine starts at `reset`.
 
         Args:
-            highly_dynamic: tariff of that name; by default a synthetic one, see `boundary.tariffs`.
-            forecast_error: errors of the weather forecast; by default the forecast is perfect.
+            highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
+            forecast_error: weather forecast errors; default: a perfect forecast.
 
         Raises:
-            ConfigError: the test case is of another plant, or the engine is not installed.
+            ConfigError: the test case has no `energyplus` section, or the engine is not installed.
         """
         if testcase.energyplus is None:
             raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")
@@ -96,7 +95,7 @@ class EnergyPlusPlant:
 
     @property
     def info(self) -> PlantInfo:
-        """Which building, weather and engine this is."""
+        """Building, weather and engine version."""
         return PlantInfo(
             kind="energyplus",
             testcase=self.testcase.name,
@@ -107,20 +106,20 @@ class EnergyPlusPlant:
         )
 
     def period(self, name: str) -> Period:
-        """The window that the test case names, or a start day.
+        """Return the test case's window `name`, or that of a start day.
 
         Raises:
-            InputError: neither.
+            InputError: `name` is neither a window of the test case nor a day of the year.
         """
         if name in self._zone.periods:
             return Period(name, self._zone.periods[name] * DAY_S)
         return day_period(name, self._zone.periods)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of the thermostat (cut at the beginning of the year).
+        """Start at `start_s` after `warmup_s` of native control (shortened at the beginning of the year).
 
         Raises:
-            InputError: a time is no finite nonnegative number inside the year, or the tariff is unknown.
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
             PlantError: the engine failed.
         """
         check_start(start_s, warmup_s)
@@ -145,7 +144,7 @@ class EnergyPlusPlant:
         self._start_s = float(start_s)
         self._now_s = first_day * DAY_S
         first = self._answer()
-        # The engine warms up on its first day again and again, so its weather here is that of the next midnight.
+        # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
         midnight = np.array([self._now_s])
         T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
         self._times = [self._now_s]
@@ -153,17 +152,17 @@ class EnergyPlusPlant:
         until_begin = begin_s - self._now_s
         if until_begin > 0:
             self._advance(None, until_begin)
-            # The day before the warm-up only fills up to midnight, where the engine starts.
+            # The engine starts at midnight; the time up to the warm-up is not recorded.
             self._times, self._rows = self._times[-1:], self._rows[-1:]
         if start_s > begin_s:
             self._advance(None, start_s - begin_s)
         return self._measurement(self._now_s)
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Hold `u` in [0, 1] (None: the thermostat) for `duration_s`, a multiple of 5 minutes.
+        """Apply `u` in [0, 1] (None: native control, a PI thermostat) for `duration_s`, a multiple of 5 min.
 
         Raises:
-            InputError: `u` or `duration_s` is not a number the plant can take, or the plant was not reset.
+            InputError: `u` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the engine failed.
         """
         check_level_and_duration(u, duration_s)
@@ -172,7 +171,7 @@ class EnergyPlusPlant:
         return self._measurement(before_s)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
+        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
@@ -196,7 +195,7 @@ class EnergyPlusPlant:
         )
 
     def past(self, step_s: float) -> Record:
-        """Everything since the start of the warm-up at `step_s`; older remainders are cut.
+        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
 
         Raises:
             InputError: `step_s` is not positive, or the plant was not reset.
@@ -211,7 +210,7 @@ class EnergyPlusPlant:
         return Record(edges, T_zone, T_out, solar, u, power, heat)
 
     def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs of heat and comfort since the end of the warm-up, from the 5-minute record."""
+        """Return BOPTEST's KPIs of energy and thermal comfort since the end of the warm-up, from the 5-min record."""
         record = self._record()
         scored = record["time"] >= self._start_s - 1e-6
         time_s = record["time"][scored]
@@ -246,7 +245,7 @@ class EnergyPlusPlant:
         self.close()
 
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:
-        """Comfort bounds: the suite's set-points on the side of the machine, `band_K` further on the other."""
+        """Return comfort bounds, °C: the suite's set-points on the machine's side, `band_K` beyond on the other."""
         step_s = self._spec.step_s
         day = base_setpoint(replace(self._climate, spec=self._spec), 1)
         index = np.floor(np.mod(time_s, DAY_S) / step_s + 1e-6).astype(int) % day.size
@@ -260,11 +259,11 @@ class EnergyPlusPlant:
         step_s = self._spec.step_s
         n = round(duration_s / step_s)
         if n < 1 or abs(n * step_s - duration_s) > 1e-6:
-            raise InputError(f"a stretch of {duration_s:g} s: EnergyPlus runs in steps of {step_s:g} s")
+            raise InputError(f"step of {duration_s:g} s: expected a multiple of EnergyPlus' step of {step_s:g} s")
         try:
             self._pipe.send(Advance(u, n))
         except OSError as error:
-            raise self._failed("has gone") from error
+            raise self._failed("process is not running") from error
         stretch = self._answer()
         if len(stretch.readings) != n:
             raise self._failed(f"simulated {len(stretch.readings)} of {n} steps: its run period is over")
@@ -285,7 +284,7 @@ class EnergyPlusPlant:
         raise self._failed(f"failed: {answer}")
 
     def _failed(self, what: str) -> PlantError:
-        """The error to raise, after the process was ended: a step half done cannot be gone on from."""
+        """End the process, since an incomplete step cannot be continued, and return the error to raise."""
         day = self._now_s / DAY_S
         self._stop()
         return PlantError(f"EnergyPlus {what} (day {day:g}); reset the plant to start it again")
@@ -303,7 +302,7 @@ class EnergyPlusPlant:
             self._process = None
 
     def _record(self, last: int = 0) -> dict[str, Array]:
-        """The record by name, all of it or the `last` samples; power and heat of the step that ends at each."""
+        """Return the record by name, all of it or the `last` samples; power and heat of the step that ends at each."""
         if self._pipe is None:
             raise InputError("the plant has not been started: call reset() first")
         rows = np.array(self._rows[-last:])

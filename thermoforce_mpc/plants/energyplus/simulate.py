@@ -1,8 +1,8 @@
-"""One simulation in this process: a PI loop moves the source, and every step of the data is recorded.
+"""EnergyPlus simulation in this process: a PI loop sets the heat source, and every data step is recorded.
 
-The engine keeps global state, so a process must never run two simulations at once; `energyplus.pool` sees to that.
-There is no snapshot: to branch, simulate again from the start. Exceptions inside a callback would vanish, so they are
-kept, the simulation is stopped, and they are raised afterwards.
+The engine keeps global state, so a process must never run two simulations at once; `research.interventions.pool`
+ensures that. There is no snapshot: to branch, simulate again from the start. The engine drops exceptions of callbacks,
+so they are stored, the simulation is stopped, and they are raised afterwards.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ WEATHER_SENSORS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """What one step ends with: °C, °C, W/m² global horizontal; heat given over it, W, where the engine decides it."""
+    """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², heat over the step W.
+
+    `heat_W` is given only if the engine decides the heat, else NaN.
+    """
 
     T_zone_C: float
     T_out_C: float
@@ -43,10 +46,10 @@ class Reading:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Where a model is read and moved.
+    """Sensors and actuators of a model.
 
-    `sensors` maps our names to (variable, key), `actuators` to (component, control, key); `read` makes a reading of the
-    sensors' values; `suffix` is the model's file format.
+    `sensors` maps names to (variable, key), `actuators` names to (component, control, key); `read` converts sensor
+    values to a reading; `suffix` is the model's file format.
     """
 
     sensors: Mapping[str, tuple[str, str]]
@@ -56,7 +59,7 @@ class Wiring:
 
 
 def weather_reading(value: Mapping[str, float], T_zone_C: float, heat_W: float = float("nan")) -> Reading:
-    """A reading with the weather of `WEATHER_SENSORS`."""
+    """Return a reading with the weather of `WEATHER_SENSORS`."""
     up = max(float(np.sin(np.radians(value["altitude"]))), 0.0)
     return Reading(T_zone_C, value["T_out"], value["diffuse"] + up * value["direct"], heat_W)
 
@@ -67,16 +70,16 @@ ZONE_WIRING = Wiring(
     read=lambda value: weather_reading(value, value["T_zone"]),
 )
 
-# Told the step's number (−1 while the engine warms up) and the temperature before it, °C; answers u in [0, 1].
+# Maps the step's number (−1 while the engine warms up) and the zone temperature before it, °C, to u in [0, 1].
 Policy = Callable[[int, float], float]
 
 
 @dataclass(frozen=True)
 class PI:
-    """A PI loop of the set-point's error, in the direction of the source.
+    """Parameters of the PI loop on the set-point error, signed for heating or cooling.
 
-    `proportional` is u per K, `integral_s` the reset time, s. The integral is clamped where u is at an end of its
-    range (conditional integration), so a shifted set-point does not wind it up.
+    `proportional` is u per K, `integral_s` the reset time, s. The integral is clamped while u is at a limit
+    (conditional integration, anti-windup).
     """
 
     proportional: float = 0.35
@@ -85,11 +88,11 @@ class PI:
 
 @dataclass(frozen=True)
 class Job:
-    """A run from midnight of `first_day`.
+    """Simulation job from midnight of `first_day`.
 
-    `setpoint_C` and `gains` (share of the zone's internal gains) have one value per step of the data and the same
-    length, the number of steps that are recorded. Runs that are to be equal up to an intervention must have one length:
-    the engine's numbers differ by microkelvins between run periods with different last days.
+    `setpoint_C` and `gains` (fraction of the zone's internal gains) have shape (n_steps,), one value per recorded step.
+    Runs that must be equal up to an intervention need the same length: the engine's results differ by microkelvins
+    between run periods with different last days.
     """
 
     spec: ZoneSpec
@@ -105,14 +108,14 @@ class Job:
 
 
 class PiPolicy:
-    """`Policy` that follows the set-points of a job."""
+    """`Policy` of the PI loop that tracks the set-points of a job."""
 
     def __init__(self, job: Job) -> None:
         self._job, self._sign = job, 1.0 if job.spec.mode == "heating" else -1.0
         self._integral = 0.0
 
     def __call__(self, step: int, T_zone_C: float) -> float:
-        """u of this step."""
+        """Return u of this step."""
         job = self._job
         error = self._sign * (float(job.setpoint_C[max(step, 0)]) - T_zone_C)
         proposed = self._integral + error * job.pi.proportional * job.spec.step_s / job.pi.integral_s
@@ -130,12 +133,11 @@ def simulate(job: Job) -> Record:
     """Run one job in this process.
 
     Returns:
-        Its record: `n_steps` steps from midnight of `first_day`; the temperature at the very start is the one the
-        engine's own warm-up ends with. `power_W` is NaN (there is no machine), `heat_W` the heat delivered, negative
-        where the zone is cooled.
+        Record of `n_steps` steps from midnight of `first_day`, starting from the state after the engine's warm-up.
+        `power_W` is NaN (there is no machine), `heat_W` the delivered heat, negative for cooling.
 
     Raises:
-        PlantError: the engine refused the model or stopped early; its own messages are in the text.
+        PlantError: the engine refused the model or stopped early; includes the engine's messages.
     """
     if job.spec.engine_steps_per_hour % job.spec.steps_per_hour:
         raise PlantError(
@@ -155,24 +157,24 @@ def simulate(job: Job) -> Record:
 
 
 class Driver(Protocol):
-    """Who is called back by `run_engine`."""
+    """Callbacks of `run_engine`."""
 
     @property
     def done(self) -> bool:
-        """Whether all that is wanted was simulated."""
+        """Whether all requested steps were simulated."""
         ...
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Value of each actuator over the coming zone time step (heat in W of a zone's sources)."""
+        """Return the value of each actuator over the next zone time step (heat in W of a zone's sources)."""
         ...
 
     def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
-        """Take in what a zone time step ended with, where it is wanted; True when the run may stop."""
+        """Process the end of a zone time step, reading it if needed; return True when the run may stop."""
         ...
 
 
 class Recorder:
-    """Callbacks of one run: act before each step, read after it, stop when all steps are recorded."""
+    """`Driver` that acts before each step, reads after it, and stops when all steps are recorded."""
 
     def __init__(self, job: Job, policy: Policy) -> None:
         self._job, self._policy = job, policy
@@ -190,7 +192,7 @@ class Recorder:
         return len(self._readings) == self._job.n_steps
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Heat in W for each actuated source over the coming step."""
+        """Return the heat of each actuated source over the next step, W."""
         step = -1 if warming_up else len(self._readings)
         if step >= self._job.n_steps:
             return {HVAC: 0.0, GAINS: 0.0}
@@ -205,9 +207,9 @@ class Recorder:
         return {HVAC: self._sign * self._acting * spec.capacity_W, GAINS: gains * spec.gains_W}
 
     def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
-        """Take in what the step ended with, once per step of the data; True when the run may stop.
+        """Store the reading at the end of a data step; return True when the run may stop.
 
-        It may from the step after the last one wanted: what is read in the very step of a stop is 0.
+        That is one step after the last requested one, since readings in the step of a stop are 0.
         """
         self._within = (self._within + 1) % self._per_step
         if self._within:
@@ -221,7 +223,7 @@ class Recorder:
         return self.done
 
     def history(self) -> Record:
-        """The record; raises `PlantError` when the engine ended before all steps were recorded."""
+        """Return the record; raises `PlantError` if the engine ended before all steps were recorded."""
         if not self.done or self._before is None:
             raise PlantError(f"EnergyPlus recorded {len(self._readings)} of {self._job.n_steps} steps and then ended")
         readings = [self._before, *self._readings]
@@ -239,11 +241,11 @@ class Recorder:
 
 
 def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZONE_WIRING) -> None:
-    """Run a model's text under a weather file in this process, with the callbacks of `recorder`.
+    """Run the model text `model` with a weather file in this process, with the callbacks of `recorder`.
 
     Raises:
-        PlantError: the engine failed; with its error file.
-        Exception: whatever a callback raised.
+        PlantError: the engine failed; includes the errors of its error file.
+        Exception: an exception of a callback.
     """
     from pyenergyplus.api import EnergyPlusAPI
 
@@ -271,7 +273,7 @@ def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZON
             handles[name] = api.exchange.get_variable_handle(state, variable, key)
         for name, (component, control, key) in wiring.actuators.items():
             handles[name] = api.exchange.get_actuator_handle(state, component, control, key)
-        missing = [name for name, handle in handles.items() if handle < 0]  # 0 is a handle like any other
+        missing = [name for name, handle in handles.items() if handle < 0]  # 0 is a valid handle
         if missing:
             raise PlantError(f"EnergyPlus has no sensor or actuator for {', '.join(missing)} in this model")
 
@@ -312,7 +314,7 @@ def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZON
 
 
 def _complaints(text: str) -> str:
-    """The first severe lines of an error file with what continues them, or its end where there are none."""
+    """Return the first severe and continuation lines of an error file (6 at most), or its last 500 characters."""
     lines = [line.strip() for line in text.splitlines()]
     marks = ("** Severe", "**  Fatal", "**   ~~~   **")
     said = [line for line in lines if line.startswith(marks)]

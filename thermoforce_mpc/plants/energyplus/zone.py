@@ -1,7 +1,7 @@
-"""One zone as an epJSON dictionary: a small house whose only heat source or sink is moved by our callback.
+"""Single-zone house as an epJSON dictionary; a callback sets its only heat source or sink.
 
-The heat enters as `OtherEquipment` (negative where it cools), a share of it as radiation, so the room answers smoothly
-as it does to a radiator or a cooled ceiling; an ideal-loads system would jump to the set-point within one step.
+The heat enters as `OtherEquipment` (negative for cooling), partly as radiation, so the room responds as to a radiator
+or a cooled ceiling. An ideal-loads system would reach the set-point within one step.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ EpJson = dict[str, dict[str, dict[str, Any]]]
 HVAC = "HVAC"
 GAINS = "GAINS"
 ZONE = "ZONE"
-# TMY3 years have 365 days; this year begins on a Monday and has no leap day.
+# A year of 365 days, as TMY3 years, that begins on a Monday.
 YEAR = 2018
 
 
 @dataclass(frozen=True)
 class ZoneSpec:
-    """A single-zone house.
+    """Parameters of a single-zone house.
 
     Attributes:
         weather: part of the name of the TMY3 file, such as 'Chicago-OHare'.
-        mode: what the source does, 'heating' or 'cooling'.
-        capacity_W: greatest heat that the source gives or takes, W thermal.
-        insulation_m: thickness of the walls' insulation, m (0.04 W/mK); the roof has half as much again.
+        mode: 'heating' or 'cooling'.
+        capacity_W: maximum heat flow of the source, W thermal.
+        insulation_m: thickness of the walls' insulation, m (0.04 W/mK); the roof has 1.5 times as much.
         slab_m: thickness of the concrete floor inside the insulation, m.
         window_m2: area of the south window, m²; the west window has a third of it.
-        window_u_W_m2K, window_shgc: glazing.
-        infiltration_ach: air changes per hour.
-        radiant_fraction: share of the source's heat that is radiation.
-        capacitance_multiplier: of the zone's air, for furniture and the surfaces of light walls.
-        gains_W: internal gains at full use, W.
-        steps_per_hour: steps of the data, over which the source is held.
-        engine_steps_per_hour: zone time steps of the engine, a multiple of `steps_per_hour`. With 15-minute steps of
-            its own the engine subdivides only the steep ones and reports their mean instead of their end: the answer to
-            an action would then change with its size.
+        window_u_W_m2K, window_shgc: U-value, W/(m²·K), and solar heat gain coefficient of the glazing.
+        infiltration_ach: infiltration, air changes per hour.
+        radiant_fraction: radiant fraction of the source's heat.
+        capacitance_multiplier: multiplier of the zone air's heat capacity, for furniture and light walls.
+        gains_W: full internal gains, W.
+        steps_per_hour: data steps per hour; the source is constant over a step.
+        engine_steps_per_hour: zone time steps of the engine, a multiple of `steps_per_hour`. With 15-min zone time
+            steps the engine subdivides only steps with large changes and reports their mean instead of their end, so
+            the response to an action would depend on its size.
         floor_m: (length, width, height) of the room, m.
     """
 
@@ -67,12 +67,12 @@ class ZoneSpec:
 
     @property
     def step_s(self) -> float:
-        """Length of a step of the data, s."""
+        """Length of a data step, s."""
         return 3600.0 / self.steps_per_hour
 
 
 def zone_model(spec: ZoneSpec, first_day: int, days: int) -> EpJson:
-    """The building of `spec`, to be run for `days` from `first_day` (0 is 1 January) of a year without leap day."""
+    """Return the model of `spec` for a run of `days` from `first_day` (0 is 1 January) of a year without leap day."""
     length, width, height = spec.floor_m
     begin = date(YEAR, 1, 1) + timedelta(days=first_day)
     end = begin + timedelta(days=days - 1)
@@ -149,7 +149,7 @@ def zone_model(spec: ZoneSpec, first_day: int, days: int) -> EpJson:
 
 
 def model_hash(model: EpJson) -> str:
-    """SHA-256 of a model in one canonical spelling."""
+    """Return the SHA-256 of a model in canonical JSON (sorted keys)."""
     return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()
 
 

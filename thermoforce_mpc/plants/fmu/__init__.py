@@ -1,4 +1,4 @@
-"""A BOPTEST test case as a co-simulation FMU, without a service (needs the extra `fmu`)."""
+"""Plant that runs a BOPTEST test case from its co-simulation FMU, without a service (extra `fmu`)."""
 
 from thermoforce_mpc.plants.fmu.plant import FmuPlant
 

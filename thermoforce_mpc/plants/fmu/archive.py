@@ -1,4 +1,4 @@
-"""What an FMU file holds: its signals, and what BOPTEST keeps in its resources. Nothing is run here."""
+"""Reader of an FMU file: its signals, and BOPTEST's data in its resources. The FMU is not run here."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RESOURCES = "resources/"
 
 @dataclass(frozen=True)
 class Signal:
-    """An input or output of the FMU: value reference, FMI type ('Real', 'Integer', 'Boolean'), and what it means."""
+    """Input or output of the FMU: value reference, FMI type ('Real', 'Integer', 'Boolean'), and description."""
 
     reference: int
     kind: str
@@ -30,11 +30,11 @@ class Signal:
 
 @dataclass(frozen=True)
 class FmuArchive:
-    """An FMU that was read and found usable.
+    """Content of an FMU that was read and checked.
 
-    `kpi_signals` are the outputs of each KPI category of BOPTEST ('ElectricPower', 'OperativeZoneTemperature[1]', ...),
-    empty where the FMU has no kpis.json; `days` the centre day of each scenario period; `area_m2` is None where the FMU
-    does not say. `tolerance` is that of the FMU's default experiment.
+    `kpi_signals`: outputs of each KPI category of BOPTEST ('ElectricPower', 'OperativeZoneTemperature[1]', ...), empty
+    without a kpis.json. `days`: centre day of each scenario period. `area_m2`: floor area, None if not given.
+    `tolerance`: that of the FMU's default experiment.
     """
 
     path: Path
@@ -52,7 +52,7 @@ class FmuArchive:
     boundary: BoundaryData
 
     def points(self, signals: Mapping[str, Signal]) -> dict[str, Point]:
-        """What each of `signals` means, by name."""
+        """Return the description of each of `signals`, by name."""
         return {name: signal.point for name, signal in signals.items()}
 
 
@@ -60,8 +60,8 @@ def read_archive(path: Path) -> FmuArchive:
     """Read an FMU without running it.
 
     Raises:
-        ConfigError: the file is missing, no FMU, of another FMI version or kind, without binaries for this machine, or
-            its resources are missing or damaged; says which.
+        ConfigError: the file is missing, not an FMU, of another FMI version or kind, has no binaries for this machine,
+            or its resources are missing or damaged; the message says which.
     """
     try:
         content = path.read_bytes()
@@ -94,7 +94,7 @@ def read_archive(path: Path) -> FmuArchive:
 
 
 def _describe(path: Path, file: zipfile.ZipFile) -> Any:
-    """FMPy's model description of a co-simulation FMU of FMI 2."""
+    """Return FMPy's model description of a co-simulation FMU of FMI 2.0; raises `ConfigError`."""
     try:
         from fmpy import read_model_description
     except ImportError as error:
@@ -110,9 +110,9 @@ def _describe(path: Path, file: zipfile.ZipFile) -> Any:
     if version != "2.0":
         raise ConfigError(f"{path}: FMI version {version}; BOPTEST's test cases are FMI 2.0")
     try:
-        # Not held to the schema: tools differ in details that do not matter here.
+        # No schema validation: tools differ in details that are irrelevant here.
         description = read_model_description(io.BytesIO(_content(file)), validate=False)
-    except Exception as error:  # the parser raises what its libraries raise
+    except Exception as error:  # the parser raises exceptions of several libraries
         raise ConfigError(f"{path}: modelDescription.xml cannot be used ({error})") from error
     if description.coSimulation is None:
         raise ConfigError(f"{path}: a model-exchange FMU; co-simulation is needed (BOPTEST compiles with target='cs')")
@@ -120,7 +120,7 @@ def _describe(path: Path, file: zipfile.ZipFile) -> Any:
 
 
 def _content(file: zipfile.ZipFile) -> bytes:
-    """A zip file with the model description alone: what FMPy reads, without the rest being read again."""
+    """Return a zip file with only the model description, so that FMPy does not read the whole FMU again."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as small:
         small.writestr("modelDescription.xml", file.read("modelDescription.xml"))
@@ -142,7 +142,7 @@ def _check_binaries(path: Path, file: zipfile.ZipFile, identifier: str) -> None:
 
 
 def _json(path: Path, file: zipfile.ZipFile, name: str) -> dict[str, Any]:
-    """One JSON object of the resources, {} where the FMU does not have it."""
+    """Return one JSON object of the resources, {} if the FMU does not have it; raises `ConfigError`."""
     if _RESOURCES + name not in file.namelist():
         return {}
     try:

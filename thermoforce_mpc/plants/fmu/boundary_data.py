@@ -1,4 +1,4 @@
-"""BOPTEST's boundary data: series over the year, in CSV files with a `time` column."""
+"""BOPTEST's boundary data: time series over the year, in CSV files with a `time` column."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pandas as pd
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import ConfigError, WeatherError
 
-# BOPTEST interpolates these linearly and holds everything else (prices, set-points, occupancy).
+# BOPTEST interpolates these series linearly and holds all others (prices, set-points, occupancy).
 _WEATHER = frozenset(
     [
         "HDifHor",
@@ -47,7 +47,7 @@ _UNITS |= {"HDifHor": "W/m2", "HHorIR": "W/m2"}
 
 @dataclass(frozen=True)
 class Series:
-    """Values (n,) at rising times (n,) s since 1 January, and the file they come from."""
+    """Time series: values (n,) at increasing times (n,), s since 1 January, and its source file."""
 
     time_s: Array
     values: Array
@@ -56,30 +56,30 @@ class Series:
 
 @dataclass(frozen=True)
 class BoundaryData:
-    """Series by their name at the wire, in units of the wire."""
+    """Series by BOPTEST name, in BOPTEST's units."""
 
     series: Mapping[str, Series]
 
     def with_table(self, table: Mapping[str, Series], source: str) -> BoundaryData:
-        """These series and those of `table`; raises `ConfigError` for a name given twice."""
+        """Return these series plus those of `table`; raises `ConfigError` for duplicate names."""
         for name in table:
             if name in self.series:
                 raise ConfigError(f"{source}: column '{name}' is already in {self.series[name].source}")
         return BoundaryData({**self.series, **table})
 
     def unit(self, name: str) -> str | None:
-        """Unit of a weather series or comfort bound; None for the others, whose unit the file does not say."""
+        """Return the unit of a weather series or comfort bound; None for others, whose unit the file does not give."""
         return "K" if name.startswith(("LowerSetp", "UpperSetp")) else _UNITS.get(name)
 
     def at(self, name: str, time_s: Array) -> Array:
-        """The series `name` at times (n,), s since 1 January: weather interpolated, all else held.
+        """Return the series `name` at times (n,), s since 1 January: weather interpolated linearly, others held.
 
-        A series that covers the year repeats after it, as BOPTEST's do: its last value is that of midnight, the next
-        one that of the new year.
+        A series that covers the year repeats, as in BOPTEST: its last value is that of midnight, followed by the first
+        of the new year.
 
         Raises:
             ConfigError: there is no such series.
-            WeatherError: a time lies outside what the file covers.
+            WeatherError: a time lies outside the file's range.
         """
         if name not in self.series:
             raise ConfigError(f"the FMU's resources have no series '{name}'; known: {', '.join(sorted(self.series))}")
@@ -99,18 +99,18 @@ class BoundaryData:
         return one.values[np.maximum(index, 0)]
 
     def require(self, names: Iterable[str], purpose: str) -> None:
-        """Raise `ConfigError` where a series is missing that `purpose` needs."""
+        """Raise `ConfigError` if a series needed for `purpose` is missing."""
         missing = [name for name in names if name not in self.series]
         if missing:
             raise ConfigError(f"the FMU's resources have no series {', '.join(missing)}, needed for {purpose}")
 
 
 def read_table(content: bytes, source: str) -> dict[str, Series]:
-    """The series of one CSV file; {} for a file without a `time` column, which BOPTEST leaves alone too.
+    """Return the series of one CSV file; {} for a file without a `time` column, which BOPTEST also ignores.
 
     Raises:
-        ConfigError: the file is truncated or malformed, a cell is not a finite number, or time does not rise; names
-            file, column and time.
+        ConfigError: the file is truncated or malformed, a cell is not a finite number, or time does not increase;
+            names file, column and row.
     """
     try:
         frame = pd.read_csv(io.BytesIO(content), comment="#")
@@ -132,5 +132,5 @@ def read_table(content: bytes, source: str) -> dict[str, Series]:
 
 
 def _covered_until(series: Series) -> float:
-    """A value holds for as long as those before it; the weather ends with its last value, within a step."""
+    """Return the end of the range, s: the last value holds as long as the one before it."""
     return float(series.time_s[-1] + (series.time_s[-1] - series.time_s[-2]))

@@ -1,4 +1,4 @@
-"""What plant and worker process say to each other."""
+"""Messages between the FMU plant and its worker process."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from thermoforce_mpc.data import Array
 
-# BOPTEST samples a simulation this often, s.
+# BOPTEST's sampling interval, s.
 SAMPLE_S = 30.0
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to load and record. `inputs` and `outputs` are (value reference, FMI type) by name."""
+    """FMU to load and outputs to record. `inputs` and `outputs` are (value reference, FMI type) by name."""
 
     folder: str
     guid: str
@@ -26,7 +26,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Stretch:
-    """What happened over one stretch: times (n,) s, recorded outputs (n, columns), and all outputs at its end."""
+    """Result of one advance: times (n,) s, recorded outputs (n, columns), and all outputs at its end."""
 
     time_s: Array
     rows: Array

@@ -1,4 +1,4 @@
-"""A BOPTEST test case run from its FMU: the same physics as the service, without the service. Kelvin ends here."""
+"""BOPTEST test case run from its FMU, without the service. Temperatures are K in the FMU and °C in the package."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _KELVIN = 273.15
 
 
 class FmuPlant:
-    """One test case in one FMU, run by FMPy in a process of its own.
+    """Test case in an FMU, run by FMPy in its own process.
 
     ```python
     with FmuPlant(Path("wrapped.fmu"), testcase) as plant:
@@ -38,18 +38,18 @@ class FmuPlant:
         measurement = plant.advance(u=0.5, duration_s=900)
     ```
 
-    Results are sampled every 30 s, as BOPTEST samples them. Boundary data, KPI signals and scenario days come from the
-    FMU's resources.
+    Results are sampled every 30 s, as in BOPTEST. Boundary data, KPI signals and scenario days come from the FMU's
+    resources.
     """
 
     def __init__(self, path: Path, testcase: TestCase, *, forecast_error: ForecastError | None = None) -> None:
-        """Read the FMU and check that it has every point of `testcase`, in the unit expected. Nothing is run yet.
+        """Read the FMU and check that it has every point of `testcase` in the expected unit; it starts at `reset`.
 
         Args:
-            forecast_error: errors of the weather forecast; by default the forecast is perfect.
+            forecast_error: weather forecast errors; default: a perfect forecast.
 
         Raises:
-            ConfigError: the file is no usable FMU, or `testcase` does not fit it.
+            ConfigError: the file is not a usable FMU, or `testcase` does not fit it.
         """
         self.testcase = testcase
         self._forecast_error = forecast_error
@@ -59,7 +59,7 @@ class FmuPlant:
         check_points(testcase, inputs, outputs, forecast, f"the FMU {path}")
         self._echo = f"{testcase.actuator.point}_y"
         if self._echo not in archive.outputs:
-            raise ConfigError(f"the FMU {path} has no output '{self._echo}': the level that acts cannot be recorded")
+            raise ConfigError(f"the FMU {path} has no output '{self._echo}': the applied level cannot be recorded")
         self._scores = Scores(archive, testcase)
         m = testcase.measurements
         kept = [m.zone_temperature, m.outdoor_temperature, m.solar, self._echo, *m.flows]
@@ -77,7 +77,7 @@ class FmuPlant:
 
     @property
     def info(self) -> PlantInfo:
-        """Which file this is."""
+        """FMU file, its name and hash."""
         archive = self._archive
         return PlantInfo(
             kind="fmu",
@@ -89,16 +89,16 @@ class FmuPlant:
         )
 
     def period(self, name: str) -> Period:
-        """The scored window of the FMU's scenario `name`, or of a start day.
+        """Return the scored window of the FMU's scenario `name`, or of a start day.
 
         Raises:
-            InputError: neither a scenario in the FMU's days.json nor a day of the year.
+            InputError: `name` is neither a scenario in the FMU's days.json nor a day of the year.
         """
         days = self._archive.days
         return centred_window(name, days[name]) if name in days else day_period(name, days)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of the FMU's own control (cut at the beginning of the year).
+        """Start at `start_s` after `warmup_s` of native control (shortened at the beginning of the year).
 
         Raises:
             InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
@@ -133,10 +133,10 @@ class FmuPlant:
         return measurement(self._now_s, stretch.final, self.testcase.measurements)
 
     def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Hold `u` in [0, 1] (None: the FMU's own control) for `duration_s`.
+        """Apply `u` in [0, 1] (None: native control) for `duration_s`.
 
         Raises:
-            InputError: `u` or `duration_s` is not a number the plant can take, or the plant was not reset.
+            InputError: `u` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the FMU failed.
         """
         check_level_and_duration(u, duration_s)
@@ -152,11 +152,11 @@ class FmuPlant:
         return measurement(self._now_s, stretch.final, m, acting)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors where asked for.
+        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-            WeatherError: the horizon reaches beyond the FMU's boundary data.
+            WeatherError: the horizon exceeds the FMU's boundary data.
         """
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         f, at = self.testcase.forecast, self._archive.boundary.at
@@ -176,7 +176,7 @@ class FmuPlant:
         )
 
     def past(self, step_s: float) -> Record:
-        """Everything since the start of the warm-up at `step_s`; older remainders are cut.
+        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
 
         Raises:
             InputError: `step_s` is not positive, or the plant was not reset.
@@ -200,11 +200,11 @@ class FmuPlant:
         )
 
     def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs since the end of the warm-up, computed from the 30-s record; raises as `past` does."""
+        """Return BOPTEST's KPIs since the end of the warm-up, from the 30-s record; raises as `past` does."""
         return self._scores.kpis(self._record(), self._start_s, self._price)
 
     def close(self) -> None:
-        """End the FMU's process and remove what was unpacked; safe to call twice."""
+        """End the FMU's process and remove the unpacked files; safe to call twice."""
         self._stop()
         self._folder.cleanup()
 
@@ -238,6 +238,6 @@ class FmuPlant:
         )
 
     def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
-        """Recorded signals by name, with 'time' and the level 'u' in [0, 1] that acted, whoever decided it."""
+        """Return recorded signals by name, with 'time' and the applied level 'u' in [0, 1], native or not."""
         record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
         return record | {"u": self.testcase.actuator.level(record[self._echo])}

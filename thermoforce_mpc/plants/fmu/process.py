@@ -1,4 +1,4 @@
-"""The other end of `worker`: starts its process, asks, and turns its end into an error that can be read."""
+"""Client of `worker`: starts the FMU's process, sends requests, and reports its failure as `PlantError`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _PATIENCE_S = 5.0
 
 
 class WorkerProcess:
-    """One run of one FMU. Ends with its process, which is never used for a second run."""
+    """Process of one run of an FMU; it is never used for a second run."""
 
     def __init__(self, job: Job, work_folder: Path) -> None:
-        """Start the process; `work_folder` is where the FMU may leave files."""
+        """Start the process; `work_folder` is its working directory, where the FMU may write files."""
         self._job = job
         self._now_s = 0.0
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
@@ -71,7 +71,7 @@ class WorkerProcess:
         try:
             pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
             self._process.stdin.flush()
-            answer = pickle.load(self._process.stdout)  # from our own process, over its own pipe
+            answer = pickle.load(self._process.stdout)  # trusted: from our own process
         except (EOFError, OSError, pickle.UnpicklingError) as error:
             message = f"the FMU's process {self._end()} at day {self._now_s / DAY_S:g}{self._last_words()}"
             self.close()
@@ -79,7 +79,7 @@ class WorkerProcess:
         if isinstance(answer, Stretch):
             return answer
         message = f"the FMU could not {doing} at day {self._now_s / DAY_S:g}: {answer}{self._last_words()}"
-        self.close()  # a step half done cannot be gone on from
+        self.close()  # an incomplete step cannot be continued
         raise PlantError(message)
 
     def _end(self) -> str:
@@ -93,8 +93,8 @@ class WorkerProcess:
         return f"ended with code {code}"
 
     def _last_words(self) -> str:
-        """The last of what the FMU and its process printed."""
+        """Return the last 2000 bytes that the FMU and its process printed."""
         size = os.fstat(self._said.fileno()).st_size
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
         text = said.decode(errors="replace").strip()
-        return f"; its last words:\n{text}" if text else ""
+        return f"; its last output:\n{text}" if text else ""

@@ -1,4 +1,4 @@
-"""KPIs of an FMU's record: which signals count is the FMU's to say, how they count is `thermoforce_mpc.plants.kpis`."""
+"""KPIs of an FMU's record: the FMU names the signals, `thermoforce_mpc.plants.kpis` computes the KPIs."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from thermoforce_mpc.plants.kpis import PEAKS, Supply, Violation, building_kpis,
 from thermoforce_mpc.scenario.testcase import ForecastPoints, Price, TestCase
 
 _ELECTRIC = "ElectricPower"
-# BOPTEST's categories of energy carriers; fresh water has a cost but no energy, and no test case meters it.
+# BOPTEST's energy carriers. Fresh water is omitted: it has a cost but no energy, and no test case meters it.
 _CARRIERS = (_ELECTRIC, "DistrictHeatingPower", "GasPower", "BiomassPower", "SolarThermalPower")
 _THERMAL, _AIR_QUALITY = ("AirZoneTemperature", "OperativeZoneTemperature"), ("CO2Concentration",)
 
 
 class Scores:
-    """Which outputs make up which KPI: those of the FMU's kpis.json, or else of the test case file."""
+    """Outputs that make up each KPI, from the FMU's kpis.json or else from the test case file."""
 
     def __init__(self, archive: FmuArchive, testcase: TestCase) -> None:
-        """Find the signals and the series they are judged by.
+        """Collect the signals and the boundary series of the KPIs.
 
         Raises:
             ConfigError: a signal or series is missing, or the floor areas of FMU and test case file differ.
@@ -37,7 +37,7 @@ class Scores:
             )
         m = testcase.measurements
         self._prices, self._emissions = testcase.forecast.price, testcase.forecast.emission
-        if archive.kpi_signals:  # BOPTEST bills each carrier at its own price, whatever a controller plans with
+        if archive.kpi_signals:  # BOPTEST bills each carrier at its own price, whichever the controller uses
             names = ForecastPoints()
             self._prices, self._emissions = names.price, names.emission
         listed = archive.kpi_signals or {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
@@ -63,11 +63,11 @@ class Scores:
         self._boundary.require(series, "the KPIs")
 
     def kpis(self, record: Mapping[str, Array], start_s: float, price: Price) -> dict[str, float]:
-        """KPIs of the samples of `record` ('time' and outputs, (n,)) from `start_s` on."""
+        """Return the KPIs of the samples of `record` ('time' and outputs, (n,)) from `start_s`."""
         at = self._boundary.at
         scored = record["time"] >= start_s - 1e-6
         time_s = record["time"][scored]
-        if time_s.size < 2:  # nothing has been simulated since: BOPTEST answers zeros
+        if time_s.size < 2:  # no step simulated yet: BOPTEST returns zeros
             names = ["ener_tot", "cost_tot", "emis_tot", *(PEAKS[name] for name in self._carriers if name in PEAKS)]
             names += ["tdis_tot"] * bool(self._thermal) + ["idis_tot"] * bool(self._air_quality)
             return dict.fromkeys(names, 0.0)
@@ -108,7 +108,7 @@ class Scores:
 
 
 def _zones(listed: Mapping[str, tuple[str, ...]], categories: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Signals by zone of the categories written 'Category[zone]'."""
+    """Return signals by zone for the given categories, listed as 'Category[zone]'."""
     found: dict[str, tuple[str, ...]] = {}
     for name, signals in listed.items():
         match = re.fullmatch(r"(\w+)\[(\w+)\]", name)

@@ -1,7 +1,7 @@
-"""The process that runs one FMU: `python -m thermoforce_mpc.plants.fmu.worker`, spoken to over its standard streams.
+"""Process that runs one FMU: `python -m thermoforce_mpc.plants.fmu.worker`, with messages over standard streams.
 
-An FMU is machine code of others: it may print, crash, or keep state between two runs of one process. So it gets a
-process of its own, and a new one for every start. Messages are pickled tuples; `WorkerProcess` is the other end.
+An FMU is third-party machine code that may print, crash, or keep state between two runs of a process, so every start
+gets a new process. Messages are pickled tuples; `WorkerProcess` is the client.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from thermoforce_mpc.plants.fmu.messages import SAMPLE_S, Job, Stretch
 
 
 class _Slave:
-    """One instance of the FMU, by the names of its signals."""
+    """FMU instance whose signals are addressed by name."""
 
     def __init__(self, job: Job, start_s: float) -> None:
         from fmpy.fmi2 import FMU2Slave
@@ -53,7 +53,7 @@ class _Slave:
         return dict(zip(outputs, self._read(list(outputs.values())), strict=True))
 
     def _read(self, signals: Sequence[tuple[int, str]]) -> list[float]:
-        """Values in the order of `signals`, one call for each FMI type among them."""
+        """Return values in the order of `signals`, with one FMI call per type."""
         values = [0.0] * len(signals)
         for kind in ("Real", "Integer", "Boolean"):
             places = [i for i, signal in enumerate(signals) if signal[1] == kind]
@@ -73,8 +73,8 @@ class _Slave:
 
 
 def main() -> None:
-    """Answer requests until the other end goes away."""
-    # What the FMU prints must not reach the channel: it keeps standard output's place, sent to standard error.
+    """Answer requests until the other end closes the stream."""
+    # Output of the FMU must not reach the message channel: standard output is redirected to standard error.
     channel = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     requests = sys.stdin.buffer
@@ -88,7 +88,7 @@ def main() -> None:
                 answer = slave.advance(request[1], request[2])
             else:
                 raise RuntimeError("asked to advance before it was started")
-        except Exception as error:  # whatever the FMU or FMPy raises is the other end's to report
+        except Exception as error:  # any error of the FMU or FMPy is reported by the client
             answer = f"{type(error).__name__}: {error}"
         pickle.dump(answer, channel, protocol=pickle.HIGHEST_PROTOCOL)
         channel.flush()
@@ -103,5 +103,5 @@ def _receive(requests: BinaryIO) -> Any:
 
 if __name__ == "__main__":
     main()
-    # Unloading libraries of others at exit is where they crash; there is nothing left to save.
+    # Exit without unloading libraries: third-party libraries tend to crash then, and nothing is left to save.
     os._exit(0)

@@ -1,4 +1,4 @@
-"""Several plants stepped at once: for paired interventions, what-if branches and training data."""
+"""Parallel stepping of several plants, for paired interventions, what-if branches and training data."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant
 def advance_together(
     plants: Sequence[EmbeddedPlant], levels: Sequence[float | None], duration_s: float, executor: Executor
 ) -> list[Measurement]:
-    """Advance every plant by `duration_s` with its own level; measurements in the order of `plants`.
+    """Advance every plant by `duration_s` with its own level; return measurements in the order of `plants`.
 
-    The result does not depend on the `executor` (a `ThreadPoolExecutor`; the compiled step holds no lock): plants share
-    nothing but read-only arrays, so sequential and parallel runs give the same bytes.
+    The result does not depend on the `executor` (use a `ThreadPoolExecutor`: the compiled step releases the lock).
+    Plants share only read-only arrays, so sequential and parallel runs give the same bytes.
 
     Raises:
-        InputError: not one level for each plant, the same plant twice, or what `EmbeddedPlant.advance` refuses.
+        InputError: the numbers of levels and plants differ, a plant is given twice, or `EmbeddedPlant.advance` refuses.
     """
     if len(levels) != len(plants):
         raise InputError(f"{len(levels)} levels for {len(plants)} plants: expected one each")
