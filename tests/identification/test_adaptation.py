@@ -113,7 +113,7 @@ def test_a_silent_sensor_is_not_learned_from(model, measured):
 
 
 def test_bounds_must_hold_the_identified_gain():
-    with pytest.raises(ConfigError, match="hold 1 between them"):
+    with pytest.raises(ConfigError, match="must be positive and include 1"):
         validate(AdaptationConfig, {"gain_bounds": [1.1, 1.5]}, "adaptation")
 
 

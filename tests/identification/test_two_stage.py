@@ -86,7 +86,7 @@ def test_identify_offers_it_as_a_method():
     np.testing.assert_allclose([model.operator.poles[0], model.operator.gains[0]], [A, G], rtol=1e-5)
     np.testing.assert_allclose(model.free.weights[0, :3], [C, D, E], rtol=1e-5)
     run = arx_run()
-    with pytest.raises(DataError, match="starts from single runs"):
+    with pytest.raises(DataError, match="needs single runs"):
         identify(pairs=[Pair(run, arx_run(u=1.0 - run.u))], config=config)
 
 

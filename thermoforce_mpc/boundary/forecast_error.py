@@ -1,8 +1,8 @@
 """Weather forecast errors of BOPTEST at levels low, medium and high.
 
-Outdoor temperature: Gaussian first-order process along the horizon. Global irradiance: Laplace one,
-redrawn until daylight forecasts lie between 0.2 and 2 times the true value. Errors are hourly, drawn anew every hour, up
-to 48 h ahead, and subtracted from the true value. Parameters: BOPTEST documentation, forecast uncertainty.
+Outdoor temperature: Gaussian first-order process along the horizon. Global irradiance: Laplace first-order process,
+redrawn until daylight forecasts lie between 0.2 and 2 times the true value. Errors are hourly, drawn anew every hour,
+up to 48 h ahead, and subtracted from the true value. Parameters: BOPTEST documentation, forecast uncertainty.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Identification: from recorded runs and pairs to a thermal model."""
+"""Identification of a thermal model from recorded runs and pairs."""
 
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify

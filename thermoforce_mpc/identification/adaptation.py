@@ -1,14 +1,14 @@
-"""Online adaptation: gain, time constants and delivered heat follow a building that slowly changes.
+"""Online adaptation of gain, time constants and delivered heat to slow changes of the building.
 
-Twice a day or so, a block of the latest hours is looked at. What neither weather, nor drift, nor what happened before
-the block explains is regressed on what the block's own actions should have done (the gain's error) and on how that
-would change with slower modes (the time constants' error): the joint estimator's likelihood, linearised around the
-operator in use. Blocks are combined recursively: the precision of what was known fades with a time constant
-(exponential forgetting), but only when a block brings information of its own, so that weeks without excitation neither
-wind the estimate up nor blur it (Åström and Wittenmark, Adaptive Control, on estimator wind-up).
+Every block of `block_h` hours, the residual of the zone temperature after weather, drift and the state before the block
+is regressed on the forced response to the block's actions (error of the gain) and on its derivative with respect to the
+time constants (error of the time constants): the joint estimator's likelihood, linearised around the operator in use.
+Blocks are combined recursively with exponential forgetting. Forgetting applies only when a block is informative, so
+that weeks without excitation neither wind up nor widen the estimate (Åström and Wittenmark, Adaptive Control, on
+estimator wind-up).
 
-Nothing leaves the bounds: the gain stays inside a band around the identified one, poles inside their own bounds, and an
-operator whose certificate fails is not used.
+The gain stays within a band around the identified one, poles within their bounds, and an operator whose certificate
+fails is not used.
 """
 
 from __future__ import annotations
@@ -34,37 +34,39 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Steps that are on, and hours of them, from which measured heat can be compared with the map.
+# Level above which a step counts as on, and least hours on to compare measured heat with the map.
 _ON, _LEAST_ON_H = 0.02, 0.5
-# Relative error of one block's mean measured heat against the map, even when the machine is as identified.
+# Relative standard deviation of a block's measured heat against the map for an unchanged machine.
 _HEAT_SD = 0.05
 # Step of the derivative with respect to ln τ.
 _DERIVATIVE_STEP = 0.01
-# Share of the block's temperatures, levels and weather that must have been measured.
+# Least share of measured temperatures, levels and weather in a block.
 _LEAST_MEASURED = 0.8
 
 
 class AdaptationConfig(StrictModel):
-    """Whether and how the operator follows the building while it is controlled."""
+    """Options of the online adaptation."""
 
     enabled: bool = Field(False, description="adapt the operator online")
-    block_h: float = Field(12.0, ge=3, le=168, description="hours looked at together, h")
-    forgetting_days: float = Field(10.0, gt=0, description="time constant with which earlier data are forgotten, days")
-    gain_sd: float = Field(0.15, gt=0, le=1, description="relative uncertainty of the gain before the first block")
-    time_constant_sd: float = Field(0.05, gt=0, le=1, description="the same of the time constants")
-    gain_bounds: tuple[float, float] = Field((0.5, 1.5), description="least and most of the identified gain")
+    block_h: float = Field(12.0, ge=3, le=168, description="length of a block, h")
+    forgetting_days: float = Field(10.0, gt=0, description="time constant of exponential forgetting, days")
+    gain_sd: float = Field(0.15, gt=0, le=1, description="prior relative standard deviation of the gain")
+    time_constant_sd: float = Field(0.05, gt=0, le=1, description="the same for time constants")
+    gain_bounds: tuple[float, float] = Field(
+        (0.5, 1.5), description="bounds of the gain as factors of the identified gain"
+    )
     disturbance_scale: float = Field(
-        0.4, gt=0, le=2, description="size of unexplained disturbances, as a share of what identification assumes"
+        0.4, gt=0, le=2, description="disturbances as a fraction of those assumed in identification"
     )
     least_information: float = Field(
-        0.1, gt=0, lt=1, description="share of the gain's variance that a block must be able to remove to be used"
+        0.1, gt=0, lt=1, description="least share of the gain's prior variance that a block must remove to be used"
     )
 
     @model_validator(mode="after")
     def _ordered(self) -> AdaptationConfig:
         low, high = self.gain_bounds
         if not 0 < low <= 1 <= high:
-            raise ValueError(f"gain_bounds must be positive and hold 1 between them, got {self.gain_bounds}")
+            raise ValueError(f"gain_bounds must be positive and include 1, got {self.gain_bounds}")
         return self
 
 
@@ -73,8 +75,10 @@ Outcome = Literal["updated", "not informative", "not measured", "refused"]
 
 @dataclass(frozen=True)
 class AdaptationStep:
-    """What one block did: end `time_s`; `outcome`; `information` the share of the gain's variance it could remove;
-    factors on the identified gain, time constants and delivered heat after it; relative standard deviation of the gain.
+    """Result of one block that ended at `time_s`.
+
+    `information` is the share of the gain's prior variance the block can remove; `gain`, `time_constants` and `heat`
+    are factors on the identified values after the block; `gain_sd` is the gain's relative standard deviation.
     """
 
     time_s: float
@@ -88,10 +92,10 @@ class AdaptationStep:
 
 @dataclass(frozen=True)
 class AdaptationState:
-    """What is known in a run so far: the `model` to use from now on, and what every block did (`steps`).
+    """State of the adaptation in a run: the `model` in use and the results of all blocks (`steps`).
 
-    `log_factors` (2,) are the logarithms of the factors on the identified gain and time constants, `covariance` (2, 2)
-    theirs; `log_heat` and `heat_variance` the same of the delivered heat. `done_s` is where the next block begins, s.
+    `log_factors` (2,) are the logarithms of the factors on the identified gain and time constants, with `covariance`
+    (2, 2); `log_heat` and `heat_variance` the same for the delivered heat. The next block begins at `done_s`, s.
     """
 
     model: ThermalModel
@@ -107,7 +111,7 @@ class AdaptationState:
             array.setflags(write=False)
 
     def noted(self, time_s: float, outcome: Outcome, information: float) -> AdaptationState:
-        """This state after a block that ended at `time_s`."""
+        """Return this state with the result of a block that ended at `time_s` appended."""
         gain, slower = np.exp(self.log_factors)
         step = AdaptationStep(
             time_s=time_s,
@@ -122,7 +126,7 @@ class AdaptationState:
 
 
 class OnlineAdaptation:
-    """Follows runs: give the state of a run and its history at every step; work is done when a block is complete."""
+    """Recursive estimator of the adaptation; call `update` every step, it computes when a block is complete."""
 
     def __init__(
         self,
@@ -133,9 +137,9 @@ class OnlineAdaptation:
         """Start from an identified model.
 
         Args:
-            model: what was identified; its free part and power are left as they are.
+            model: identified model; its free part and power model do not change.
             config: options.
-            identification: sizes of disturbances and sensor noise; by default those of an identification.
+            identification: sizes of disturbances and sensor noise; default: `IdentificationConfig()`.
         """
         self.config = config or AdaptationConfig()
         c = self.config
@@ -147,11 +151,11 @@ class OnlineAdaptation:
         self._least = np.diag([c.gain_sd**2, c.time_constant_sd**2])
 
     def update(self, state: AdaptationState | None, history: Record) -> AdaptationState:
-        """Take in what is new.
+        """Return the state after all complete new blocks of `history`.
 
         Args:
-            state: what the last update of this run gave; None begins a run.
-            history: the run so far, or its latest days; blocks that were seen before are not looked at again.
+            state: result of the last update of this run; None at its start.
+            history: record of the run so far, or of its latest days; earlier blocks are not used again.
 
         Raises:
             DataError: the weather was never measured, see `thermoforce_mpc.model.gaps`.
@@ -171,7 +175,7 @@ class OnlineAdaptation:
             done_s = float(history.time_s[first + n])
 
     def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
-        """The state after one block: steps `start` … `stop` − 1."""
+        """Return the state after one block: steps `start` … `stop` − 1."""
         time_s = float(history.time_s[stop])
         known_u = np.isfinite(history.u[start:stop])
         weather = [np.isfinite(getattr(history, name)[start : stop + 1]).mean() for name in WEATHER]
@@ -185,20 +189,20 @@ class OnlineAdaptation:
         factor = cho_factor(covariance)
         information = columns.T @ cho_solve(factor, columns)
         score = columns.T @ cho_solve(factor, target)
-        # What is known of the gain once the time constants' error has taken its share.
+        # Information on the gain after marginalising the time constants' error.
         known = information[0, 0] - information[0, 1] ** 2 / (information[1, 1] + 1.0 / before.covariance[1, 1])
         share = float(1.0 - 1.0 / (1.0 + known * self._least[0, 0]))
         if share < self.config.least_information:
             return (self._rebuilt(state) or state).noted(time_s, "not informative", share)
         prior = self._faded(before.covariance, fading)
         posterior = np.linalg.inv(np.linalg.inv(prior) + information)
-        # The columns are derivatives at the state in use, so the score is a step from there.
+        # The columns are derivatives at the current factors, so posterior @ score is the step from there.
         log_factors = self._bounded(before.log_factors + posterior @ score)
         updated = self._rebuilt(replace(state, log_factors=log_factors, covariance=posterior))
         return updated.noted(time_s, "updated", share) if updated else state.noted(time_s, "refused", share)
 
     def _faded(self, covariance: Array, fading: float) -> Array:
-        """The covariance after forgetting, nowhere wider than at the start."""
+        """Return the covariance (2, 2) after forgetting, with variances at most those of the prior."""
         widened = covariance * fading
         scale = np.minimum(1.0, np.sqrt(np.diag(self._least) / np.diag(widened)))
         return np.asarray(widened * np.outer(scale, scale))
@@ -206,7 +210,7 @@ class OnlineAdaptation:
     def _regression(
         self, operator: OperatorParameters, history: Record, start: int, stop: int
     ) -> tuple[Array, Array, Array]:
-        """What the block's own actions do not explain (rows,), its covariance, and d/d(ln gain, ln τ) (rows, 2), K."""
+        """Return the block's residual (rows,), its covariance (rows, rows), and dF/d(ln gain, ln τ) (rows, 2); K."""
         block = history.slice(start, stop)
         regression = run_regression(block, operator.heat_input, self._assumed)
         rest = residuals(regression, np.log(operator.time_constants_h))
@@ -233,7 +237,7 @@ class OnlineAdaptation:
         fading: float,
         known_u: NDArray[np.bool_],
     ) -> AdaptationState:
-        """Compare measured heat with the identified map while the machine was on, where its level is known."""
+        """Return the state with the heat factor updated from measured heat, over steps on with a known level."""
         heat = self._identified.operator.heat_input.heat
         if heat is None:
             return state
@@ -251,12 +255,12 @@ class OnlineAdaptation:
         return replace(state, log_heat=log_heat, heat_variance=(1.0 - gain) * variance)
 
     def _bounded(self, state: Array) -> Array:
-        """The state with the gain inside its band and every pole inside its own bounds."""
+        """Return the log factors (2,) clipped to the gain's band and the pole bounds."""
         low, high = np.log(self.config.gain_bounds)
         operator = self._identified.operator
         tau, bounds = operator.time_constants_h, operator.pole_bounds
         with np.errstate(divide="ignore"):
-            edges = operator.step_s / HOUR_S / np.abs(np.log(bounds))  # a pole bound of 0 or 1 is τ = 0 or infinity
+            edges = operator.step_s / HOUR_S / np.abs(np.log(bounds))  # pole bounds 0 and 1 give τ = 0 and ∞
             shifts = np.log(edges / tau[:, None])
         return np.array(
             [
@@ -266,11 +270,11 @@ class OnlineAdaptation:
         )
 
     def _rebuilt(self, state: AdaptationState) -> AdaptationState | None:
-        """`state` with the model that its factors make; None where that is not certified."""
+        """Return `state` with the model of its factors; None if that is not certified."""
         base = self._identified.operator
         operator = _scaled(base, float(state.log_factors[0]), float(state.log_factors[1]))
         if base.heat_input.heat is not None:
-            # Heat that counts as v = 1 shrinks with the machine, and the gain per v with it.
+            # The heat of v = 1 scales with the machine, and the gain per v with it.
             factor = float(np.exp(state.log_heat))
             load = base.heat_input.heat
             c0, c1, c2, c3 = (factor * c for c in load.coefficients)
@@ -284,7 +288,7 @@ class OnlineAdaptation:
 
 
 def _scaled(operator: OperatorParameters, log_gain: float, log_tau: float) -> OperatorParameters:
-    """Steady gains times exp(`log_gain`), time constants times exp(`log_tau`), which keeps the form allowed."""
+    """Return the operator with steady gains × exp(`log_gain`), time constants × exp(`log_tau`); pole bounds widen."""
     tau = operator.time_constants_h * np.exp(log_tau)
     poles = np.exp(-operator.step_s / HOUR_S / tau)
     bounds = operator.pole_bounds
@@ -297,12 +301,12 @@ def _scaled(operator: OperatorParameters, log_gain: float, log_tau: float) -> Op
 
 
 def _response(operator: OperatorParameters, drive: Array) -> Array:
-    """Forced response (n + 1,) K to a drive (n,), from rest."""
+    """Return the forced response (n + 1,) K of the linear modes to a drive (n,), starting from 0."""
     modes = [lfilter([g], [1.0, -a], drive) for a, g in zip(operator.poles, operator.gains, strict=True)]
     return np.concatenate([[0.0], np.sum(modes, axis=0)])
 
 
 def _held(values: Array) -> Array:
-    """`values` with gaps filled along a straight line."""
+    """Return `values` with gaps filled by linear interpolation."""
     steps, known = np.arange(values.size), np.isfinite(values)
     return np.asarray(np.interp(steps, steps[known], values[known]))

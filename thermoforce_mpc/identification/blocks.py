@@ -1,7 +1,8 @@
-"""Held-out rows as observations: one cloud or one meal misleads all rows of some hours alike.
+"""Comparison of two models on blocks of held-out rows.
 
-So what counts as one observation is a block of some hours, and as blocks are off by very different amounts, two models
-are compared by the logarithm of what each leaves unexplained in a block (a paired t-test of these logarithms).
+Errors of rows within a few hours are correlated (one cloud, one meal), so a block of 4 h counts as one observation.
+Block errors differ widely in size, so models are compared by a paired t-test on the logarithm of the sum of squared
+residuals per block.
 """
 
 from __future__ import annotations
@@ -12,24 +13,24 @@ from scipy.stats import t as student_t
 
 from thermoforce_mpc.data import HOUR_S, Array
 
-# Length of a block, h, and how many there have to be.
+# Length of a block, h, and least number of blocks.
 _PIECE_H = 4.0
 _LEAST_PIECES = 4
-# Squared residual that counts as none.
+# Floor added to squared residuals before the logarithm.
 _NOTHING = 1e-9
-# Pieces of different regressions must not share a number.
+# Offset that keeps block numbers of different regressions apart.
 _PER_REGRESSION = 10**6
 
 
 def block_numbers(regression: int, rows: NDArray[np.intp], step_s: float) -> NDArray[np.intp]:
-    """The block that each of `rows` (n,) of the regression with this number belongs to, shape (n,)."""
+    """Return the block number of each of `rows` (n,) of regression number `regression`, shape (n,)."""
     return np.asarray(regression * _PER_REGRESSION + (rows * step_s / HOUR_S // _PIECE_H), dtype=np.intp)
 
 
 def standard_errors_saved(residuals: Array, other: Array, blocks: NDArray[np.intp]) -> tuple[float, int]:
-    """How clearly `other` leaves less than `residuals`, all (n,): the t statistic and the number of blocks.
+    """Return the t statistic for `other` having smaller residuals than `residuals`, both (n,), and the block count.
 
-    NaN where there are too few blocks to tell.
+    The statistic is NaN with fewer than 4 blocks.
     """
     names, block = np.unique(blocks, return_inverse=True)
     if names.size < _LEAST_PIECES:
@@ -43,5 +44,5 @@ def standard_errors_saved(residuals: Array, other: Array, blocks: NDArray[np.int
 
 
 def is_significant(statistic: float, count: int, probability: float) -> bool:
-    """Whether the t statistic of `count` blocks exceeds what chance gives with this probability."""
+    """Return whether the t statistic of `count` blocks exceeds Student's quantile at this probability."""
     return count >= _LEAST_PIECES and statistic > float(student_t.ppf(probability, count - 1))

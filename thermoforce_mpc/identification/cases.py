@@ -1,4 +1,4 @@
-"""Records as cases of an identification: what is held out, how features are scaled, what heat and power they show."""
+"""Cases of an identification: held-out rows, feature normalisation, and heat and power models from records."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from thermoforce_mpc.model.machine.power import PowerModel, fit_power
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
-# Share of the steps in which heat or power must have been measured to be used.
+# Least share of steps with measured heat or power.
 _MEASURED = 0.5
-# Level from which full actuation counts as seen.
+# Level from which full actuation counts as excited.
 _NEARLY_FULL = 0.9
-# Narrowest spread that features are normalised by: °C, °C, W/m², 1.
+# Lower limit of the features' scale: °C, °C, W/m², 1.
 LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run or pair with its histories, in the order of the regression's drives."""
+    """Run or pair: its regression and its records, in the order of the regression's drives."""
 
     regression: RegressionData
     histories: tuple[Record, ...]
@@ -38,7 +38,7 @@ class Case:
 def identified_heat_input(
     histories: Sequence[Record], config: IdentificationConfig, sign: int
 ) -> tuple[HeatInput, list[str]]:
-    """The map in front of the modes: heat where it was measured and wanted, else u itself."""
+    """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it."""
     if config.heat_input == "identity":
         return IDENTITY, ["heat input: identity, as configured"]
     if config.heat_capacity is not None:
@@ -48,7 +48,7 @@ def identified_heat_input(
     if measured < _MEASURED:
         if config.heat_input == "heat":
             raise DataError(
-                f"heat_input: heat was asked for, but heat was measured in only {100 * measured:.0f} % of the steps; "
+                f"heat_input: heat is configured, but heat was measured in only {100 * measured:.0f} % of the steps; "
                 "name the heat points in the test case, or use heat_input: identity"
             )
         return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
@@ -66,25 +66,28 @@ def identified_heat_input(
 
 
 def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:
-    """What a user should know where full actuation was hardly seen."""
+    """Return a warning if the records contain no level of 0.9 or more, else []."""
     highest = max(float(np.max(h.u)) for h in histories)
     if highest >= _NEARLY_FULL:
         return []
     return [
-        f"full heat was never seen: from levels up to {highest:.2g} and what is known of a {fit.kind} it is "
-        f"known to ± {100 * fit.full_sd:.0f} % only; probe at full"
+        f"heat at full level is extrapolated from levels up to {highest:.2g} and the prior of a {fit.kind}: "
+        f"± {100 * fit.full_sd:.0f} %; probe at full level"
     ]
 
 
 def power_model(histories: Sequence[Record], config: IdentificationConfig) -> PowerModel | None:
-    """Electric power of (u, T_out, return water), where it was measured in half of the steps."""
+    """Return the electric power model of (u, T_out, return water); None if measured in less than half of the steps."""
     if np.isfinite(np.concatenate([h.power_W for h in histories])).mean() < _MEASURED:
         return None
     return fit_power(histories, lowest_level=config.lowest_level)
 
 
 def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]:
-    """Last part of every run; all pairs of some start times (pairs of one start share their weather)."""
+    """Return the splits: the last part of every run, and all pairs of some start times, are held out.
+
+    Pairs with the same start share their weather, so they are held out together.
+    """
     starts = sorted({c.start_s for c in cases if c.regression.is_pair})
     held: set[float] = set()
     if len(starts) > 1:
@@ -101,7 +104,7 @@ def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]
 
 
 def normalisation(histories: Sequence[Record]) -> tuple[Array, Array]:
-    """Mean and scale of the features over all steps with a measured temperature; the free one is set by `_features`."""
+    """Return mean and scale (4,) of the features over all steps; `modulate` sets those of the free temperature."""
     stacked = np.concatenate(
         [
             feature_matrix(np.zeros(h.n_steps), h.T_out_C[:-1], h.solar_W_m2[:-1], h.time_s[:-1]).reshape(
@@ -114,7 +117,7 @@ def normalisation(histories: Sequence[Record]) -> tuple[Array, Array]:
 
 
 def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
-    """Smallest and largest value of each signal, and the days seen."""
+    """Return the smallest and largest value of each signal, and (0, days of data)."""
     out = {}
     for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
         values = np.concatenate([getattr(h, name) for h in histories])
@@ -124,7 +127,7 @@ def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
 
 
 def named(names: Sequence[str], runs: Sequence[Record], pairs: Sequence[Pair]) -> list[tuple[str, Record]]:
-    """Every record with the name it has on the model card."""
+    """Return every record with its name on the model card."""
     out = list(zip(names, runs, strict=True))
     for i, pair in enumerate(pairs):
         label = pair.label or str(i)

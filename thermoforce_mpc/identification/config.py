@@ -1,4 +1,4 @@
-"""What a user may say about an identification; every prior can be overridden here."""
+"""Options of the identification, including all priors."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.scenario.settings import StrictModel
 
 DEFAULT_TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
-"""Centres of the priors by order. Three modes of a floor-heated house: water loop and screed (half an hour to one
-hour), room against structure (two to six hours), structure against outdoors (one to four days)."""
+"""Prior means by order, h. Three modes of a floor-heated house: water loop and screed (0.5 to 1 h), room against
+structure (2 to 6 h), structure against outdoors (1 to 4 days)."""
 
 
 class HeatCapacityConfig(StrictModel):
-    """Delivered heat by data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `MachineLoad`."""
+    """Delivered heat from a data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `MachineLoad`."""
 
     coefficients: tuple[float, float, float, float] = Field(description="c0 W, c1 W/K, c2 W, c3 W/K, all as heat > 0")
-    T_out_range_C: tuple[float, float] = Field(description="outdoor temperatures it holds for, °C")
-    lowest_level: float = Field(1.0, gt=0, le=1, description="level below which the machine switches")
+    T_out_range_C: tuple[float, float] = Field(description="valid outdoor temperatures, °C")
+    lowest_level: float = Field(1.0, gt=0, le=1, description="level below which the machine cycles")
 
     @model_validator(mode="after")
     def _rises_with_u(self) -> HeatCapacityConfig:
@@ -32,12 +32,12 @@ class HeatCapacityConfig(StrictModel):
         return self
 
     def load(self) -> MachineLoad:
-        """The load it describes."""
+        """Return the `MachineLoad` of these coefficients."""
         return MachineLoad(self.coefficients, self.T_out_range_C, self.lowest_level)
 
 
 class IdentificationConfig(StrictModel):
-    """Options of an identification. The defaults identify a heated house from one to thirty days."""
+    """Options of an identification. The defaults suit a heated house with 1 to 30 days of data."""
 
     method: Literal["joint", "two_stage"] = Field(
         "joint",
@@ -46,62 +46,64 @@ class IdentificationConfig(StrictModel):
     order: Literal["auto", 1, 2, 3] = Field("auto", description="modes of the operator; auto: chosen on held-out data")
     heat_input: Literal["auto", "identity", "heat"] = Field(
         "auto",
-        description="what drives the modes: u itself, or the heat capacity of (u, T_out); auto: heat if measured",
+        description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: heat if measured",
     )
     heat_capacity: HeatCapacityConfig | None = Field(
-        None, description="heat capacity by data sheet instead of an identified one"
+        None, description="heat capacity from a data sheet instead of an identified one"
     )
     machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
-        "auto", description="prior of the heat capacity: what gives the heat; auto: by mode and by what the data say"
+        "auto", description="machine type of the heat capacity's prior; auto: chosen by mode and data"
     )
     lowest_level: float | None = Field(
-        None, gt=0, le=1, description="level below which the probed machine was switched; by default found in the data"
+        None, gt=0, le=1, description="level below which the probed machine cycled; default: estimated from the data"
     )
     modulation: Literal["neural", "linear"] = Field("neural", description="gain m(x) of the paper, or m = 1")
     feedback: bool = Field(
         False,
-        description="m(x) sees the predicted temperature, actions included, instead of the free one (paper)",
+        description="m(x) takes the predicted temperature, actions included, instead of the free response (paper)",
     )
     gamma: float = Field(0.75, ge=0, lt=1, description="bound of the modulation, eq:mod")
     hidden: int = Field(32, ge=1, le=512, description="hidden units of the modulation")
-    optimiser: Literal["lbfgs", "adam"] = Field("lbfgs", description="how the modulation is trained")
-    epochs: int = Field(350, ge=1, le=5000, description="epochs of training, at most")
+    optimiser: Literal["lbfgs", "adam"] = Field("lbfgs", description="optimiser of the modulation")
+    epochs: int = Field(350, ge=1, le=5000, description="largest number of training epochs")
     learning_rate: float = Field(0.01, gt=0, description="learning rate of Adam")
     modulation_sd: float | None = Field(
-        None, gt=0, description="prior: how far m(x) leaves 1; by default 0.15, and 0.05 behind a heat capacity"
+        None, gt=0, description="prior standard deviation of m(x) − 1; default: 0.15, with a heat capacity 0.05"
     )
-    validation_share: float = Field(0.25, gt=0, lt=0.9, description="share of days or pairs held out for choices")
-    horizon_h: float = Field(24.0, gt=0, description="longest rollout that is scored on the held-out data, h")
-    u_off: float = Field(0.02, ge=0, lt=1, description="control up to here counts as off (paper's first stage)")
-    seed: int = Field(1, ge=0, description="seed of the network's first weights and of splits")
+    validation_share: float = Field(0.25, gt=0, lt=0.9, description="held-out share of days or pairs")
+    horizon_h: float = Field(24.0, gt=0, description="longest rollout scored on held-out data, h")
+    u_off: float = Field(0.02, ge=0, lt=1, description="levels up to this count as off (paper's first stage)")
+    seed: int = Field(1, ge=0, description="seed of the network's initial weights and of splits")
 
     time_constants_h: tuple[float, ...] | None = Field(
-        None, description="centres of the modes' priors, h, increasing; their number sets the order"
+        None, description="prior means of the time constants, h, increasing; their number sets the order"
     )
-    time_constant_log_sd: float = Field(0.25, gt=0, description="standard deviation of their logarithms")
+    time_constant_log_sd: float = Field(0.25, gt=0, description="prior standard deviation of ln τ")
     heat_capacity_Wh_m2K: float = Field(
-        120.0, gt=0, description="prior: capacity of the slowest mode per floor area (EN ISO 13790 'very heavy': 103)"
+        120.0, gt=0, description="prior: capacity of the slowest mode, Wh/m²K of floor (EN ISO 13790 'very heavy': 103)"
     )
-    heat_capacity_sd: float = Field(0.25, gt=0, description="its relative standard deviation")
+    heat_capacity_sd: float = Field(0.25, gt=0, description="relative standard deviation of heat_capacity_Wh_m2K")
     room_coupling_W_m2K: float = Field(
-        27.0, gt=0, description="prior: room to structure per floor area (EN ISO 13790: 9.1 W/m²K times 3 m² per m²)"
+        27.0,
+        gt=0,
+        description="prior: room to structure, W/K per m² of floor (EN ISO 13790: 9.1 W/m²K times 3 m² per m²)",
     )
-    room_coupling_sd: float = Field(0.35, gt=0, description="its relative standard deviation")
+    room_coupling_sd: float = Field(0.35, gt=0, description="relative standard deviation of room_coupling_W_m2K")
     start_slope_K_per_h: tuple[float, float] | None = Field(
         None,
-        description="prior: mean and standard deviation of how fast full level moves the zone at first, K/h; by "
-        "default that of heat that has to pass a slab or a radiator, which a room heated by its air exceeds tenfold",
+        description="prior: mean and standard deviation of the initial slope at full level, K/h; default: that of "
+        "heat through a slab or a radiator; air heating is about ten times as fast",
     )
 
     sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")
     disturbance_sd_K: tuple[float, ...] = Field(
-        (0.02, 0.2, 2.0), description="what weather inputs leave unexplained, by time constant, K"
+        (0.02, 0.2, 2.0), description="standard deviation of disturbances, by time constant, K"
     )
-    disturbance_hours: tuple[float, ...] = Field((0.5, 3.0, 50.0), description="these time constants, h")
+    disturbance_hours: tuple[float, ...] = Field((0.5, 3.0, 50.0), description="time constants of disturbances, h")
     disturbance_margin: float = Field(
         10.0,
         gt=0,
-        description="where less than that is left unexplained, how many times what is left is assumed instead",
+        description="disturbances are reduced to this many times the residual if that is below disturbance_sd_K",
     )
 
     @model_validator(mode="after")
@@ -123,13 +125,13 @@ class IdentificationConfig(StrictModel):
         return self
 
     def orders(self) -> tuple[int, ...]:
-        """Orders to try."""
+        """Return the orders to fit."""
         if self.time_constants_h is not None:
             return (len(self.time_constants_h),)
         return (1, 2, 3) if self.order == "auto" else (self.order,)
 
     def time_constants(self, order: int) -> tuple[float, ...]:
-        """Centres of the modes' priors, h."""
+        """Return the prior means of the time constants, h, shape (order,)."""
         if self.time_constants_h is not None and len(self.time_constants_h) == order:
             return self.time_constants_h
         return DEFAULT_TIME_CONSTANTS_H[order]

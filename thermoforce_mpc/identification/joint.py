@@ -1,10 +1,10 @@
-"""Joint estimation of the forced and the free response, from runs without a twin, from pairs, or from both.
+"""Joint estimation of forced and free response from single runs, pairs, or both.
 
-A run gives T = F + T_free at every boundary. Both share the building's slow modes; given the time constants everything
-else enters linearly: gains, weights of weather and clock, the state the run starts in. So the time constants are
-searched (maximum a posteriori, Nelder-Mead from the prior's centre), and the rest is bounded Gaussian regression with
-correlated disturbances: first as large as assumed, then, where far less is left over, nearer to that. A pair gives
-D = T_a − T_b, in which all of the free part cancels (paper eq:paired).
+A run gives T = F + T_free at every boundary. Both share the building's slow modes. Given the time constants, all other
+parameters are linear: gains, weights of weather and clock, initial state. So the time constants are searched (maximum a
+posteriori, Nelder-Mead from the prior mean) and the rest is bounded Gaussian regression with correlated disturbances of
+the assumed size, then of a reduced size if the residuals are far smaller. A pair gives D = T_a − T_b, in which the free
+part cancels (paper eq:paired).
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from thermoforce_mpc.identification.regression_data import (
 )
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
-# Evaluations of the search per time constant.
+# Function evaluations of the search per time constant.
 _MAX_EVALUATIONS = 60
 # Step of derivatives with respect to ln τ.
 _DERIVATIVE_STEP = 0.01
-# What keeps a time constant from being pushed against its bound.
+# Penalty for time constants outside their bounds.
 _OUTSIDE = 1e6
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """Result of the joint estimation.
+    """Result of the joint estimation of an operator of order r and q free modes.
 
-    `log_tau` (r,) of ln(τ/h); `gains` (r,) are [slope K/h, G_2 … G_r K] (positive); `covariance` (2r, 2r) the joint
-    posterior covariance of both, time constants first; `free_log_tau` (q,) and `free_gains` (q, 8) the steady free
-    gains per unit of `INPUTS`; `residual_scale` the RMS of the whitened residual (1: disturbances as large as assumed);
-    `objective` the negative log posterior at its maximum, up to a constant.
+    `log_tau` (r,): ln(τ/h). `gains` (r,): [slope K/h, G_2 … G_r K], positive. `covariance` (2r, 2r): posterior of both,
+    time constants first. `free_log_tau` (q,); `free_gains` (q, 8): steady free gains per unit of `INPUTS`.
+    `residual_scale`: RMS of the whitened residual (1: disturbances as large as assumed). `objective`: negative log
+    posterior at its maximum, up to a constant.
     """
 
     log_tau: Array
@@ -60,9 +60,9 @@ class JointFit:
     objective: float
 
     def free_model(self, step_s: float, config: IdentificationConfig) -> RcParameters:
-        """The free part as a linear free model at `step_s`."""
+        """Return the free part as a linear model at `step_s`."""
         a = poles(self.free_log_tau, step_s)
-        # Disturbances come into the modes nearest to their own time constants; the ground has none of its own.
+        # Each disturbance enters the mode nearest to its time constant; none enters the ground mode.
         share = np.zeros(a.size)
         for sd, hours in zip(config.disturbance_sd_K, config.disturbance_hours, strict=True):
             nearest = int(np.argmin(np.abs(self.free_log_tau[:-1] - np.log(hours))))
@@ -86,10 +86,10 @@ class _Solution:
 def fit_joint(
     regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
 ) -> JointFit:
-    """Fit time constants, gains and free part to all regressions at once."""
+    """Fit time constants, gains and free part to all regressions jointly; `sign` +1 heating, −1 cooling."""
     log_tau = _search(regressions, priors, sign, priors.log_tau)
     solution = _solve(regressions, log_tau, priors, sign)
-    # Disturbances nobody foresaw may be as large as assumed; where they are far smaller, the data say more than that.
+    # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
     scale = min(1.0, config.disturbance_margin * solution.whitened_rms)
     used = regressions
     if scale < 1.0 and any(not e.is_pair for e in regressions):
@@ -114,7 +114,7 @@ def fit_joint(
 
 
 def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, start: Array) -> Array:
-    """Time constants ln(τ/h) (r,) of the highest posterior, searched from `start` (r,)."""
+    """Return the maximum a posteriori ln(τ/h) (r,), searched from `start` (r,)."""
     log_bounds = np.log(priors.bounds_h())
 
     def objective(log_tau: Array) -> float:
@@ -141,7 +141,7 @@ def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int
 def _residual_scale(
     regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int
 ) -> float:
-    """RMS of the whitened residual under disturbances as large as assumed."""
+    """Return the RMS of the residual whitened with the assumed disturbances."""
     design, target, _, rows = _system(regressions, log_tau, priors, sign)
     return float(np.sqrt(np.mean((design @ values - target)[:rows] ** 2)))
 
@@ -149,9 +149,9 @@ def _residual_scale(
 def _system(
     regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int
 ) -> tuple[Array, Array, Array, int]:
-    """Whitened regression for given time constants: design, target, lower bounds, and how many rows are data.
+    """Return the whitened regression for given time constants: design, target, lower bounds, number of data rows.
 
-    Columns are gains, shared free part, starts run by run; the last rows are the priors.
+    Columns: gains, shared free part, initial states run by run. The last rows are the priors.
     """
     r = log_tau.size
     free_log_tau = free_time_constants(log_tau)
@@ -182,7 +182,7 @@ def _system(
 
 
 def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int) -> _Solution:
-    """Bounded Gaussian regression for given time constants."""
+    """Solve the bounded Gaussian regression for given time constants."""
     design, target, low, rows = _system(regressions, log_tau, priors, sign)
     values = lsq_linear(design, target, bounds=(low, np.inf)).x
     residual = design @ values - target
@@ -196,13 +196,13 @@ def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePr
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
-    """Steady gains (q, 8) per unit of `INPUTS` from the shared free columns (zeros where only pairs were seen)."""
+    """Return steady gains (q, 8) per unit of `INPUTS` from the shared free columns (zeros with pairs only)."""
     gains = np.zeros((n_free, len(INPUTS)))
     if not with_free:
         return gains
     for k, (name, (unit, *_)) in enumerate(FREE_PRIOR.items()):
         gains[:, INPUTS.index(name)] = values[k * n_free : (k + 1) * n_free] * unit
-    # The level belongs to no mode in particular; the slowest holds it.
+    # The constant level cannot be attributed to a mode; it is assigned to the slowest.
     gains[-1, INPUTS.index("constant")] = values[len(FREE_PRIOR) * n_free] + REFERENCE_C
     return gains
 
@@ -210,13 +210,12 @@ def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
 def _joint_covariance(
     regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int, found: float
 ) -> Array:
-    """Covariance of the errors of [ln τ, gains], shape (2r, 2r), with all that is estimated besides integrated out.
+    """Return the error covariance of [ln τ, gains], shape (2r, 2r), marginalised over all other parameters.
 
-    With the Gauss-Newton Hessian H of the negative log posterior at its maximum (Laplace's approximation), which is
-    the precision P of the priors plus what the data add, D, the estimate errs by H⁻¹ times the prior's error in P and
-    the disturbances' in D. Where runs are disturbed by only a share `found` of what the estimate assumed, D counts with
-    its square, and the covariance is H⁻¹ (P + found² D) H⁻¹: the data were trusted less than they could have been, so
-    that an error of the prior stays in the estimate. It is H⁻¹ for found = 1.
+    Laplace approximation: H = P + D is the Gauss-Newton Hessian of the negative log posterior at its maximum, with P
+    the precision of the priors and D that of the data. If the disturbances of runs are only `found` times the assumed
+    ones, the error covariance is H⁻¹ (P + found² D) H⁻¹: the data were under-weighted, so errors of the prior remain
+    in the estimate. It is H⁻¹ for found = 1.
     """
     r = log_tau.size
 

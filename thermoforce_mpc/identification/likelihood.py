@@ -1,10 +1,10 @@
-"""How well a forced response explains an regression, with its free part and disturbances integrated out.
+"""Likelihood of a forced response, marginalised over the free part and disturbances.
 
-Given the time constants, what is not forced is Gaussian: prior of the free gains and starting state, plus
-disturbances. So the residual r = target − F has a known mean and covariance C. The whitened residual L⁻¹(r − mean) is
-what training minimises, and its later rows, each given all before it, are what choices are judged by: they weigh what
-an action does within hours, which a plain error over a day drowns in the weather's surprises. That plain error, the
-part of r that the past does not predict, is the error of a rollout over the horizon; it is scored for people to read.
+Given the time constants, the rest of the target is Gaussian: prior of free gains and initial state, plus disturbances.
+So the residual r = target − F has a known mean and covariance C = L Lᵀ. Training minimises the whitened residual
+L⁻¹(r − mean). Model choices use its later rows, each conditioned on all rows before: these weigh effects of an action
+within hours, which in a plain error over a day are masked by weather errors. The rollout error over the horizon, the
+part of r that the past does not predict, is only reported.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from thermoforce_mpc.identification.regression_data import (
 
 @dataclass(frozen=True)
 class Residuals:
-    """Linear maps on the residual target − F of one regression.
+    """Distribution of the residual target − F of one regression.
 
-    `mean` (rows,) K is what the free part contributes before any data; `covariance` (rows, rows) K².
+    `mean` (rows,) K: prior mean of the free part; `covariance` (rows, rows) K².
     """
 
     mean: Array
     covariance: Array
 
     def whitener(self) -> Array:
-        """L⁻¹, shape (rows, rows): row i gives what is new in it after all rows before, in standard deviations."""
+        """Return L⁻¹, shape (rows, rows): row i gives its innovation given all rows before, in standard deviations."""
         variance = np.diagonal(self.covariance)
         if np.count_nonzero(self.covariance) == np.count_nonzero(variance):  # rows of a pair are independent
             return np.diag(1.0 / np.sqrt(variance))
@@ -44,11 +44,11 @@ class Residuals:
         return np.asarray(solve_triangular(factor, np.eye(factor.shape[0]), lower=True))
 
     def innovation(self, past: NDArray[np.intp], ahead: NDArray[np.intp]) -> Array:
-        """Map from the residual over `past` and `ahead` to what the past does not predict of `ahead`."""
+        """Return the map from the residual over `past` and `ahead` to its innovation over `ahead` given the past."""
         if past.size == 0:
             return np.eye(ahead.size)
         shared = self.covariance[np.ix_(past, ahead)]
-        if not shared.any():  # the past says nothing
+        if not shared.any():  # past and ahead are uncorrelated
             return np.concatenate([np.zeros((ahead.size, past.size)), np.eye(ahead.size)], axis=1)
         factor = cholesky(self.covariance[np.ix_(past, past)], lower=True)
         weights = cho_solve((factor, True), shared).T
@@ -56,15 +56,15 @@ class Residuals:
 
 
 def whitened(regression: RegressionData, values: Array) -> Array:
-    """`values` (rows, ...) of an regression in standard deviations of its disturbances, what came before taken out."""
-    if regression.is_pair:  # independent rows: no matrix is solved, however many days there are
+    """Return `values` (rows, ...) of a regression whitened by its disturbances' Cholesky factor."""
+    if regression.is_pair:  # independent rows: no matrix solve needed
         sd = np.diagonal(regression.factor)
         return np.asarray(values / (sd if values.ndim == 1 else sd[:, None]))
     return np.asarray(solve_triangular(regression.factor, values, lower=True))
 
 
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
-    """Mean and covariance of what is not forced in `regression`, for these time constants."""
+    """Return mean and covariance of target − F in `regression` for these time constants."""
     if regression.is_pair:
         return Residuals(np.zeros(regression.rows.size), np.diag(np.diagonal(regression.factor) ** 2))
     noise = regression.factor @ regression.factor.T
@@ -76,7 +76,7 @@ def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
 
 @dataclass(frozen=True)
 class Split:
-    """Rows to train on and to be judged by, and the rollouts (past rows, rows ahead) that are scored."""
+    """Training rows, held-out (judged) rows, and the scored rollouts (past rows, rows ahead)."""
 
     train: NDArray[np.intp]
     judged: NDArray[np.intp]
@@ -84,7 +84,7 @@ class Split:
 
 
 def split_run(regression: RegressionData, share: float, horizon_h: float) -> Split:
-    """Train on the first part of a run, judge by the rest; rollouts of up to `horizon_h` start where the last ended."""
+    """Split a run: train on the first part, hold out the last `share`; consecutive rollouts of up to `horizon_h`."""
     n = regression.rows.size
     first = max(1, min(n - 1, round(n * (1.0 - share))))
     hours = regression.rows * regression.step_s / HOUR_S
@@ -99,12 +99,12 @@ def split_run(regression: RegressionData, share: float, horizon_h: float) -> Spl
 
 
 def hold_out_pair(regression: RegressionData) -> Split:
-    """Judge a whole pair, train on nothing of it."""
+    """Return a split that holds out the whole pair."""
     rows = np.arange(regression.rows.size)
     return Split(train=rows[:0], judged=rows, rollouts=((rows[:0], rows),))
 
 
 def whole(regression: RegressionData) -> Split:
-    """Train on everything."""
+    """Return a split that trains on all rows."""
     rows = np.arange(regression.rows.size)
     return Split(train=rows, judged=rows[:0])

@@ -1,7 +1,7 @@
-"""Modes in the terms a person can judge: time constants in hours, starting slope in K/h, steady gains in K.
+"""Physical parameters of the modes: time constants in h, initial slope in K/h, steady gains in K.
 
-The forced response of order r has one free number per mode: the slope of the step response at its start, and the steady
-gain of every mode but the fastest. All are nonnegative (times the sign), which is all the operator asks of its gains.
+Besides the time constants, the forced response of order r has r parameters: the initial slope of the step response and
+the steady gains of all modes but the fastest. All are nonnegative (times the sign), as the operator requires.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
-# How far the outermost time constants may leave the centre of their prior, as a factor.
+# Largest factor between the outermost time constants and their prior means.
 _REACH = 10.0
-# Priors for a heater of unknown heat: one sized for its house warms the structure by some half kelvin per hour.
+# Priors for a heater of unknown heat: a heater sized for its house heats the structure by about 0.5 K/h.
 _WEAK_RATE_K_PER_H = (0.5, 0.5)
 _WEAK_GAIN_K = (2.0, 2.0)
-# A slab lets next to nothing through at once; without a delay mode in front, the first mode acts at once.
+# Initial slope: near zero behind a delay mode (slab), else that of the first mode.
 _DELAYED_SLOPE_K_PER_H = (0.0, 0.1)
 _DIRECT_SLOPE_K_PER_H = (0.5, 0.7)
-# A gain that was found to be zero may still move by this much, K or K/h.
+# Least standard deviation of a gain, K or K/h, also if the fit gives zero.
 _LEAST_GAIN_SD = 1e-3
 
 
 @dataclass(frozen=True)
 class ModePriors:
-    """Gaussian priors of one order, all positive in the direction of the actuator's sign.
+    """Gaussian priors of one order r, positive in the direction of the actuator's sign.
 
-    `log_tau` and `log_tau_sd` (r,) are of ln(τ/h); `gain_mean` and `gain_sd` (r,) of [slope K/h, G_2 … G_r K]; for the
-    slowest of several modes the rate G_r/τ_r is what the prior knows, so `slowest_rate` K/h replaces its mean and sd.
+    `log_tau` (r,) and `log_tau_sd`: ln(τ/h). `gain_mean` and `gain_sd` (r,): [slope K/h, G_2 … G_r K]. For the slowest
+    of several modes the prior is on the rate G_r/τ_r, `slowest_rate` (mean, sd) K/h, instead of the gain.
     """
 
     log_tau: Array
@@ -48,14 +48,14 @@ class ModePriors:
         return int(self.log_tau.size)
 
     def bounds_h(self) -> Array:
-        """Range of each time constant, shape (r, 2), h: neighbours part at their geometric mean."""
+        """Return the bounds of each time constant, shape (r, 2), h; neighbours meet at their geometric mean."""
         tau = np.exp(self.log_tau)
         inner = np.sqrt(tau[:-1] * tau[1:])
         edges = np.concatenate([[tau[0] / _REACH], inner, [tau[-1] * _REACH]])
         return np.stack([edges[:-1], edges[1:]], axis=1)
 
     def gains_at(self, log_tau: Array) -> tuple[Array, Array]:
-        """Mean and standard deviation of [slope, G_2 … G_r] for these time constants."""
+        """Return prior mean and standard deviation (r,) of [slope, G_2 … G_r] for these time constants."""
         mean, sd = self.gain_mean.copy(), self.gain_sd.copy()
         if self.order > 1:
             tau = float(np.exp(log_tau[-1]))
@@ -66,7 +66,7 @@ class ModePriors:
 def mode_priors(
     order: int, config: IdentificationConfig, heat_input: HeatInput, floor_area_m2: float | None
 ) -> ModePriors:
-    """Priors from the physics of a building of known floor area and heater, or weak ones where either is unknown."""
+    """Return priors from floor area (m²) and heat input, or weak ones if either is unknown."""
     rate, gain = _WEAK_RATE_K_PER_H, _WEAK_GAIN_K
     if heat_input.heat is not None and floor_area_m2 is not None:
         watts = heat_input.reference_W / floor_area_m2
@@ -87,7 +87,7 @@ def mode_priors(
 
 
 def centred_priors(priors: ModePriors, log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:
-    """Priors around what a fit found: `log_tau` (r,) and `gains` (r,) [slope K/h, G_2 … G_r K], held closely."""
+    """Return priors centred on a fit, `log_tau` (r,) and `gains` (r,) [slope K/h, G_2 … G_r K], with `relative_sd`."""
     gain_sd = np.maximum(relative_sd * np.abs(gains), _LEAST_GAIN_SD)
     rate = float(gains[-1] / np.exp(log_tau[-1]))
     return ModePriors(
@@ -100,12 +100,12 @@ def centred_priors(priors: ModePriors, log_tau: Array, gains: Array, relative_sd
 
 
 def poles(log_tau: Array, step_s: float) -> Array:
-    """exp(−step/τ), shape (r,)."""
+    """Return the poles exp(−step/τ), shape (r,)."""
     return np.asarray(np.exp(-step_s / HOUR_S / np.exp(log_tau)))
 
 
 def unit_responses(log_tau: Array, step_s: float, drive: Array) -> Array:
-    """Forced response to `drive` (n,) per unit of [slope, G_2 … G_r] at the n + 1 boundaries, shape (n + 1, r), K.
+    """Return the forced response to `drive` (n,) per unit of [slope, G_2 … G_r], shape (n + 1, r), K.
 
     Row t is the state before step t, starting from zero.
     """
@@ -129,7 +129,7 @@ def to_operator(
     feature_mean: Array,
     feature_scale: Array,
 ) -> OperatorParameters:
-    """The linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
+    """Return the linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
     tau, a = np.exp(log_tau), poles(log_tau, step_s)
     steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
     bounds = np.exp(-step_s / HOUR_S / bounds_h)

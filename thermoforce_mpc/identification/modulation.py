@@ -1,4 +1,4 @@
-"""Training m(x) on top of a linear fit, keeping it only where held-out data say so, and proving the result."""
+"""Training of the modulation m(x) on a linear fit, its selection on held-out data, and the certificate check."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-# Held-out hours below which nothing is said about a network: a quarter of a day decides by chance. Behind heat
-# what is left for it is small against the weather's surprises, so a whole cycle of sun and clock has to be held out.
+# Least held-out hours to keep a network; 6 h would decide by chance. With a heat input the remaining effect is small
+# compared with weather errors, so a whole day is needed.
 _LEAST_JUDGED_H = {"identity": 12.0, "heat": 24.0}
-# While the network is trained on runs, gains and time constants are held to within this relative deviation.
+# Relative prior standard deviation of gains and time constants while the network is trained on runs.
 _LINEAR_HELD_SD = 0.02
 
 
 def _features(operator: OperatorParameters, history: Record, feedback: bool) -> Array:
-    """x_t of each step of a run: T − F by the linear operator (F feeds no gradient), or T as it was measured."""
+    """Return the features x_t (n, 4) of a run, with T − F (no gradient through F) or, with feedback, measured T."""
     forced = forced_history(operator, history).sum(axis=1) if not feedback else 0.0
     free = history.T_zone_C - forced
     steps = np.arange(free.size)
@@ -47,7 +47,10 @@ def modulate(
     priors: ModePriors,
     config: IdentificationConfig,
 ) -> tuple[OperatorParameters, dict[str, float]]:
-    """Train m(x) on part of the data to see whether it is worth it, then on all of it."""
+    """Train m(x) on the training rows; if it improves the held-out rows, train on all data, else keep m = 1.
+
+    Returns the operator and its held-out scores.
+    """
     from thermoforce_mpc.identification.train import TrainingData, train
 
     base = linear(final)
@@ -68,7 +71,7 @@ def modulate(
         ]
 
     def known(fit: JointFit) -> ModePriors:
-        # A run's slow gain was found under disturbances taken for large: the network's closer look must not undo it.
+        # The linear fit assumed larger disturbances; training must not change its slow gain.
         if all(c.regression.is_pair for c in cases):
             return priors
         return centred_priors(priors, fit.log_tau, fit.gains, _LINEAR_HELD_SD)
@@ -84,18 +87,18 @@ def modulate(
     if not scores["modulation_kept"]:
         return replace(started(final), feedback=config.feedback), scores
     everything = [whole(c.regression) for c in cases]
-    # Trained on measured temperatures as features, so nothing recurs; in use the predicted one takes their place.
+    # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
     trained = train(started(final), regressions(final, everything), known(final), config).operator
     return replace(trained, feedback=config.feedback), scores
 
 
 def _hours(regression: RegressionData, rows: NDArray[np.intp]) -> float:
-    """Time that these compared rows stand for, h."""
+    """Return the time that `rows` represent, h."""
     return rows.size * (regression.n_steps / max(1, regression.rows.size)) * regression.step_s / HOUR_S
 
 
 def prove(operator: OperatorParameters) -> None:
-    """Refuse an operator whose effect has no proven sign: only `feedback: true` can lead to one."""
+    """Raise `DataError` if the operator is not certified (sign of its effect), possible only with `feedback: true`."""
     proof = certificate(operator)
     if not proof.certified:
         raise DataError(f"the identified operator is not certified: {'; '.join(proof.reasons)}")

@@ -1,4 +1,4 @@
-"""Choosing the number of modes on held-out rows."""
+"""Choice of the number of modes on held-out rows."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData, follows_action, forced_columns
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-# A lower order must beat a higher one on the held-out rows with this probability (Student's t) and by this share of the
-# squared residual: under priors a mode too many does no harm, while a delay left out cannot be made up for.
+# A lower order is chosen only if it is better on held-out rows with this probability (Student's t) and by this share of
+# the squared residual: with priors a superfluous mode does no harm, a missing delay does.
 _SIGNIFICANT = 0.975
 _CLEARLY = 0.2
-# Orders are told apart by rows that follow an action within hours: the others tell how the weather was.
+# Only rows within these hours after an action discriminate orders; the others mainly reflect weather errors.
 _AFTER_ACTION_H = 6.0
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit to the training rows, and how it did on the others.
+    """Fit to the training rows and its held-out errors.
 
-    `judged` (rows,) are the whitened residuals of the rows judged by and `blocks` (rows,) which hours each belongs to;
-    `rollout_rmse_K` is the RMSE of the held-out rollouts, K.
+    `judged` (rows,): whitened residuals of the held-out rows that follow an action; `blocks` (rows,): their block
+    numbers; `rollout_rmse_K`: RMSE of the held-out rollouts, K.
     """
 
     fit: JointFit
@@ -42,12 +42,12 @@ class Fitted:
 
     @property
     def score(self) -> float:
-        """RMS of the whitened residuals of the rows judged by (NaN where no action was held out)."""
+        """RMS of the whitened residuals `judged` (NaN without a held-out action)."""
         return float(np.sqrt(np.mean(self.judged**2))) if self.judged.size else float("nan")
 
 
 def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
-    """The first rows of an regression (rows are always a leading block, whose Cholesky factor is the leading block)."""
+    """Return the leading rows of a regression (their Cholesky factor is the leading block)."""
     n = rows.size
     return replace(regression, target=regression.target[:n], rows=regression.rows[:n], factor=regression.factor[:n, :n])
 
@@ -55,7 +55,7 @@ def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
 def fit_and_judge(
     cases: Sequence[Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
 ) -> Fitted:
-    """Fit to the training rows, judge by the held-out rollouts."""
+    """Fit to the training rows and evaluate on the held-out rows and rollouts."""
     training = [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
     fit = fit_joint(training, priors, config, sign)
     judged, blocks, errors = [], [], []
@@ -74,7 +74,7 @@ def fit_and_judge(
 
 
 def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> float:
-    """Share of the whitened variance (of what neither weather nor drift explains) that the forced response removes.
+    """Return the share of the whitened residual variance, after weather and drift, that the forced response explains.
 
     The forced response is that of the linear part, m = 1, to the actions of each case.
     """
@@ -92,7 +92,7 @@ def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> floa
 
 
 def choose_order(candidates: dict[int, Fitted]) -> int:
-    """Highest order, unless a lower one predicts the held-out rows clearly and significantly better."""
+    """Return the highest order, unless a lower one predicts the held-out rows significantly and by 20 % better."""
     chosen = max(candidates)
     for order in sorted(candidates, reverse=True):
         if _better(candidates[order], candidates[chosen]):
@@ -101,7 +101,7 @@ def choose_order(candidates: dict[int, Fitted]) -> int:
 
 
 def _better(lower: Fitted, higher: Fitted) -> bool:
-    """Whether the held-out rows speak clearly for the lower order."""
+    """Return whether the lower order is better on the held-out rows by 20 % and significantly."""
     if not higher.judged.size or higher.score**2 - lower.score**2 <= _CLEARLY * higher.score**2:
         return False
     return is_significant(*standard_errors_saved(higher.judged, lower.judged, higher.blocks), _SIGNIFICANT)

@@ -1,4 +1,4 @@
-"""What an identification works on: runs of one building, and pairs of runs that share their weather."""
+"""Input data of an identification: runs of one building and pairs of runs with the same weather; their checks."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
 from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.screening import Limits, screened_history
 
-# Least excitation: hours on, standard deviation of u, and changes of u. Below, gain and drift cannot be told apart.
+# Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.
 MIN_ON_H = 1.0
 MIN_SD_U = 0.05
 MIN_CHANGES = 4
 MIN_DAYS = 0.9
-# Share of a signal's readings that may be impossible: more is another unit rather than a fault.
+# Largest share of a signal's readings outside physical limits: more indicates a wrong unit, not a sensor fault.
 _MOST_REFUSED = 0.1
-# Pairs are runs of one building from one state: their temperatures start equal.
+# Largest difference of the starting temperatures of a pair, which starts from one state.
 MAX_START_DIFFERENCE_K = 0.05
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two runs that start in the same state under the same weather and differ in what was done (paper eq:paired).
+    """Two runs with the same initial state and weather but different actions (paper eq:paired).
 
     Raises:
         DataError: the runs differ in time, weather or starting temperature.
@@ -53,14 +53,14 @@ class Pair:
 
 
 def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
-    """Runs that can be identified from, without readings that cannot be and without gaps; and what was done, in words.
+    """Return usable runs without implausible readings and gaps, and notes on the changes.
 
-    Short gaps of the weather are bridged as in `model.gaps`. Steps in longer ones, and those whose u is not
-    known, are left out: what is between them are runs of their own, as far as each can be identified from.
+    Short gaps of the weather are bridged as in `model.gaps`. Steps in longer gaps and with unknown u are dropped; each
+    part between them becomes a run of its own if it passes `check_run`.
 
     Raises:
-        DataError: nothing is left of a run, or a tenth of a signal cannot be; with the numbers that are wrong and what
-            to do about them.
+        DataError: nothing usable is left of a run, or more than 10 % of a signal's readings are implausible; gives the
+            wrong numbers and what to do.
     """
     found: list[Record] = []
     notes: list[str] = []
@@ -90,13 +90,13 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
 
 
 def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], list[str]]:
-    """Pairs without readings that cannot be and with short gaps of the weather bridged; and what was done, in words.
+    """Return pairs without implausible readings and with short gaps of the weather bridged, and notes on the changes.
 
-    Longer gaps and unknown levels stay, for `check_pairs` to refuse: a pair cannot be divided, its start is what both
-    runs share.
+    Longer gaps and unknown levels remain and are refused by `check_pairs`: a pair cannot be divided, since its runs
+    share only their start.
 
     Raises:
-        DataError: a tenth of a signal cannot be; names it with its numbers.
+        DataError: more than 10 % of a signal's readings are implausible; names the signal with its numbers.
     """
     found: list[Pair] = []
     notes: list[str] = []
@@ -115,40 +115,40 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
 
 
 def _believed(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
-    """The record without readings that cannot be, and why; raises `DataError` where they are no rare faults."""
+    """Return the record without implausible readings, and notes; raises `DataError` above 10 % of a signal."""
     screened, doubts = screened_history(record, allowed)
     for signal in SIGNALS:
         refused = np.isfinite(getattr(record, signal)) & ~np.isfinite(getattr(screened, signal))
         if refused.size and refused.mean() > _MOST_REFUSED:
             why = next(doubt for doubt in doubts if doubt.startswith(f"{signal} "))
-            raise DataError(f"{name}: {why}; so many are no faults of a sensor: check its unit, and the floor area")
+            raise DataError(f"{name}: {why}; too many for sensor faults: check the unit and the floor area")
     return screened, doubts
 
 
 def _usable(history: Record) -> NDArray[np.bool_]:
-    """Which steps have a known level and weather that is known or that a straight line bridges, shape (n,)."""
+    """Return which steps have a known level and known or bridged weather, shape (n,)."""
     lost = np.any([long_gaps(history, name) for name in WEATHER], axis=0)
     return np.asarray(np.isfinite(history.u) & ~lost[:-1] & ~lost[1:])
 
 
 def _pieces(run: Record) -> list[Record]:
-    """The stretches of usable steps."""
+    """Return the consecutive parts of usable steps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], _usable(run), [False]]).astype(int)))
     return [run.slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def check_run(history: Record, name: str) -> None:
-    """Refuse a run that nothing can be identified from.
+    """Check length, signals and excitation of a run.
 
     Raises:
-        DataError: with the numbers that are wrong and what to do about them.
+        DataError: the run is too short, incomplete or not excited; gives the wrong numbers and what to do.
     """
     _check_signals(history, name)
     days = history.n_steps * history.step_s / DAY_S
     if days < MIN_DAYS:
         raise DataError(
-            f"{name}: {days:.2f} days of data, need at least {MIN_DAYS}: in less, the slow part of the response and "
-            "the daily cycle of the weather cannot be told apart; record one to three days"
+            f"{name}: {days:.2f} days of data, need at least {MIN_DAYS} to separate the slow part of the response "
+            "from the daily cycle of the weather; record one to three days"
         )
     u = history.u
     on_h = float((u > 0.02).sum()) * history.step_s / HOUR_S
@@ -156,7 +156,7 @@ def check_run(history: Record, name: str) -> None:
     spread = float(np.std(u))
     advice = "probe with varied levels and holding times (`tf-mpc identify` designs that), or add days"
     if spread < 1e-6:
-        raise DataError(f"{name}: u is constant at {u[0]:g}: its effect cannot be seen; {advice}")
+        raise DataError(f"{name}: u is constant at {u[0]:g}: its effect cannot be identified; {advice}")
     if on_h < MIN_ON_H or spread < MIN_SD_U or changes < MIN_CHANGES:
         raise DataError(
             f"{name}: too little excitation: on for {on_h:.1f} h (need {MIN_ON_H:g}), standard deviation of u "
@@ -165,10 +165,10 @@ def check_run(history: Record, name: str) -> None:
 
 
 def check_pairs(pairs: Sequence[Pair]) -> None:
-    """Refuse pairs in which nothing differs.
+    """Check the signals of pairs and that their levels differ.
 
     Raises:
-        DataError: with the numbers that are wrong and what to do about them.
+        DataError: gives the wrong numbers and what to do.
     """
     for index, pair in enumerate(pairs):
         name = f"pair {pair.label or index}"
@@ -183,10 +183,10 @@ def check_pairs(pairs: Sequence[Pair]) -> None:
 
 
 def check_steps(histories: Sequence[Record]) -> None:
-    """Refuse records of different step lengths.
+    """Check that all records have one step length.
 
     Raises:
-        DataError: naming the steps found.
+        DataError: names the steps found.
     """
     steps = sorted({round(h.step_s, 3) for h in histories})
     if len(steps) > 1:
@@ -216,7 +216,7 @@ def _check_signals(history: Record, name: str) -> None:
 
 
 def data_hash(history: Record) -> str:
-    """sha256 over the numbers of a run, so that a saved model can say what it was made from."""
+    """Return the SHA-256 of a run's data, stored in the saved model."""
     digest = hashlib.sha256()
     for name in SIGNALS:
         digest.update(name.encode())

@@ -1,4 +1,4 @@
-"""Runs and pairs as regressions: what is compared, what is unexplained in it, and the columns that explain it."""
+"""Regression form of runs and pairs: targets, disturbance covariance, and columns of forced and free response."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-# Priors of the free part, per slow mode and in steady state: K per K outdoors, K per 100 W/m², K of the daily wave.
-# A house follows the outdoors with a total gain near 1 and winter sun lifts it by a few kelvin.
+# Priors of the free part, steady state, per slow mode: K per K outdoors, K per 100 W/m², K of the daily wave. The total
+# gain to the outdoor temperature is near 1; winter sun raises a house by a few K.
 FREE_PRIOR: dict[str, tuple[float, float, float, float]] = {
     # name: (unit, mean, standard deviation, lower bound)
     "outdoor": (1.0, 0.3, 0.3, 0.0),
@@ -29,29 +29,29 @@ FREE_PRIOR: dict[str, tuple[float, float, float, float]] = {
     "daily_sine": (1.0, 0.0, 0.3, -np.inf),
     "solar_squared": (0.01, 0.0, 1.0, -np.inf),
 }
-# Level of the free response and state of each mode at the start of a run: as good as unknown, K.
+# Weak priors of the level of the free response and of each mode's initial state, K.
 _LEVEL_SD_K = 50.0
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
-# Soil and neighbouring rooms answer the weather over weeks: too slow to be identified, too strong to be left out.
+# Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
 _GROUND_H = 400.0
 REFERENCE_C = 20.0
-# Pairs cancel all drift; what is left is the model's own error of a few hundredths of a kelvin. It is one draw per pair
-# and hour rather than one per row, so rows are taken for ten times less certain than they look.
+# Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
+# so the standard deviation per row is ten times as large.
 _PAIR_SD_K = 0.3
-# Rows of one run that are compared (all steps are simulated): beyond this the regression only gets slower.
+# Most rows of one run in the regression (all steps are simulated); more rows only make it slower.
 _MAX_ROWS = 700
-# Disturbances are taken for this many times as large as the fit found them when its certainty is told, and for no less
-# than a share of what was assumed: residuals that were fitted look smaller than they are.
+# For the reported uncertainty, disturbances are this many times the fitted residuals (which underestimate them), but at
+# least this share of the assumed ones.
 _ROOM, _LEAST_DISTURBED = 2.5, 0.1
 
 
 @dataclass(frozen=True)
 class RegressionData:
-    """One run or pair as a regression: what is compared, and the whitening of its disturbances.
+    """Run or pair in regression form.
 
-    `target` (rows,) K; `rows` (rows,) boundaries that are compared; `factor` (rows, rows) lower Cholesky factor of the
-    disturbances' covariance; `inputs` (n, 8) weather of the steps, empty for a pair; `drives` the heat v (n,) of each
-    run and the sign it enters with.
+    `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `factor` (rows, rows) lower Cholesky factor of
+    the disturbance covariance, K; `inputs` (n, 8) weather of the steps, empty for a pair; `drives`: sign and drive v
+    (n,) of each run.
     """
 
     target: Array
@@ -63,7 +63,7 @@ class RegressionData:
 
     @property
     def n_steps(self) -> int:
-        """Steps of the run or pair."""
+        """Number of steps of the run or pair."""
         return int(self.drives[0][1].size)
 
     @property
@@ -73,7 +73,7 @@ class RegressionData:
 
 
 def run_regression(history: Record, heat_input: HeatInput, config: IdentificationConfig) -> RegressionData:
-    """A run as a regression regression; silent sensor readings are left out."""
+    """Return a run as a regression; missing temperatures are omitted."""
     n = history.n_steps
     stride = max(1, -(-n // _MAX_ROWS))
     rows = np.arange(0, n + 1, stride)
@@ -89,7 +89,7 @@ def run_regression(history: Record, heat_input: HeatInput, config: Identificatio
 
 
 def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
-    """A pair as a regression regression on the difference a − b."""
+    """Return a pair as a regression of the difference a − b."""
     difference = pair.a.T_zone_C - pair.b.T_zone_C
     rows = np.flatnonzero(np.isfinite(difference))
     rows = rows[rows > 0]
@@ -105,31 +105,31 @@ def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
 
 
 def calibrated(regressions: Sequence[RegressionData], residual_scale: float) -> list[RegressionData]:
-    """Runs with disturbances of about the size that was found, rather than as large as a cautious fit assumes.
+    """Return the regressions with the disturbances of runs scaled to about the size found by the fit.
 
-    What a pair leaves unexplained is the model's own error, so pairs stay as they are.
+    Pairs are unchanged: their residual is the model error.
     """
     return scaled(regressions, likely_scale(residual_scale))
 
 
 def likely_scale(residual_scale: float) -> float:
-    """How large disturbances are, as a share of what was assumed, where the fit found `residual_scale`."""
+    """Return the likely size of disturbances as a fraction of the assumed one, from the fit's `residual_scale`."""
     return float(np.clip(_ROOM * residual_scale, _LEAST_DISTURBED, 1.0))
 
 
 def scaled(regressions: Sequence[RegressionData], scale: float) -> list[RegressionData]:
-    """Runs with disturbances `scale` times as large; pairs stay as they are."""
+    """Return the regressions with disturbances of runs times `scale`; pairs are unchanged."""
     return [e if e.is_pair else replace(e, factor=e.factor * scale) for e in regressions]
 
 
 def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Array:
-    """Response of each compared row to a unit of [slope, G_2 … G_r], shape (rows, r), K."""
+    """Return the forced response of each row per unit of [slope, G_2 … G_r], shape (rows, r), K."""
     total = sum(s * unit_responses(log_tau, regression.step_s, drive) for s, drive in regression.drives)
     return np.asarray(sign * np.asarray(total)[regression.rows])
 
 
 def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:
-    """Which compared rows come within `hours` after a step in which something was done (differently), shape (rows,)."""
+    """Return which rows lie within `hours` after a step with a nonzero drive (pair: drive difference), (rows,)."""
     done = np.abs(np.sum([s * drive for s, drive in regression.drives], axis=0)) > 0.0
     before = np.concatenate([[0], np.cumsum(done)])
     reach = max(1, round(hours * HOUR_S / regression.step_s))
@@ -137,7 +137,7 @@ def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_
 
 
 def free_columns(regression: RegressionData, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
-    """Columns of the shared free gains and of the run's own starting state, (rows, q·7 + 1) and (rows, modes)."""
+    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
     weather = []
     for name, (unit, *_) in FREE_PRIOR.items():
         signal = regression.inputs[:, INPUTS.index(name)] * unit
@@ -152,18 +152,18 @@ def free_columns(regression: RegressionData, log_tau: Array, free_log_tau: Array
 
 
 def free_time_constants(log_tau: Array) -> Array:
-    """ln τ of the free part's modes: the slow ones of an operator of order 3 (or of its prior), and the ground."""
+    """Return ln τ of the free modes: the slow modes of an operator of order 3 (or of its prior), and the ground."""
     slow = log_tau[1:] if log_tau.size == 3 else np.log(DEFAULT_TIME_CONSTANTS_H[3][1:])
     return np.append(slow, np.log(_GROUND_H))
 
 
 def free_prior(n_free: int) -> tuple[Array, Array, Array]:
-    """Mean, standard deviation and lower bound of the shared free columns."""
+    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
     entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
     mean, sd, low = (np.array(column) for column in zip(*entries, strict=True))
     return mean, sd, low
 
 
 def start_sd(n_modes: int) -> Array:
-    """Prior standard deviation of a run's starting state per mode, K."""
+    """Return the prior standard deviation of a run's initial state per mode, K, shape (n_modes,)."""
     return np.asarray(_START_SD_K[-n_modes:])

@@ -1,4 +1,4 @@
-"""What an identification learned, to look at: rollouts over the record it came from, and the answer to an action."""
+"""Figure of an identification: rollouts over its record, and the step response to full actuation."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PLOT_NAME = "identification.png"
-# Rollouts over the record: the first begins after this long, and each is this long, h.
+# Start of the first rollout and length of each, h.
 _ROLLOUT_H = 12.0
-# A band of ± this many standard deviations holds 90 % of a normal distribution.
+# Half width of a 90 % band of a normal distribution, standard deviations.
 _BAND = 1.645
 
 
 @dataclass(frozen=True)
 class Rollouts:
-    """Predictions of a record in pieces: `predicted_C` (n + 1,) °C, NaN before the first, and their RMSE, K."""
+    """Predictions of a record: `predicted_C` (n + 1,) °C, NaN before the first rollout, and their RMSE, K."""
 
     predicted_C: Array
     rmse_K: float
 
 
 def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> Rollouts | None:
-    """Predict a record in pieces of `hours`, each from what was known before it, with the weather as it came.
+    """Predict a record by consecutive rollouts of `hours`, each from the record before it with the measured weather.
 
-    Gaps in the record's weather and levels are bridged. None where the model has no linear free part (it was identified
-    from pairs alone) or the record is too short.
+    Gaps in the record's weather and levels are bridged. Returns None if the model has no linear free part (identified
+    from pairs only) or the record is too short.
     """
     n = max(1, round(hours * HOUR_S / record.step_s))
     if model.free is None or record.n_steps < 2 * n:
@@ -60,16 +60,16 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 1, 3])
     days = record.time_s / DAY_S
-    top.set_title("The record, and the model on it", loc="left")
+    top.set_title("Measured and predicted zone temperature", loc="left")
     top.plot(days, record.T_zone_C, color="black", linewidth=1.2, label="measured")
     found = rollouts(model, record)
     if found is not None:
-        label = f"predicted {_ROLLOUT_H:g} h at a time, weather known; RMSE {found.rmse_K:.2f} K"
+        label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K:.2f} K"
         top.plot(days, found.predicted_C, color="tab:red", linewidth=1.2, label=label)
     top.set_ylabel("zone temperature, °C")
     top.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, frameon=False)
     middle.stairs(record.u, days, color="tab:blue", fill=True, alpha=0.5)
-    middle.set_ylabel("action u")
+    middle.set_ylabel("level u")
     middle.set_ylim(0, 1.05)
     middle.set_xlabel("days since 1 January")
     _plot_answer(bottom, model)
@@ -83,7 +83,7 @@ def _plot_answer(axes: Axes, model: ThermalModel) -> None:
     answer = np.concatenate([[0.0], np.cumsum(operator.impulse(steps))])
     heat = operator.heat_input.heat
     full = "" if heat is None else f" ({operator.heat_input.reference_W / 1000:.1f} kW)"
-    axes.set_title(f"What full action adds, held from hour 0{full}", loc="left")
+    axes.set_title(f"Step response to full level{full}", loc="left")
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.plot(hours, answer, color="tab:red", label="expected")
     names = [f"step_response_{h}h" for h in STEP_RESPONSE_H]
@@ -101,6 +101,6 @@ def _plot_answer(axes: Axes, model: ThermalModel) -> None:
             label="90 % band",
         )
         axes.plot(at, mean, "o", color="tab:red", markersize=3)
-    axes.set_xlabel("hours since the action began")
+    axes.set_xlabel("hours since the step")
     axes.set_ylabel("change of the zone temperature, K")
     axes.legend(loc="best", frameon=False)

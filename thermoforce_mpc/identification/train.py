@@ -1,8 +1,8 @@
-"""Training the monotone-neural operator on multi-step rollouts (paper eq:operator, eq:paired).
+"""Training of the monotone-neural operator on multi-step rollouts (paper eq:operator, eq:paired).
 
-The forced response is linear in the drive m(x_t) v_t, so a whole run or pair is one causal convolution (by FFT) with
-the operator's impulse response; no step is taken in Python. Training starts from the linear fit with m = 1 exactly,
-under priors on modes and weights; held-out data decide afterwards whether the network is kept.
+The forced response is linear in the drive m(x_t) v_t, so a run or pair is one causal convolution (by FFT) with the
+operator's impulse response, without a loop over steps. Training starts from the linear fit with m = 1, with priors on
+modes and weights; held-out data decide whether the network is kept.
 """
 
 from __future__ import annotations
@@ -22,21 +22,20 @@ from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
-# First weights of the hidden layer: features are normalised, so unit slopes spread tanh over its range.
+# Initial standard deviation of hidden weights: features are normalised, so slopes of order 1 use the range of tanh.
 _HIDDEN_SD = 0.5
-# How far m(x) is expected to leave 1: a heat capacity has already taken the dependence on T_out.
+# Prior standard deviation of m(x) − 1, smaller with a heat capacity, which includes the dependence on T_out.
 _MODULATION_SD = {"identity": 0.15, "heat": 0.05}
-# The network is kept where it predicts the held-out rows better than m = 1 by this many standard errors and by this
-# factor: with little data it may look better by chance, and what it then learns is the weather's surprises; behind a
-# heat capacity, which has taken the dependence on T_out, there is next to nothing left for it.
+# The network is kept if it predicts the held-out rows better than m = 1 by this many standard errors and this factor.
+# With little data it may be better by chance and fit weather errors.
 _SIGNIFICANT, _RELEVANT = 1.0, 0.98
-# L-BFGS: pairs of steps remembered; the gradient's largest element and the change of the loss at which it has arrived.
+# L-BFGS: history size; convergence tolerances of the gradient's largest element and of the change of the loss.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-8
 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """An regression ready for training: `features` are x_t (n, 4) of each of its runs, in the order of its drives."""
+    """Regression with its features x_t (n, 4) of each run, in the order of its drives, residual model and split."""
 
     regression: RegressionData
     features: tuple[Array, ...]
@@ -46,7 +45,7 @@ class TrainingData:
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """The operator, the whitened held-out residuals before (m = 1) and after training, and the loss of each epoch."""
+    """Trained operator, whitened held-out residuals (rows,) before (m = 1) and after training, and loss per epoch."""
 
     operator: OperatorParameters
     linear_residuals: Array
@@ -55,7 +54,7 @@ class TrainingResult:
 
     @property
     def linear_score(self) -> float:
-        """RMS of the held-out residuals with m = 1 (NaN where nothing was held out)."""
+        """RMS of the held-out residuals with m = 1 (NaN without held-out rows)."""
         return _rms(self.linear_residuals)
 
     @property
@@ -65,7 +64,7 @@ class TrainingResult:
 
     @property
     def improvement_in_standard_errors(self) -> float:
-        """Mean decrease of the squared held-out residuals over its standard error (NaN where there are too few)."""
+        """Mean decrease of the squared held-out residuals over its standard error (NaN with fewer than two rows)."""
         gain = self.linear_residuals**2 - self.residuals**2
         if gain.size < 2:
             return float("nan")
@@ -74,12 +73,12 @@ class TrainingResult:
 
     @property
     def worth_it(self) -> bool:
-        """Whether the network predicts the held-out rows clearly better than m = 1."""
+        """Whether the network improves the held-out rows by more than 1 standard error and 2 % in RMS."""
         return self.improvement_in_standard_errors > _SIGNIFICANT and self.score < _RELEVANT * self.linear_score
 
 
 class _Batch:
-    """All runs of all regressions as tensors, padded at the end with nothing happening."""
+    """All runs of all regressions as tensors, zero-padded at the end."""
 
     def __init__(self, regressions: Sequence[TrainingData]) -> None:
         runs = [(s, v, x) for e in regressions for (s, v), x in zip(e.regression.drives, e.features, strict=True)]
@@ -102,7 +101,7 @@ class _Batch:
         self.n_train = sum(int(item[5].numel()) for item in self.items)
 
     def whitened(self, operator: ForcedResponseOperator) -> tuple[Tensor, Tensor]:
-        """Whitened residuals of the rows trained on and of the rows judged by."""
+        """Return the whitened residuals of the training rows and of the held-out rows."""
         drive = operator.modulation(self.features) * self.heat
         response = causal_convolution(impulse_response(operator, self.n), drive, self.n_fft)
         response = torch.nn.functional.pad(response, (1, 0))
@@ -115,13 +114,13 @@ class _Batch:
 
 
 def impulse_response(operator: ForcedResponseOperator, n_steps: int) -> Tensor:
-    """Σ g_i a_i^k for k = 0 … n − 1, shape (n,), K."""
+    """Return the impulse response Σ g_i a_i^k for k = 0 … n − 1, shape (n,), K."""
     steps = torch.arange(n_steps, dtype=torch.float64)
     return (operator.gains[:, None] * operator.poles[:, None] ** steps).sum(0)
 
 
 def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
-    """Convolution of `drive` (..., n) with `kernel` (n,), first n values; `n_fft` at least 2n."""
+    """Return the first n values of the convolution of `drive` (..., n) with `kernel` (n,); `n_fft` at least 2n."""
     n = drive.shape[-1]
     product = torch.fft.rfft(drive, n_fft) * torch.fft.rfft(kernel, n_fft)
     return torch.fft.irfft(product, n_fft)[..., :n]
@@ -130,7 +129,7 @@ def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
 def train(
     start: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
 ) -> TrainingResult:
-    """Train for the configured number of epochs from the linear operator `start`."""
+    """Train from the linear operator `start` for at most the configured number of epochs."""
     modulation_sd = config.modulation_sd or _MODULATION_SD[start.heat_input.kind]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -155,7 +154,7 @@ def train(
 
 
 def minimise(loss: Callable[[], Tensor], parameters: list[Tensor], config: IdentificationConfig) -> list[float]:
-    """Minimise by the configured optimiser; the loss of each epoch (evaluation of loss and gradient)."""
+    """Minimise with the configured optimiser; return the loss of each epoch (evaluation of loss and gradient)."""
     losses: list[float] = []
 
     def closure() -> Tensor:
@@ -173,7 +172,7 @@ def minimise(loss: Callable[[], Tensor], parameters: list[Tensor], config: Ident
             optimiser.step()
             schedule.step()
         return losses
-    # The loss is smooth and the same at every call: curvature gets there in a fraction of the steps (Nocedal 1980).
+    # The loss is smooth and deterministic, so L-BFGS needs a fraction of the steps (Nocedal 1980).
     optimiser = torch.optim.LBFGS(
         parameters,
         max_iter=config.epochs,
@@ -192,7 +191,7 @@ def _rms(residual: Array) -> float:
 
 
 def network_penalty(operator: ForcedResponseOperator, modulation_sd: float) -> Tensor:
-    """Negative log prior of the weights: hidden ones of order one, the output so that m leaves 1 by `modulation_sd`."""
+    """Return the negative log prior of the weights: hidden ones sd 1, output such that m − 1 has `modulation_sd`."""
     hidden = sum((p**2).sum() for p in operator.hidden.parameters())
     if operator.gamma == 0.0:
         return torch.as_tensor(0.5 * hidden)
@@ -202,7 +201,7 @@ def network_penalty(operator: ForcedResponseOperator, modulation_sd: float) -> T
 
 
 def prior_penalty(operator: ForcedResponseOperator, priors: ModePriors) -> Tensor:
-    """Negative log prior of time constants and gains (up to a constant)."""
+    """Return the negative log prior of time constants and gains (up to a constant)."""
     poles, gains = operator.poles, operator.gains * operator.sign
     tau = -(operator.step_s / HOUR_S) / torch.log(poles)
     steady = gains / (1.0 - poles)
@@ -210,7 +209,7 @@ def prior_penalty(operator: ForcedResponseOperator, priors: ModePriors) -> Tenso
     mean, sd = (torch.tensor(value) for value in priors.gains_at(priors.log_tau))
     known = torch.cat([slope[None], steady[1:]])
     if priors.order > 1:
-        # What is known of the slowest mode is its rate G/τ, whatever its time constant.
+        # The prior of the slowest mode is on its rate G/τ, independent of its time constant.
         rate_mean, rate_sd = priors.slowest_rate
         known = torch.cat([known[:-1], (steady[-1] / tau[-1])[None]])
         mean = torch.cat([mean[:-1], torch.tensor([rate_mean], dtype=torch.float64)])

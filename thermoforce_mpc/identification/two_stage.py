@@ -1,9 +1,9 @@
-"""The paper's two-stage estimator (section 'Identification under feedback confounding').
+"""Two-stage estimator of the paper (section 'Identification under feedback confounding').
 
-First stage: while the actuator is off the dynamics are purely passive, so those steps give (a, c, d, e) of paper eq:arx
-by least squares under physical box constraints. Second stage: with these fixed, the residual of the steps with the
-actuator on is regressed on the drive, and the gain clipped to its physical sign. It is order 1 by nature; the joint
-estimator (`identification.joint`) is what knows about delay and drift.
+First stage: steps with the actuator off are passive and give (a, c, d, e) of paper eq:arx by least squares under
+physical box constraints. Second stage: with these fixed, the residual of the steps with the actuator on is regressed on
+the drive, and the gain clipped to its physical sign. The model is of order 1; the joint estimator
+(`identification.joint`) also models delay and drift.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
-# Steps needed in each stage before four and one numbers mean anything.
+# Least steps of each stage, for its four and one parameters.
 MIN_OFF_STEPS = 24
 MIN_ON_STEPS = 6
-# Units in which the four columns of the first stage are of one size.
+# Scaling of the first stage's four columns to equal size.
 SCALE = np.array([1.0, 1.0, 1e-3, 1.0])
-# Constant gains of a house, ground and people, K per hour (the box of e).
+# Bound of e, the constant gains from ground and people, K/h.
 _CONSTANT_K_PER_H = 3.0
 
 
 @dataclass(frozen=True)
 class TwoStageFit:
-    """Result: paper eq:arx with standard errors.
+    """Parameters of paper eq:arx with standard errors.
 
-    `a` 1, `c` K/K, `d` K per W/m², `e` K and `g` K per step of `step_s` s; `g_sd` of the second stage's regression,
-    `a_sd` of the first's; `n_off` and `n_on` steps used; `rmse_K` of the one-step residual over all steps.
+    `a` 1, `c` K/K, `d` K per W/m², `e` K and `g` K per step of `step_s` s; `a_sd` and `g_sd` are standard errors of the
+    first and second stage; `n_off` and `n_on` steps used; `rmse_K` of the one-step residual over all steps.
     """
 
     a: float
@@ -52,7 +52,7 @@ class TwoStageFit:
     heat_input: HeatInput
 
     def operator(self) -> OperatorParameters:
-        """The forced part, order 1 with m = 1."""
+        """Return the forced part, order 1 with m = 1."""
         return linear_operator(
             np.array([self.a]),
             np.array([self.g]),
@@ -62,7 +62,7 @@ class TwoStageFit:
         )
 
     def free_model(self) -> RcParameters:
-        """The free part, one mode (paper eq:free-evol)."""
+        """Return the free part, one mode (paper eq:free-evol)."""
         weights = np.zeros((1, len(INPUTS)))
         weights[0, :3] = self.c, self.d, self.e
         return RcParameters(
@@ -84,14 +84,14 @@ def fit_two_stage(
     """Estimate eq:arx from runs with one step.
 
     Args:
-        runs: recorded runs; steps whose ends were not both measured are left out.
-        actuator: v(u, T_out) that drives F; the identity is the paper's.
+        runs: recorded runs; steps without a measured temperature at both ends are omitted.
+        heat_input: v(u, T_out) that drives F; the paper uses the identity.
         sign: +1 heating, −1 cooling: the gain is clipped to it.
-        u_off: control up to which a step counts as off.
-        time_constant_h: box of the pole as time constants, h.
+        u_off: level up to which a step counts as off.
+        time_constant_h: bounds of the pole as time constants, h.
 
     Raises:
-        DataError: too few off or on steps, different step lengths; with numbers and advice.
+        DataError: too few off or on steps, or different step lengths; gives numbers and what to do.
     """
     steps = {run.step_s for run in runs}
     if len(steps) != 1:
@@ -103,7 +103,7 @@ def fit_two_stage(
     if off.sum() < MIN_OFF_STEPS or on.sum() < MIN_ON_STEPS:
         raise DataError(
             f"two-stage: {int(off.sum())} steps with the actuator off (u ≤ {u_off:g}; need {MIN_OFF_STEPS}) and "
-            f"{int(on.sum())} on (need {MIN_ON_STEPS}): record stretches of both, or use the joint estimator"
+            f"{int(on.sum())} on (need {MIN_ON_STEPS}): record periods of both, or use the joint estimator"
         )
 
     design = np.stack([-T[off], T_out[off], solar[off], np.ones(int(off.sum()))], axis=1)
@@ -137,14 +137,14 @@ def fit_two_stage(
 
 
 def first_stage_bounds(step_s: float, time_constant_h: tuple[float, float]) -> tuple[Array, Array]:
-    """Box of (1 − a, c, d, e): in T(t+1) − T(t) = c T_out + d I + e − (1 − a) T it is plain, 0 ≤ c ≤ 1 − a at most."""
+    """Return lower and upper bounds (4,) of (1 − a, c, d, e) in T(t+1) − T(t) = c T_out + d I + e − (1 − a) T."""
     low_loss, high_loss = (1.0 - np.exp(-step_s / HOUR_S / tau) for tau in reversed(time_constant_h))
     constant = _CONSTANT_K_PER_H * step_s / HOUR_S
     return np.array([low_loss, 0.0, 0.0, -constant]), np.array([high_loss, high_loss, np.inf, constant])
 
 
 def _columns(run: Record) -> tuple[Array, Array, Array, Array, Array]:
-    """T, its rise, and the mean weather of each step with both ends measured, with u."""
+    """Return T, its rise, mean T_out, mean solar and u of each step with both ends measured, (steps,) each."""
     T = run.T_zone_C
     kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
     T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))

@@ -1,4 +1,4 @@
-"""The paper's two stages as a thermal model, with paired training (eq:paired) where there are pairs."""
+"""Thermal model of the paper's two-stage estimator, with paired training (eq:paired) if there are pairs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# How far paired training may take pole and gain from where the two stages ended, relative.
+# Relative prior standard deviation of pole and gain around the two-stage fit in paired training.
 _TWO_STAGE_SD = 0.3
 
 
@@ -36,9 +36,9 @@ def two_stage_model(
     source: str,
     notes: Sequence[str],
 ) -> ThermalModel:
-    """The paper's estimator as a thermal model: order 1; with pairs, paired training (eq:paired) goes on from there."""
+    """Return the thermal model, order 1; with pairs, paired training (eq:paired) starts from the two-stage fit."""
     if not runs:
-        raise DataError("method two_stage starts from single runs, of which none were given; pairs alone: method joint")
+        raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
     fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
     step_s = step_s or fit.step_s
     operator = fit.operator()
@@ -65,7 +65,7 @@ def two_stage_model(
 def _train_on_pairs(
     fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[Record], config: IdentificationConfig
 ) -> tuple[OperatorParameters, dict[str, float]]:
-    """Pole, gain and modulation from pairs, starting from the two stages and held to them by priors of their size."""
+    """Train pole, gain and modulation on pairs, priors centred on the two-stage fit; return operator and scores."""
     first = fit.operator()
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
     start = JointFit(

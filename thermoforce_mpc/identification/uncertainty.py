@@ -1,4 +1,4 @@
-"""How sure the linear fit is of what matters: poles, gains and the answer to an action, with their correlation."""
+"""Posterior uncertainty of the linear fit: poles, gains and step response, including their correlation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import unit_responses
 
-# Hours after the start of a step of full actuation at which its answer is stored with its standard deviation.
+# Times after a step to full level at which the response and its standard deviation are stored, h.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
 # Step of derivatives with respect to ln τ and, relative, to gains.
 _DERIVATIVE_STEP = 1e-3
@@ -19,7 +19,7 @@ _DERIVATIVE_STEP = 1e-3
 
 @dataclass(frozen=True)
 class StepResponse:
-    """What full actuation held from hour 0 adds, `mean_K` and standard deviation `sd_K` (n,) K at `hours` (n,) h."""
+    """Step response to full level: mean `mean_K` and standard deviation `sd_K` (n,) K at `hours` (n,) h."""
 
     hours: Array
     mean_K: Array
@@ -27,7 +27,7 @@ class StepResponse:
 
 
 def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
-    """Step response of the linear fit (m = 1, v = 1) over `hours` h; its band is of first order in the errors."""
+    """Return the step response of the linear fit (m = 1, v = 1) over `hours` h; sd by first-order propagation."""
     n = max(1, round(hours * HOUR_S / step_s))
     r = fit.log_tau.size
 
@@ -43,9 +43,9 @@ def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
 
 
 def uncertainty(fit: JointFit, step_s: float) -> dict[str, float]:
-    """Estimates of the linear fit and their posterior standard deviations by name, poles and gains at `step_s`.
+    """Return estimates of the linear fit and their posterior standard deviations by name; poles and gains at `step_s`.
 
-    Under disturbances of about the size that was found, see `joint.calibrated`.
+    Disturbances are of about the size found by the fit, see `regression_data.likely_scale`.
     """
     r = fit.log_tau.size
     parameters = np.concatenate([fit.log_tau, fit.gains])
@@ -76,7 +76,7 @@ def uncertainty(fit: JointFit, step_s: float) -> dict[str, float]:
 
 
 def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
-    """Central differences, shape (outputs, parameters)."""
+    """Return the Jacobian by central differences, shape (outputs, parameters)."""
     columns = []
     for i in range(at.size):
         step = np.zeros(at.size)

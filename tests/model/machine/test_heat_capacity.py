@@ -119,7 +119,7 @@ def _run(u):
 def test_the_note_says_that_full_was_never_seen_and_the_kind_can_be_given():
     u = _levels(1, (0, 0.2, 0.4, 0.6))
     _, notes = identified_heat_input([_run(u)], IdentificationConfig(), 1)
-    assert any("full heat was never seen" in note and "0.6" in note for note in notes)
+    assert any("heat at full level is extrapolated" in note and "0.6" in note for note in notes)
     full = _levels(1, (0, 0.2, 0.4, 1.0))
     chosen = IdentificationConfig(machine="direct")
     _, notes = identified_heat_input([_run(full)], chosen, 1)

@@ -1,1 +1,1 @@
-"""Probing a building: which levels, when, and the closed run that applies them."""
+"""Probing of a building: design of the excitation and the closed-loop run that applies it."""

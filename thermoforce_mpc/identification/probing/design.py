@@ -1,10 +1,9 @@
-"""Choosing what to probe with: the candidate from which most can be learned (D-optimal, Fedorov 1972).
+"""Design of the excitation: choice of the most informative candidate (D-optimal, Fedorov 1972).
 
-What is to be learned are the time constants and gains of the forced response; what the weather, drift and the state
-before the record add is unknown too and integrated out, exactly as the joint estimator does it afterwards. With the
-sensitivities S of the temperature to the parameters, that covariance C and the parameters' prior covariance P, a
-candidate is worth log det(I + P^½ Sᵀ C⁻¹ S P^½), over the record so far and the hours it would add: twice the
-information gained, in nats. All of it is computed from priors, so no data of the building are needed.
+The parameters are time constants and gains of the forced response; weather response, drift and initial state are
+marginalised, as in the joint estimator. With the sensitivities S of the temperature to the parameters, the covariance C
+of the rest and the parameters' prior covariance P, the criterion is log det(I + P^½ Sᵀ C⁻¹ S P^½) over the record so
+far and the hours the candidate adds: twice the information gain, in nats. It needs priors only, no building data.
 """
 
 from __future__ import annotations
@@ -24,27 +23,27 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 # Step of the derivative with respect to ln τ.
 _STEP = 0.02
-# Share of full actuation that holds a house at its temperature, until the record tells.
+# Assumed mean level that holds the zone temperature, until the record is long enough.
 _HOLDING_SHARE = 0.3
-# Steps of the record from which its own mean action is that share.
+# Record length, steps, from which its mean level is used instead.
 _KNOWN_FROM = 48
-# Rows that are compared: hourly, as the answer to an action takes hours.
+# Distance of the rows, h: the response to an action takes hours.
 _ROW_H = 1.0
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A way to go on: holding times to draw from, and the seed of the draws."""
+    """Candidate excitation: law of the draws, and their seed."""
 
     law: Law
     seed: tuple[int, ...]
 
 
 class Designer:
-    """Values candidates for one building before and while it is probed.
+    """Evaluates candidate excitations by their information gain.
 
     Args:
-        config: the identification that will use the record; its priors and disturbances.
+        config: options of the identification that will use the record; gives priors and disturbances.
     """
 
     def __init__(self, config: IdentificationConfig | None = None) -> None:
@@ -62,13 +61,13 @@ class Designer:
         centre_C: float,
         sign: float,
     ) -> tuple[Candidate, Array]:
-        """The best candidate for the hours of `ahead`, and what each is worth.
+        """Return the best candidate for the hours of `ahead`, and the criterion of all.
 
         Args:
             history: the record so far, one instant or more.
             ahead: weather of the next hours, at the step of the record.
-            excitation: where the drawing stands.
-            candidates: what to choose from.
+            excitation: current state of the excitation.
+            candidates: candidates to choose from.
             centre_C: centre of the excursions, °C.
             sign: +1 heating, −1 cooling.
 
@@ -95,16 +94,16 @@ class Designer:
         return candidates[int(np.argmax(worth))], np.array(worth)
 
     def information(self, history: Record) -> float:
-        """The criterion of a record, nats."""
+        """Return the criterion of a record, nats."""
         whitener, rows = self._whitener(history, history.step_s)
         return self._criterion(history.u, history.step_s, whitener, rows)
 
     def _whitener(self, history: Record, step_s: float) -> tuple[Array, Array]:
-        """Lower Cholesky factor of C over hourly rows, and those rows; C does not depend on what is done."""
+        """Return the lower Cholesky factor of C over hourly rows, and those rows; C does not depend on the levels."""
         stride = max(1, round(_ROW_H * HOUR_S / step_s))
         time_s, T_out, solar = (getattr(history, k)[::stride] for k in ("time_s", "T_out_C", "solar_W_m2"))
         nothing = np.zeros(time_s.size - 1)
-        # Every temperature is planned to be measured.
+        # All temperatures are assumed to be measured.
         hourly = Record(time_s, np.zeros(time_s.size), T_out, solar, nothing, nothing, nothing)
         rest = residuals(run_regression(hourly, IDENTITY, self._config), self._priors.log_tau)
         return cholesky(rest.covariance, lower=True), np.arange(time_s.size) * stride
@@ -114,7 +113,7 @@ class Designer:
         return float(np.linalg.slogdet(np.eye(sensitivities.shape[1]) + sensitivities.T @ sensitivities)[1])
 
     def _sensitivities(self, u: Array, step_s: float) -> Array:
-        """dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
+        """Return dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
         p: ModePriors = self._priors
         sd = p.gains_at(p.log_tau)[1]
         gains = unit_responses(p.log_tau, step_s, u) * sd
@@ -122,7 +121,7 @@ class Designer:
         for i in range(p.order):
             shift = np.zeros(p.order)
             shift[i] = _STEP
-            # The rate of the slowest mode is what is known, so its gain goes with its time constant.
+            # The prior is on the rate of the slowest mode, so its gain scales with its time constant.
             up, down = (
                 unit_responses(p.log_tau + d, step_s, u) @ p.gains_at(p.log_tau + d)[0] for d in (shift, -shift)
             )
@@ -130,7 +129,7 @@ class Designer:
         return np.concatenate([gains, np.stack(slower, axis=1)], axis=1)
 
     def _imagined(self, excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
-        """Levels that an excitation would come to, were the building its prior and the weather to hold, shape (n,)."""
+        """Return the levels of an excitation simulated on the prior mean with constant weather, shape (n,)."""
         p = self._priors
         unit = unit_responses(p.log_tau, step_s, np.eye(1, n)[0]) @ p.gains_at(p.log_tau)[0]
         levels, rise = np.zeros(n), np.zeros(n + 1)

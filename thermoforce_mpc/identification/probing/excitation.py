@@ -1,4 +1,4 @@
-"""The law by which levels are drawn while probing: random, held for random times, leaning against the temperature."""
+"""Random excitation for probing: random levels held for random times, biased to keep the temperature in its band."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Share of time that a draw is on (off) however far the temperature is to one side of the centre, inside the limits.
+# Least probability of on (and of off) inside the temperature limits.
 _LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Law:
-    """How levels are drawn. Fields as in `ProbingConfig`; `hold_steps` are the holding times to draw from."""
+    """Parameters of the draws. Fields as in `ProbingConfig`; `hold_steps` are the holding times to draw from."""
 
     levels: tuple[float, ...]
     hold_steps: tuple[int, ...]
@@ -23,9 +23,9 @@ class Law:
 
 @dataclass
 class Excitation:
-    """Draws one level after another; equal seeds and temperatures give equal levels.
+    """Generator of levels; equal seeds and temperatures give equal levels.
 
-    `level` is held for `left` more steps; both are handed on from one excitation to the next by `resumed`.
+    `level` is held for `left` more steps; `resumed` passes both on to the next excitation.
     """
 
     law: Law
@@ -34,9 +34,9 @@ class Excitation:
     left: int = field(default=0)
 
     def next(self, need_K: float) -> float:
-        """Level of the next step, where the zone is `need_K` K on the side that needs the machine (negative: not).
+        """Return the level of the next step; `need_K` is centre − T for heating, T − centre for cooling, K.
 
-        Beyond the limits comfort decides: on at the highest level, or off.
+        Beyond `below_K` the level is the highest, beyond `above_K` on the other side it is 0.
         """
         law = self.law
         if need_K > law.below_K:
@@ -51,5 +51,5 @@ class Excitation:
         return self.level
 
     def resumed(self, law: Law, seed: tuple[int, ...]) -> Excitation:
-        """Another law and seed from where this one is."""
+        """Return an excitation with another law and seed that continues the current level."""
         return Excitation(law, np.random.default_rng(seed), self.level, self.left)

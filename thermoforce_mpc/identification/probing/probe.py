@@ -1,9 +1,9 @@
-"""Probing: days of comfortable actuation from which an operator can be identified.
+"""Probing: days of excitation within comfort limits, from which an operator can be identified.
 
-Levels are drawn at random and held for random times, from a quarter of an hour to four hours, so that fast and slow
-parts of the response are both excited; what is drawn leans against the temperature, so that the zone stays near its
-comfort band whatever the weather (paper sec:identification: one to three probe days). Every few hours the draws are
-chosen among seeded candidates for what can be learned from them (`identification.design`).
+Levels are drawn at random and held for random times, 15 min to 4 h, to excite fast and slow parts of the response. The
+draws depend on the temperature, so that the zone stays near its comfort band (paper sec:identification: one to three
+probe days). Every `block_h` hours the most informative of several seeded candidates is chosen
+(`identification.probing.design`).
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from thermoforce_mpc.identification.probing.excitation import Excitation, Law
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# How far ahead the band is looked at: the zone must be able to meet the occupied bounds again.
+# Horizon over which the tightest comfort bound is taken, so that the zone can meet the occupied bounds.
 _BAND_AHEAD_S = DAY_S
 
 
 class ProbingConfig(StrictModel):
-    """How a building is probed."""
+    """Options of the probing."""
 
     step_s: float = Field(900.0, ge=60, le=3600, description="step of the record, s")
-    levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels drawn from, in [0, 1], off first")
-    hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="steps a level is held, drawn from")
-    lean_per_K: float = Field(0.35, gt=0, description="how strongly the draw leans against the temperature, 1/K")
-    above_lower_K: float = Field(0.5, description="centre of the excursions above the tightest lower bound ahead, K")
-    below_K: float = Field(1.5, gt=0, description="how far below that centre the machine is switched on, K")
-    above_K: float = Field(1.5, gt=0, description="how far above it the machine is switched off, K")
+    levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels to draw from, in [0, 1], off first")
+    hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="holding times to draw from, steps")
+    lean_per_K: float = Field(0.35, gt=0, description="change of the probability of on per K from the centre, 1/K")
+    above_lower_K: float = Field(0.5, description="centre of the excursions inside the tightest bound ahead, K")
+    below_K: float = Field(1.5, gt=0, description="distance below the centre at which the machine is on, K")
+    above_K: float = Field(1.5, gt=0, description="distance above the centre at which it is off, K")
     design: Literal["informative", "random"] = Field(
-        "informative", description="choose the draws that tell most, or take the first that come"
+        "informative", description="informative: choose the most informative draws; random: take the first"
     )
-    candidates: int = Field(32, ge=2, le=1000, description="candidates to choose from")
-    block_h: float = Field(12.0, gt=0, le=48, description="how long a choice is followed, h")
+    candidates: int = Field(32, ge=2, le=1000, description="number of candidates")
+    block_h: float = Field(12.0, gt=0, le=48, description="time between two choices, h")
     warmup_days: float = Field(5.0, ge=0, le=14, description="native control before the first probing day, days")
 
     @model_validator(mode="after")
@@ -47,7 +47,7 @@ class ProbingConfig(StrictModel):
         if not all(0.0 <= level <= 1.0 for level in self.levels):
             raise ValueError(f"levels must lie in [0, 1], got {self.levels}")
         if self.levels[0] != 0.0 or len(set(self.levels)) < 2:
-            raise ValueError(f"levels must start with 0 and hold another level, got {self.levels}")
+            raise ValueError(f"levels must start with 0 and include another level, got {self.levels}")
         if min(self.hold_steps) < 1:
             raise ValueError(f"hold_steps must be positive, got {self.hold_steps}")
         return self
@@ -64,14 +64,14 @@ def probe(
     identification: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
 ) -> Record:
-    """Probe `plant` for `days` from `start_s`, after native warm-up; the plant is reset for it.
+    """Probe `plant` for `days` from `start_s`, after a reset with native warm-up.
 
     Args:
-        seed: of the draws; the same seed on the same plant gives the same record.
-        mode: 'heating' or 'cooling': which way the machine moves the zone.
-        config: how hard to probe.
-        identification: what will be done with the record; its priors say what is worth knowing.
-        on_step: called with the share done after every step.
+        seed: seed of the draws; the same seed on the same plant gives the same record.
+        mode: 'heating' or 'cooling'.
+        config: options of the probing.
+        identification: options of the identification that will use the record; its priors define the information gain.
+        on_step: called after every step with the completed fraction.
 
     Returns:
         The record at `config.step_s`, without the warm-up.
@@ -95,7 +95,7 @@ def probe(
             candidates = _candidates(c, seed, done)
             chosen, _ = designer.choose(history, ahead, excitation, candidates, centre_C=centre, sign=sign)
             excitation = excitation.resumed(chosen.law, chosen.seed)
-        # Positive when the zone is on the side that needs the machine.
+        # Positive if the zone is too cold (heating) or too warm (cooling).
         level = excitation.next(sign * (centre - measurement.T_zone_C))
         measurement = plant.advance(level, c.step_s)
         history = history.extended(measurement)
@@ -109,7 +109,7 @@ def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:
 
 
 def _candidates(c: ProbingConfig, seed: int, done: int) -> list[Candidate]:
-    """Draws with all holding times, with the shorter and with the longer half of them, in turn."""
+    """Return candidates with, in turn, all holding times, the shorter half and the longer half of them."""
     holds = sorted(c.hold_steps)
     middle = max(1, len(holds) // 2)
     kinds = (tuple(holds), tuple(holds[:middle]), tuple(holds[-middle:]))
@@ -117,7 +117,7 @@ def _candidates(c: ProbingConfig, seed: int, done: int) -> list[Candidate]:
 
 
 def _centre_C(ahead: Boundary, mode: str, offset_K: float) -> float:
-    """Where excursions are centred: inside the tightest bound of the next day, on the side the machine works on."""
+    """Return the centre of the excursions, °C: `offset_K` inside the tightest bound of `ahead`, lower for heating."""
     if mode == "heating":
         return float(ahead.lower_C.max()) + offset_K
     return float(ahead.upper_C.min()) - offset_K
