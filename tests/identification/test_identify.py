@@ -202,8 +202,11 @@ def _with_gaps(signal: str, *places: slice) -> Record:
 @pytest.mark.parametrize(
     ("history", "said"),
     [
-        (_with_gaps("T_out_C", slice(50, 51), slice(200, 220)), "run: bridged T_out_C: 21 values by a straight line"),
-        (_with_gaps("solar_W_m2", slice(100, 120)), "run: bridged solar_W_m2: 20 values by a straight line"),
+        (
+            _with_gaps("T_out_C", slice(50, 51), slice(200, 220)),
+            "run: bridged T_out_C: 21 values by linear interpolation",
+        ),
+        (_with_gaps("solar_W_m2", slice(100, 120)), "run: bridged solar_W_m2: 20 values by linear interpolation"),
         (_with_gaps("T_out_C", slice(150, 200)), "run: gaps in u or in the weather divide it into 2 pieces"),
         (_with_gaps("u", slice(20, 21), slice(180, 190)), r"run: left out: run, 20 steps between gaps: 0\.21 days"),
     ],
@@ -317,7 +320,7 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
 
     monkeypatch.setattr(training, "train", steep)
     config = IdentificationConfig(order=1, feedback=True, epochs=2)
-    with pytest.raises(DataError, match=r"not certified: the modulation sees .* per K"):
+    with pytest.raises(DataError, match=r"not certified: the modulation depends on .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)
 
 

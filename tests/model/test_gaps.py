@@ -54,7 +54,7 @@ def test_a_short_gap_is_a_straight_line(step_h, hours):
     known = np.flatnonzero(~at)
     np.testing.assert_allclose(found.T_out_C, np.interp(holed.time_s, holed.time_s[known], holed.T_out_C[known]))
     np.testing.assert_array_equal(found.T_out_C[~at], holed.T_out_C[~at])
-    assert note == f"bridged T_out_C: {at.sum()} {'value' if at.sum() == 1 else 'values'} by a straight line"
+    assert note == f"bridged T_out_C: {at.sum()} {'value' if at.sum() == 1 else 'values'} by linear interpolation"
 
 
 @pytest.mark.parametrize("hole", [(30, 40), (30, 80), (0, 12), (60, 97)], ids=["within", "days", "first", "till now"])

@@ -80,7 +80,7 @@ def test_one_missing_sample_of_the_weather_costs_at_most_one_plan(run, clean, si
     result = run({12: reads(**{signal: NAN})})
     assert result.fallback_levels()["solved"] >= len(result.steps) - 1
     assert about_as_good(result, clean)
-    assert f"bridged {signal}: 1 value by a straight line" in result.steps[13].plan.why
+    assert f"bridged {signal}: 1 value by linear interpolation" in result.steps[13].plan.why
     assert f"{signal} was not measured" in result.steps[11].notes[0]
 
 

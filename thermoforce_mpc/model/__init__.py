@@ -1,1 +1,1 @@
-"""The thermal model of a building: operator, machine, free response, and their sum."""
+"""Thermal model of a building: operator, machine models and free responses."""

@@ -1,4 +1,4 @@
-"""The card of a model: where it comes from and what it has seen."""
+"""Model card: source, training data and quality of a model."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class ModelCard:
-    """Where a model comes from and what it has seen; everything here is plain JSON.
+    """Source, data and quality of a model, in JSON types.
 
-    `data` maps the name of each record to its sha256, `ranges` a signal to the (low, high) it was identified on,
-    `scores` and `uncertainty` hold numbers by name, `config` the configuration of the identification.
+    `data` maps the name of each record to its SHA-256, `ranges` each signal to the (low, high) of the identification
+    data, `scores` and `uncertainty` hold numbers by name, `config` is the configuration of the identification.
     """
 
     source: str = "given"

@@ -1,4 +1,4 @@
-"""A thermal model as plain values and arrays, and back: what its file holds."""
+"""Conversion of a thermal model to and from JSON values and arrays, the content of its file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FREE_ARRAYS = ("poles", "weights", "process_sd_K")
 def encode(
     operator: OperatorParameters, power: PowerModel | None, free: RcParameters | None, card: ModelCard
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The parts of a thermal model as values for a JSON document, and its arrays by name."""
+    """Return the parts of a thermal model as values of a JSON document, and its arrays by name."""
     arrays = {f"operator.{name}": getattr(operator, name) for name in _OPERATOR_ARRAYS}
     if free is not None:
         arrays |= {f"free.{name}": getattr(free, name) for name in _FREE_ARRAYS}
@@ -58,7 +58,7 @@ def encode(
 def decode(
     content: Mapping[str, Any], arrays: Mapping[str, Array]
 ) -> tuple[OperatorParameters, PowerModel | None, RcParameters | None, ModelCard]:
-    """The parts of a thermal model from what `encode` gave, once written and read.
+    """Return the parts of a thermal model from the values and arrays of `encode`, after writing and reading.
 
     Raises:
         KeyError, TypeError, ValueError, AttributeError, DataError: the content was damaged or edited.

@@ -1,4 +1,4 @@
-"""What past heat still adds: the forced state rolled out over a history (paper, below eq:arx)."""
+"""Forced state over a past record: the remaining effect of past heat (paper, below eq:arx)."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 InitialForce = Literal["steady", "zero"]
 
-# Fixed-point rounds for the starting force: the modulation moves it by percents, so a handful settles it.
+# Fixed-point iterations for the initial forced state; the modulation changes it by a few percent only.
 _START_ROUNDS = 5
 
 
 def forced_history(operator: OperatorParameters, history: Record, *, initial_force: InitialForce = "steady") -> Array:
-    """Forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
+    """Return the forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
 
-    The free temperature that the modulation sees is T − F as it unfolds; a silent sensor's last value holds. Where the
-    operator is driven by heat and the heat was measured, the measured heat drives it: it is what entered the building,
-    whoever was in control.
+    The modulation uses T − F of the rollout; a missing temperature is held at its last value. If the operator is driven
+    by heat, measured heat is used instead of the map of u, under native control too.
 
     Raises:
-        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
+        DataError: the weather has gaps, u has gaps without measured heat, or u is outside [0, 1]; says where.
     """
     n = history.n_steps
     if n == 0:
@@ -38,7 +37,7 @@ def forced_history(operator: OperatorParameters, history: Record, *, initial_for
     features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
     forced = np.empty((n + 1, operator.order))
     forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
-    if not operator.output_weight.any():  # the modulation sees nothing: all steps at once
+    if not operator.output_weight.any():  # constant modulation: all steps at once
         drive = operator.modulation(features[0]) * heat
         for i, (a, g) in enumerate(zip(operator.poles, operator.gains, strict=True)):
             forced[1:, i] = lfilter([g], [1.0, -a], drive, zi=[a * forced[0, i]])[0]
@@ -50,16 +49,16 @@ def forced_history(operator: OperatorParameters, history: Record, *, initial_for
 
 
 def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: int) -> Array:
-    """v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,): from measured heat where there is any.
+    """Return v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,), from measured heat if available.
 
     Raises:
-        DataError: the weather has gaps, u has where no heat was measured, or u leaves [0, 1]; the message says where.
+        DataError: the weather has gaps, u has gaps without measured heat, or u is outside [0, 1]; says where.
     """
     steps = slice(start, stop)
     heat_W, u = history.heat_W[steps], history.u[steps]
     T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
     measured = np.isfinite(heat_W) & (operator.heat_input.heat is not None)
-    u = np.where(measured & ~np.isfinite(u), 0.0, u)  # not needed there
+    u = np.where(measured & ~np.isfinite(u), 0.0, u)  # u is not used there
     for name, values in (("u", u), ("T_out_C", T_out), ("solar_W_m2", solar)):
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
@@ -67,7 +66,7 @@ def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: 
                 f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
                 "bridge it first (thermoforce_mpc.model.gaps)"
             )
-    # Averaging blocks of full level over a step rounds to a hair beyond 1.
+    # Means over a step can exceed 1 by rounding.
     outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
     if outside.size:
         raise DataError(f"history: u is {u[outside[0]]:g} at step {start + outside[0]}, expected values in [0, 1]")
@@ -76,7 +75,7 @@ def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: 
 
 
 def _steady_start(operator: OperatorParameters, heat: Array, features: Array) -> Array:
-    """Forced state that the first day's mean drive would hold for ever, shape (r,), K."""
+    """Return the steady forced state under the first day's mean drive, shape (r,), K."""
     day = max(1, min(heat.size, round(DAY_S / operator.step_s)))
     heat, features = heat[:day], features[:day].copy()
     T_zone = features[:, 0].copy()
@@ -88,7 +87,7 @@ def _steady_start(operator: OperatorParameters, heat: Array, features: Array) ->
 
 
 def _held(values: Array) -> Array:
-    """`values` with each gap filled by the last finite value before it (the first one after, at the start)."""
+    """Return `values` with each gap filled by the last finite value (at the start, by the first)."""
     finite = np.isfinite(values)
     if not finite.any():
         return np.zeros_like(values)

@@ -1,11 +1,10 @@
-"""The forced state as time goes on: what past heat still adds, corrected by what the measurements say.
+"""Estimator of the forced state F during a run, optionally corrected by the measured temperature.
 
-Predicted by the operator (paper, below eq:arx) from the heat that was given; the rest of the temperature is the free
-response, so heat is counted once, whatever the state is: T = F + (T − F). An error of F is an error of that split. The
-frozen forecaster said one step ago where the free part would be, and how surely; the operator is about as sure of the
-heat's effect as of its gain. A Kalman filter (Kalman 1960) divides the surprise between the two. Without it all of the
-surprise goes to the free part, which acts as an output disturbance; either way a constant error of the model leaves no
-lasting offset, because the free forecast starts from the last T − F.
+The operator predicts F from the delivered heat (paper, below eq:arx); the rest of the temperature is the free response,
+T = F + (T − F), so heat is counted once for any F. With correction, a Kalman filter (Kalman 1960) divides the one-step
+prediction residual between the free part, with the quantiles of its last forecast, and F, with the uncertainty of the
+gain. Without correction the whole residual goes to the free part, an output disturbance. In both cases a constant model
+error leaves no lasting offset, because the free forecast starts from the last T − F.
 """
 
 from __future__ import annotations
@@ -22,28 +21,28 @@ from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# A forecast is never surer than a sensor, K.
+# Lower limit of the forecast's standard deviation, K: that of a sensor.
 _LEAST_SD_K = 0.01
 # Width of the 80 % interval of a normal distribution in standard deviations.
 _SD_PER_80_PERCENT = 2.563
 
 
 class EstimatorConfig(StrictModel):
-    """How the forced state is estimated."""
+    """Options of the forced-state estimator."""
 
-    correct: bool = Field(False, description="divide each surprise between free and forced part (Kalman filter)")
+    correct: bool = Field(False, description="divide each residual between free and forced part (Kalman filter)")
     heat_error: float = Field(
-        0.15, gt=0, le=1, description="standard deviation of the effect of a step's heat, as a share of it"
+        0.15, gt=0, le=1, description="relative standard deviation of the effect of a step's heat"
     )
 
 
 @dataclass(frozen=True)
 class ForcedState:
-    """What is known of the forced state of one run so far.
+    """Estimated forced state of a run so far.
 
-    `time_s` (n + 1,) are the boundaries of the history taken in, `forced_K` (n + 1, r) the forced state of each mode
-    there, K. `covariance` (r, r) K² is that of the last of them. `expected` is the free response that was forecast for
-    one boundary to come: its time s, median °C and standard deviation K.
+    `time_s` (n + 1,): boundaries of the processed history. `forced_K` (n + 1, r): forced state of each mode there.
+    `covariance` (r, r) K²: that of the last one. `expected`: free response forecast for a later boundary, as time s,
+    median °C and standard deviation K.
     """
 
     time_s: Array
@@ -57,14 +56,14 @@ class ForcedState:
 
 
 class ForcedStateEstimator:
-    """Follows runs step by step: from the state of a run and its history so far to its state now.
+    """Recursive estimator of the forced state.
 
-    Only what is new since the state is computed; without a state the whole history is rolled out.
+    Only steps since the given state are computed; without a state the whole history is rolled out.
 
     Args:
-        operator: at any step length.
-        initial_force: how F starts, see `Predictor`.
-        config: whether surprises correct F.
+        operator: operator at any step length.
+        initial_force: initial value of F, see `Predictor`.
+        config: whether residuals correct F.
     """
 
     def __init__(
@@ -77,7 +76,7 @@ class ForcedStateEstimator:
         self.config = config or EstimatorConfig()
 
     def update(self, state: ForcedState | None, history: Record) -> ForcedState:
-        """The state after all of `history`; one that does not continue `state` is rolled out from its beginning.
+        """Return the state after all of `history`; a history that does not continue `state` is rolled out anew.
 
         Raises:
             DataError: see `forced_history`.
@@ -87,7 +86,7 @@ class ForcedStateEstimator:
             state is None
             or known > history.time_s.size
             or not np.array_equal(history.time_s[:known], state.time_s)
-            or (known == 1 and history.n_steps)  # the first day sets the start, and only its first instant was known
+            or (known == 1 and history.n_steps)  # F starts from the first day, not yet known
         ):
             forced = forced_history(self._operator, history, initial_force=self._initial_force)
             return ForcedState(history.time_s, forced, np.zeros((self._operator.order, self._operator.order)))
@@ -101,7 +100,7 @@ class ForcedStateEstimator:
         return ForcedState(history.time_s, np.vstack([state.forced_K, *rows[1:]]), covariance, state.expected)
 
     def expect(self, state: ForcedState, time_s: float, free: FreeForecast) -> ForcedState:
-        """`state` with the free response that was forecast for the boundary at `time_s`, the first of `free`."""
+        """Return `state` with the free response forecast for the boundary at `time_s`, the first of `free`."""
         spread = float(free.quantile_C(0.9)[0] - free.quantile_C(0.1)[0])
         return replace(state, expected=(time_s, float(free.median_C[0]), max(spread / _SD_PER_80_PERCENT, _LEAST_SD_K)))
 
@@ -114,7 +113,7 @@ class ForcedStateEstimator:
         covariance: Array,
         expected: tuple[float, float, float] | None,
     ) -> tuple[Array, Array]:
-        """Forced state (r,) and its covariance (r, r) after step `t` of `history`, from those `before` it."""
+        """Return forced state (r,) and covariance (r, r) after step `t` of `history`, from those before it."""
         heat = heat_drive(operator, history, t, t + 1)
         T_zone = history.T_zone_C[: t + 1]
         T_zone = T_zone[np.isfinite(T_zone)]
@@ -126,7 +125,7 @@ class ForcedStateEstimator:
         forced = operator.poles * before + added
         if not self.config.correct:
             return np.asarray(forced), covariance
-        # The gain is wrong for all modes alike, so their errors go together.
+        # The gain error is common to all modes, so their errors are fully correlated.
         error = self.config.heat_error * added
         covariance = np.outer(operator.poles, operator.poles) * covariance + np.outer(error, error)
         T_now = float(history.T_zone_C[t + 1])

@@ -1,14 +1,14 @@
-"""Gaps in the measured past, bridged where a number is needed; the history itself keeps them as NaN.
+"""Filling of gaps in the measured past for computations that need numbers; the record itself keeps NaN.
 
-| signal | what stands in the gap |
+| signal | filled with |
 |---|---|
-| weather, up to 6 h between two readings | a straight line; towards now, to what the forecast says for now |
+| weather, up to 6 h between two readings | linear interpolation; up to now, towards the forecast for now |
 | weather, longer | the reading of the same hour of the nearest day; without one, the nearest reading |
-| u | the mean level of the half days on either side, or of all that is known; off where nothing is |
-| zone temperature, heat, power, return water | nothing: NaN has a meaning of its own to whoever reads them |
+| u | the mean level over 12 h on either side, or of all known levels; 0 if none is known |
+| zone temperature, heat, power, return water | not filled: their users handle NaN |
 
-Where heat was measured and the operator is driven by heat, the level is not needed (`heat_drive`). A closed loop puts
-what it applied where the plant does not report u, so that gaps in u are those of times before.
+If heat was measured and the operator is driven by heat, the level is not needed (`heat_drive`). The closed loop stores
+its own level if the plant does not report u, so gaps in u occur only before a run.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ WEATHER = ("T_out_C", "solar_W_m2")
 
 
 def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str]:
-    """`history` with numbers for all its weather and levels, and in words what was put where; '' where nothing was.
+    """Return `history` with all gaps in weather and levels filled, and a note on the filling ('' without gaps).
 
     Args:
-        history: NaN where something was not measured.
-        ahead: the forecast from now on, which knows the weather at the end of the history.
+        history: record with NaN for missing values.
+        ahead: forecast from now on, used for the weather at the end of the history.
 
     Raises:
-        DataError: a signal of the weather was never measured, and `ahead` does not know it either.
+        DataError: a weather signal has no value in `history` nor in `ahead`.
     """
     filled: dict[str, Array] = {}
     notes: list[str] = []
@@ -49,7 +49,7 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
 
 
 def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
-    """Which instants of the weather signal `name` lie in a gap that no straight line bridges, shape (n + 1,)."""
+    """Return which instants of the weather signal `name` lie in a gap longer than 6 h, shape (n + 1,)."""
     time_s, values = history.time_s, getattr(history, name)
     known = np.isfinite(values)
     if not known.any():
@@ -58,7 +58,7 @@ def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
 
 
 def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array, str]:
-    """The signal without gaps, shape (n + 1,), and what was done in words."""
+    """Return the signal without gaps, shape (n + 1,), and a note."""
     time_s, values = history.time_s, getattr(history, name)
     missing = ~np.isfinite(values)
     at_s, known = time_s[~missing], values[~missing]
@@ -69,7 +69,7 @@ def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array,
         raise DataError(f"history: {name} was never measured and no forecast of it is given; check the sensor")
     line = np.interp(time_s, at_s, known)
     long = missing & (_gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
-    note = f"{name}: {_count(missing)} by a straight line"
+    note = f"{name}: {_count(missing)} by linear interpolation"
     if long.any():
         note = f"{name}: {_count(missing)}, {long.sum()} of them from the same hour of the nearest day"
         line[long] = _same_hour(time_s[long], at_s, known, line[long], 0.5 * history.step_s)
@@ -77,14 +77,14 @@ def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array,
 
 
 def _gap_s(time_s: Array, known_s: Array) -> Array:
-    """Time between the known instants (k,) on either side of each of `time_s` (n,); at an open end, to its far end."""
+    """Return the gap length at each of `time_s` (n,), s, between the known instants (k,) or the ends of the data."""
     after = np.searchsorted(known_s, time_s)
     ends = np.concatenate([[min(time_s[0], known_s[0])], known_s, [max(time_s[-1], known_s[-1])]])
     return np.asarray(ends[after + 1] - ends[after])
 
 
 def _same_hour(time_s: Array, known_s: Array, known: Array, otherwise: Array, within_s: float) -> Array:
-    """For each of `time_s` (n,) what was known (k,) a whole number of days away, the nearest first, the past first."""
+    """Return for each of `time_s` (n,) the known value (k,) a whole number of days away: nearest day, past first."""
     found = np.full(time_s.size, np.nan)
     days = int(np.ceil((max(known_s[-1], time_s[-1]) - min(known_s[0], time_s[0])) / DAY_S)) + 1
     for day in range(1, days + 1):
@@ -99,7 +99,7 @@ def _same_hour(time_s: Array, known_s: Array, known: Array, otherwise: Array, wi
 
 
 def _levels(u: Array, step_s: float) -> Array:
-    """`u` (n,) with each unknown level the mean of those around it, of all, or off."""
+    """Return `u` (n,) with unknown levels replaced by the mean of those around, else of all, else 0."""
     known = np.isfinite(u)
     reach = max(1, round(LEVELS_AROUND_H * HOUR_S / step_s))
     total = np.concatenate([[0.0], np.cumsum(np.where(known, u, 0.0))])

@@ -1,7 +1,7 @@
-"""The file of a model: one folder, `model.json` and `arrays.safetensors`. Never pickle.
+"""File format of a model: a folder with `model.json` and `arrays.safetensors`, without pickle.
 
-The JSON carries the format's name and version and the sha256 of the arrays. A folder is written aside and then moved in
-place, so that it is either complete or absent.
+The JSON contains the format's name and version and the SHA-256 of the arrays. A folder is written to a temporary place
+and then moved, so that it is either complete or absent.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ ARRAYS_NAME = "arrays.safetensors"
 
 
 def check_target(folder: Path, *, overwrite: bool) -> None:
-    """Refuse a folder that must not be written to.
+    """Check that a model may be written to `folder`.
 
     Raises:
-        ArtifactError: `folder` exists, unless `overwrite` and it holds a model.
+        ArtifactError: `folder` exists, unless `overwrite` is set and it contains a model.
     """
     if not folder.exists():
         return
@@ -47,10 +47,10 @@ def check_target(folder: Path, *, overwrite: bool) -> None:
 
 
 def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-    """Write `content`, plain values and numpy numbers, and `arrays` to `folder`; the same gives the same bytes.
+    """Write `content` (plain values and numpy numbers) and `arrays` to `folder`; equal input gives equal bytes.
 
     Raises:
-        ArtifactError: the disk refuses.
+        ArtifactError: the folder cannot be written.
     """
     raw = save_tensors({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     head = {
@@ -77,10 +77,10 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
 
 
 def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The content and the arrays of a saved model.
+    """Return the content and the arrays of a saved model.
 
     Raises:
-        ArtifactError: the folder or a file is missing, damaged, foreign or of another version; names the file.
+        ArtifactError: the folder or a file is missing, damaged, not a model or of another version; names the file.
     """
     json_path, arrays_path = folder / JSON_NAME, folder / ARRAYS_NAME
     if not folder.is_dir():
@@ -116,7 +116,7 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """`value` in JSON's own types; what is not a finite number becomes null, since JSON has no NaN."""
+    """Return `value` in JSON types; numbers that are not finite become null, since JSON has no NaN."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | list | tuple):

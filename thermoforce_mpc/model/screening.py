@@ -1,7 +1,7 @@
-"""Readings that cannot be, taken as not measured where they enter; each with its reason, none silently.
+"""Plausibility check of readings: implausible ones are set to NaN (not measured), each with a note.
 
-One reading of a heat meter ten thousand times too large stays in the forced state for as long as the slowest mode
-remembers, days, and every plan of that time believes the building full of heat.
+A single heat meter reading that is 10,000 times too large would stay in the forced state for the time constant of the
+slowest mode, days, and all plans of that time would overestimate the heat in the building.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _INFINITE = (-np.inf, np.inf)
-# Every signal that is looked at, with its unit.
+# Checked signals and their units.
 _UNITS = {
     "T_zone_C": " °C",
     "T_out_C": " °C",
@@ -30,15 +30,15 @@ _UNITS = {
     "T_return_C": " °C",
 }
 _NOT_MEASURED = "taken as not measured"
-# These every plant reports: where one is missing that is worth a note. Flows are not metered everywhere.
+# Signals that every plant reports; a missing value gives a note. Heat and power are not metered everywhere.
 _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What readings of one building can be; of most signals the same for all (`thermoforce_mpc.model.limits`).
+    """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.model.limits`).
 
-    `power_W` and `heat_W` are (lowest, highest) in W, as measured: delivered heat of a machine that cools is negative.
+    `power_W` and `heat_W` are (lowest, highest) in W, as measured: heat of a cooling machine is negative.
     """
 
     power_W: tuple[float, float] = _INFINITE
@@ -46,9 +46,9 @@ class Limits:
 
     @classmethod
     def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None) -> Limits:
-        """Multiples of the most that the identified machine can give and draw.
+        """Return limits as multiples of the identified machine's largest heat and power.
 
-        Where `model` does not know it: what no building of this floor area, m², gives or draws; without one, no limit.
+        Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
         """
         most_W = limits.LOAD_W_PER_M2 * (floor_area_m2 or np.inf)
         found = cls(power_W=(-most_W, most_W), heat_W=(-most_W, most_W))
@@ -65,7 +65,7 @@ class Limits:
         return found
 
     def range(self, name: str) -> tuple[float, float]:
-        """Lowest and highest value of the signal `name` of a `Record` or `Measurement`, in its unit."""
+        """Return the lowest and highest value of the signal `name` of a `Record` or `Measurement`, in its unit."""
         ranges = {
             "T_zone_C": limits.ZONE_C,
             "T_out_C": limits.OUTDOOR_C,
@@ -79,7 +79,7 @@ class Limits:
 
 
 def limits_of(controller: object, floor_area_m2: float | None = None) -> Limits:
-    """Limits by the model that `controller` plans with, else by the floor area, m², see `Limits.of`."""
+    """Return limits by the model of `controller`, else by the floor area, m², see `Limits.of`."""
     model = getattr(controller, "model", None)
     if model is None:
         return Limits.of(None, floor_area_m2)
@@ -89,12 +89,12 @@ def limits_of(controller: object, floor_area_m2: float | None = None) -> Limits:
 
 
 def screened(measurement: Measurement, allowed: Limits, history: Record) -> tuple[Measurement, tuple[str, ...]]:
-    """`measurement` without what cannot be (NaN instead), and why, one sentence for each reading.
+    """Return `measurement` with implausible readings set to NaN, and one note per reading.
 
     Args:
-        measurement: as the plant reported it.
-        allowed: what can be.
-        history: what was believed so far: the zone temperature cannot have left it by much since.
+        measurement: as reported by the plant.
+        allowed: plausible ranges.
+        history: accepted readings so far, which limit the change of the zone temperature.
     """
     refused: list[str] = []
     notes: list[str] = []
@@ -120,7 +120,7 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
 
 
 def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[str, ...]]:
-    """A record without what cannot be (NaN instead), and why, one sentence for each signal."""
+    """Return a record with implausible readings set to NaN, and one note per signal."""
     refused: dict[str, Array] = {}
     notes: list[str] = []
     for name in _UNITS:
@@ -142,7 +142,7 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
 
 
 def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
-    """Which values, (n,), are infinite or outside; NaN, which says nothing, is not."""
+    """Return which values (n,) are infinite or outside the range; NaN is not."""
     low, high = allowed
     return np.asarray((values < low) | (values > high) | np.isinf(values))
 
@@ -153,14 +153,14 @@ def _words(allowed: Limits, name: str) -> str:
 
 
 def _reach_K(since_s: float) -> float:
-    """How far the zone temperature may be from where it was `since_s` seconds before, K."""
+    """Return the largest plausible change of the zone temperature over `since_s` s, K."""
     return limits.ZONE_JUMP_K + limits.ZONE_JUMP_K_PER_H * since_s / HOUR_S
 
 
 def _jumps(time_s: Array, T_zone_C: Array) -> NDArray[np.bool_]:
-    """Which zone temperatures, (n,), cannot have been reached from the last one believed; NaN never is one."""
+    """Return which zone temperatures (n,) are implausibly far from the last accepted one; False for NaN."""
     wrong = np.zeros(time_s.size, dtype=bool)
-    # Only where neighbours are far apart is there anything to look at.
+    # Shortcut: no two neighbours are far apart.
     known = np.flatnonzero(np.isfinite(T_zone_C))
     steps = np.abs(np.diff(T_zone_C[known]))
     if not (steps > _reach_K(0.0)).any():

@@ -187,9 +187,7 @@ def test_artifact_keeps_the_choice_and_refuses_what_is_not_proven(tmp_path):
     folder = ThermalModel(mild).save(tmp_path / "mild")
     assert load_model(folder).operator.feedback
     assert '"feedback_slope_per_K"' in (folder / "model.json").read_text()
-    with pytest.raises(
-        ArtifactError, match=r"within \[-12, 0\] per K.*could turn the effect of an action around: 2 steps"
-    ):
+    with pytest.raises(ArtifactError, match=r"within \[-12, 0\] per K.*could reverse the effect of an action: 2 steps"):
         ThermalModel(_turns_around()).save(tmp_path / "turns")
     # The same weights edited in from outside.
     free = ThermalModel(replace(_turns_around(), feedback=False)).save(tmp_path / "edited")

@@ -177,7 +177,10 @@ def test_features_are_what_the_docstring_says():
             "increase",
         ),
         ({"poles": np.array([0.5, 0.9]), "gains": np.array([1.0, -0.1]), "pole_bounds": TWO}, "beyond the first"),
-        ({"poles": np.array([0.5, 0.9]), "gains": np.array([-2.0, 1.0]), "pole_bounds": TWO}, "answer an action"),
+        (
+            {"poles": np.array([0.5, 0.9]), "gains": np.array([-2.0, 1.0]), "pole_bounds": TWO},
+            "give an initial response",
+        ),
         ({"gamma": 1.0}, "gamma"),
         ({"sign": 0}, "sign"),
         ({"step_s": 0.0}, "step_s"),

@@ -1,1 +1,1 @@
-"""Free responses: what the zone would do without us. One file per method, named in `registry`."""
+"""Free responses: forecasts of the zone temperature without control action. One file per method, see `registry`."""

@@ -1,14 +1,14 @@
-"""Intervals corrected by what the method's own forecasts turned out to be, weather errors included.
+"""Calibration of forecast intervals by the errors of issued forecasts, including errors of the weather forecast.
 
-Only forecasts that were really issued show what errors of the weather forecast do. Each is compared with what came,
-lead time by lead time, and the last days set the width (split conformal prediction over a rolling window, Angelopoulos
-and Bates 2023). Errors of one week are few and hang together, so the width is steered as well: a little wider whenever
-a value fell outside, a little narrower when it fell inside (adaptive conformal inference, Gibbs and Candès 2021, on the
-logarithm of the width as in the quantile tracking of Angelopoulos, Candès and Tibshirani 2023).
+Each issued forecast is compared with the later free response by lead time, and the errors of the last 6 days set the
+width (split conformal prediction over a rolling window, Angelopoulos and Bates 2023). These errors are few and
+correlated, so the width is also adapted: wider after a value outside, narrower after a value inside (adaptive conformal
+inference, Gibbs and Candès 2021, on the logarithm of the width as in the quantile tracking of Angelopoulos, Candès and
+Tibshirani 2023).
 
-What came of a forecast is known hours later, and the window has then taken up much of it. Steering for it as well would
-widen twice for the same errors, and stay wide for days after them. So a value counts as outside only if it would be so
-with the window as it is now and the steering as it was when the forecast was issued.
+The error of a forecast is known hours later, when the window already includes much of it. Adapting to it as well would
+widen the interval twice for the same errors. So a value counts as outside only if it is outside with the present window
+and the adaptation at the time of issue.
 """
 
 from __future__ import annotations
@@ -26,17 +26,16 @@ from thermoforce_mpc.protocols import FreeResponse
 
 _INSIDE = 0.8
 _WINDOW_S = 6 * DAY_S
-# Forecasts made within an hour of each other tell the same: one of them is remembered.
+# Forecasts issued within an hour are nearly identical: one per hour is stored.
 _EVERY_S = HOUR_S
-# Neighbouring lead times share a width; these hours part them.
+# Edges of the groups of lead times that share a width, h.
 _LEAD_EDGES_H = (1.0, 2.0, 6.0, 12.0, 18.0, 24.0)
-# Hourly values a group of lead times must have seen before its width is touched.
+# Least number of hourly values of a group before its width is scaled.
 _LEAST_VALUES = 24
-# How much wider or narrower (in its logarithm) an hour makes the interval per unit of share outside the nominal one:
-# 10 % wider when all of a group's values were outside, 2 % narrower when none was. What it did for a distant lead time
-# is known so much later, and steered as fast it would swing from too wide to too narrow: beyond 12 h it is slower in
-# proportion. Chosen on free runs of EnergyPlus and closed loops of the embedded plant, as was an hour of its own for
-# the first lead time.
+# Adaptation gain: change of the log width per hour and unit of deviation from nominal coverage: 10 % wider if all
+# values of a group are outside, 2 % narrower if none is. At long lead times the error is known later and the same gain
+# would oscillate, so beyond 12 h it falls in proportion. Chosen on free runs of EnergyPlus and closed loops of the
+# embedded plant, as was the separate group for the first hour.
 _STEERING, _STEERING_LEAD_H, _FURTHEST_H = 0.12, 12.0, 48.0
 _STEERING_OF_GROUP = tuple(_STEERING * min(1.0, _STEERING_LEAD_H / lead_h) for lead_h in (*_LEAD_EDGES_H, _FURTHEST_H))
 _STEERING_RANGE = (-1.1, 1.1)
@@ -45,7 +44,7 @@ _SCALE_RANGE = (0.25, 5.0)
 
 @dataclass(frozen=True)
 class _Issued:
-    """A forecast as issued: ends of its steps, raw median and half-widths, and how it was steered, each (N,)."""
+    """Issued forecast: ends of its steps, raw median and half-widths, and log-width adaptation, each (N,)."""
 
     time_s: float
     ends_s: Array
@@ -58,9 +57,10 @@ class _Issued:
 
 @dataclass(frozen=True)
 class _Group:
-    """Lead times that share a width: when what came, its distance from the median in raw half-widths; its width.
+    """State of a group of lead times that share a width.
 
-    `window` is the width by the last days alone, NaN where too little is known.
+    `steering`: adaptation of the log width. `window`: width from the last days, NaN with too few values. `scores`: time
+    (s) and distance from the median in raw half-widths of past values.
     """
 
     steering: float = 0.0
@@ -70,9 +70,9 @@ class _Group:
 
 @dataclass(frozen=True)
 class CalibratedState:
-    """What is known in a run: forecasts issued and not wholly compared yet, and the width of each group of lead times.
+    """State of a run: forecasts issued and not yet fully compared, and the width of each group of lead times.
 
-    `latest_s` is when that was, `n_steps` how far ahead, `inner` the state of the method inside.
+    `latest_s`: time of the last forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
     """
 
     issued: tuple[_Issued, ...] = ()
@@ -83,31 +83,31 @@ class CalibratedState:
 
 
 class CalibratedFreeResponse:
-    """`inner` with intervals scaled so that they hold 80 % of what comes.
+    """`inner` with intervals scaled to a coverage of 80 %.
 
-    What it forecast is the state of a run; time going back, or another horizon, starts anew.
+    The state of a run holds its forecasts; a step back in time or another horizon resets it.
     """
 
     def __init__(self, inner: FreeResponse) -> None:
-        """Take `inner` as it is; its own intervals are served until something is known of them."""
+        """Wrap `inner`; its own intervals are used until enough errors are known."""
         self.inner = inner
         self.name = inner.name
 
     def weight_hash(self) -> str:
-        """Hash of the weights of the frozen method inside; raises `DataError` when it has none."""
+        """Return the hash of the weights of the wrapped method; raises `DataError` if it has none."""
         hashed = getattr(self.inner, "weight_hash", None)
         if hashed is None:
             raise DataError(f"free response '{self.name}' has no weights")
         return str(hashed())
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises what the method inside raises."""
+        """See `FreeResponse.forecast`; raises what the wrapped method raises."""
         return self.follow(free_C, history, boundary, None)[0]
 
     def follow(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> tuple[FreeForecast, CalibratedState]:
-        """See `FollowingFreeResponse.follow`; raises what the method inside raises."""
+        """See `FollowingFreeResponse.follow`; raises what the wrapped method raises."""
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
         last = state if isinstance(state, CalibratedState) else CalibratedState()
@@ -120,7 +120,7 @@ class CalibratedFreeResponse:
         window = np.array([group.window for group in groups])[group_of]
         scale = _width(window, steering)
         if not issued or now - issued[-1].time_s >= _EVERY_S - 1.0:
-            # What was served before anything was known was not steered.
+            # NaN marks forecasts issued without a known width, which were not adapted.
             new = _issued(now, boundary.time_s[1:], raw, np.where(np.isnan(window), np.nan, steering))
             issued = (*issued, new)
         median = raw.median_C
@@ -132,9 +132,9 @@ class CalibratedFreeResponse:
 def _compared(
     last: CalibratedState, free: Array, history: Record, group_of: NDArray[np.intp], step_s: float
 ) -> tuple[tuple[_Issued, ...], tuple[_Group, ...]]:
-    """Compare what has come since the last call with what had been forecast for it."""
+    """Compare the values since the last call with their forecasts; return pending forecasts and updated groups."""
     now = float(history.time_s[-1])
-    # One value an hour and lead is enough: those in between say the same.
+    # One lead time per hour: those between are nearly identical.
     stride = max(1, round(_EVERY_S / step_s))
     held: list[list[bool]] = [[] for _ in last.groups]
     new: list[list[tuple[float, float]]] = [[] for _ in last.groups]
@@ -166,7 +166,7 @@ def _compared(
 
 
 def _width(window: Array | float, steering: Array | float) -> Array:
-    """Factor for the distance of each quantile from the median; 1 where too little is known."""
+    """Return the factor on the distance of each quantile from the median; 1 with too few values."""
     return np.nan_to_num(np.clip(window * np.exp(steering), *_SCALE_RANGE), nan=1.0)
 
 
@@ -177,7 +177,7 @@ def _issued(time_s: float, ends_s: Array, raw: FreeForecast, steering: Array) ->
 
 
 def _known(ends_s: Array, time_s: Array, free: Array) -> Array:
-    """The control-free temperature at `ends_s` (N,), NaN where it is not in the history."""
+    """Return the control-free temperature at `ends_s` (N,), NaN if not in the history."""
     index = np.searchsorted(time_s, ends_s - 0.5)
     inside = (index < time_s.size) & (ends_s >= time_s[0] - 0.5)
     index = np.minimum(index, time_s.size - 1)

@@ -1,4 +1,4 @@
-"""What every free response checks and shares: the history's shape, and quantiles from past errors."""
+"""Checks shared by free responses, and quantiles from past errors."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from thermoforce_mpc.errors import DataError
 
 LEVELS = np.arange(1, 10) / 10.0
 
-# How far a quantile may lie below the one before it by rounding, K.
+# Tolerated crossing of neighbouring quantiles by rounding, K.
 _ROUNDING_K = 1e-6
 
 
 def checked_free(free_C: Array, history: Record) -> Array:
-    """`free_C` as float64; raises `DataError` when it does not fit `history` or has no finite value."""
+    """Return `free_C` as float64; raises `DataError` if it does not fit `history` or has no finite value."""
     free = np.asarray(free_C, dtype=np.float64)
     if free.shape != history.time_s.shape:
         raise DataError(f"control-free history has shape {free.shape}, the history {history.time_s.shape}")
     if not np.isfinite(free).any():
-        raise DataError("control-free history has no finite value: the temperature sensor was silent throughout")
+        raise DataError("control-free history has no finite value: the zone temperature was never measured")
     return free
 
 
 def checked_forecast(forecast: object, n_steps: int, name: str) -> FreeForecast:
-    """`forecast` of the free response `name`, fit to plan with.
+    """Return `forecast` of the free response `name` after checking it.
 
     Raises:
-        DataError: it is no `FreeForecast`, does not hold `n_steps` values for each level, or its levels or quantiles
-            are not finite and in order.
+        DataError: it is not a `FreeForecast`, does not have `n_steps` values per level, or its levels or quantiles are
+            not finite and increasing.
     """
     wrong = f"free response '{name}'"
     if not isinstance(forecast, FreeForecast):
@@ -55,11 +55,11 @@ def checked_forecast(forecast: object, n_steps: int, name: str) -> FreeForecast:
 
 
 def quantiles_from_errors(center: Array, errors: Array) -> Array:
-    """Quantiles (9, N) around `center` (N,) from past errors (measured − forecast).
+    """Return quantiles (9, N) around `center` (N,) from past errors (measured − forecast).
 
     Args:
-        errors: shape (k, N), NaN where unknown; a lead time with fewer than eight errors takes the spread of the
-            nearest lead time before it that has enough, or none.
+        errors: shape (k, N), NaN if unknown; a lead time with fewer than eight errors uses the spread of the nearest
+            shorter lead time that has enough, or none.
     """
     offsets = np.zeros((LEVELS.size, center.size))
     last = np.zeros(LEVELS.size)
@@ -67,6 +67,6 @@ def quantiles_from_errors(center: Array, errors: Array) -> Array:
         known = errors[:, lead][np.isfinite(errors[:, lead])]
         if known.size >= 8:
             last = np.quantile(known, LEVELS)
-            last = last - np.interp(0.5, LEVELS, last)  # the median stays the forecast itself
+            last = last - np.interp(0.5, LEVELS, last)  # keep the forecast as the median
         offsets[:, lead] = last
     return np.asarray(np.sort(center + offsets, axis=0))

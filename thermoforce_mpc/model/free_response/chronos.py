@@ -1,4 +1,4 @@
-"""A frozen time-series foundation model on the control-free series T − F (paper eq:compose), never trained here."""
+"""Free response by a frozen time-series foundation model on the control-free series T − F (paper eq:compose)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
 
-# With less than a day of measurements a daily course cannot be known: persistence takes over and says so.
+# With less than a day of measurements persistence is used, and the note says so.
 _SHORTEST_HISTORY_S = DAY_S
 _SHORTEST_CONTEXT = 16
 _RESOLUTIONS = ("several", "one")
@@ -44,11 +44,11 @@ class ChronosFreeResponse:
 
         Args:
             backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
-            context_steps: how many values of the history the model sees at most, at each resolution.
-            resolutions: 'several' at one series, or 'one' at its own step, unrolled where needed (the paper's way).
+            context_steps: largest number of history values per resolution.
+            resolutions: 'several', see `multi_resolution`, or 'one' at the series' own step, unrolled as in the paper.
 
         Raises:
-            ConfigError: `context_steps` is less than the 16 a patch has, or `resolutions` is neither of the two.
+            ConfigError: `context_steps` is below the patch length of 16, or `resolutions` is neither of the two.
             BackboneError: see `load_backbone`.
         """
         if context_steps < _SHORTEST_CONTEXT:
@@ -67,16 +67,16 @@ class ChronosFreeResponse:
 
     @property
     def label(self) -> str:
-        """What it is, for reports."""
+        """Name for reports."""
         return self._model.label
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """All that has weights."""
+        """Modules with weights."""
         return self._model.modules
 
     def weight_hash(self) -> str:
-        """SHA-256 over names, shapes and values of all weights: equal before and after a run, since they are frozen."""
+        """Return the SHA-256 of names, shapes and values of all weights; it does not change, since they are frozen."""
         digest = hashlib.sha256()
         for index, module in enumerate(self._model.modules):
             for name, tensor in sorted(module.state_dict().items()):
@@ -85,18 +85,17 @@ class ChronosFreeResponse:
         return digest.hexdigest()
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`. NaN gaps are passed to the model as they are, nothing is filled in.
+        """See `FreeResponse.forecast`. NaN gaps are passed to the model unfilled.
 
         Raises:
-            DataError: no value was ever measured, history and forecast differ in step, or the model's answer is not
-                finite.
+            DataError: no value was measured, history and forecast differ in step, or the model's output is not finite.
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
     def forecast_many(self, tasks: Sequence[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
-        """Forecasts for several buildings, or from several instants, in one pass through the model.
+        """Return forecasts for several buildings or instants in one pass through the model.
 
-        Each task is what `forecast` takes, and fails or falls back as it would there. Raises what `forecast` raises.
+        Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
         """
         import torch
 
@@ -124,10 +123,10 @@ class ChronosFreeResponse:
         return [answer for answer in answers if answer is not None]
 
     def _too_little(self, free: Array, step_s: float) -> str:
-        """Why persistence must take over, or nothing."""
+        """Return why persistence is needed, or an empty string."""
         context = free[-self._context_steps :]
         known, seen_values = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
-        # A day has this many steps, and one more boundary.
+        # A day has one boundary more than steps.
         if known < round(_SHORTEST_HISTORY_S / step_s) + 1:
             return f"only {(known - 1) * step_s / HOUR_S:g} h of history measured"
         if seen_values < FEWEST_VALUES:
@@ -154,7 +153,7 @@ class ChronosFreeResponse:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """One thread: sums in one order give the same bits, and such small models gain nothing by more."""
+    """Use one torch thread: results are bitwise reproducible, and such small models gain nothing by more threads."""
     import torch
 
     before = torch.get_num_threads()

@@ -1,4 +1,4 @@
-"""Asking a free response in the course of a run, whether it follows the run or answers from its arguments alone."""
+"""Call of a free response during a run, with or without state."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from thermoforce_mpc.protocols import FollowingFreeResponse, FreeResponse
 def follow(
     method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
 ) -> tuple[FreeForecast, object]:
-    """The forecast of `method`, and its state for the next call of this run (None begins a run).
+    """Return the forecast of `method` and its state for the next call of this run (None at its start).
 
-    A method that answers from its arguments alone has no state: it is None. Raises what the method raises.
+    A method without state returns None as state. Raises what the method raises.
     """
     if isinstance(method, FollowingFreeResponse):
         return method.follow(free_C, history, boundary, state)

@@ -1,10 +1,10 @@
-"""A physics-constrained linear free model of the weather, fitted to the control-free history at every call.
+"""Linear free response to the weather with physical constraints, fitted to the control-free history at every call.
 
-Parallel first-order modes at fixed time constants (paper eq:free-evol with q poles), driven by outdoor temperature and
-sunlight, and a daily wave. Outdoor temperature and sun can only warm (weights ≥ 0), and in the long run a zone without
-control follows the outdoors one to one (a prior, not a constraint: neighbours and ground may hold it). With the poles
-fixed the *simulated* course is linear in what is unknown, so the fit is a convex bounded least-squares problem over the
-whole history, not over one-step changes: it is the 24-hour course that has to be right.
+Parallel first-order modes with fixed time constants (paper eq:free-evol with q poles), driven by outdoor temperature
+and irradiance, plus a daily wave. Weights of outdoor temperature and irradiance are ≥ 0, and a prior sets the long-run
+gain to the outdoor temperature to 1 (not a constraint: neighbours and ground may hold the zone). With fixed poles the
+*simulated* temperature is linear in the parameters, so the fit is a convex bounded least-squares problem over the whole
+history instead of one-step changes, which gives the better 24-h forecast.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, R
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
-# From a room's air to a massive structure, h.
+# Time constants from room air to massive structure, h.
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
 SHORTEST_HISTORY_S = DAY_S
-# Weights of the priors in units of one squared kelvin of residual_scale; the data have hundreds of them.
+# Weights of the priors, relative to one data row with an error of 1 K; the data have hundreds of rows.
 _RIDGE_WEATHER = 0.1
 _RIDGE_WAVE = 1.0
 _RIDGE_START = 0.01
 _LONG_RUN_GAIN_WEIGHT = 5.0
-# Irradiance enters in units that make its weights of the order of one: 100 W/m2.
+# Unit of irradiance that gives weights of order one, W/m².
 _SOLAR_UNIT_W_M2 = 100.0
 _SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """The fitted model over history and horizon.
+    """Fitted model over history and horizon.
 
-    `past_C` (n + 1,) is its simulated course over the history, `ahead_C` (N,) over the horizon, both °C, without any
-    correction by what was measured last; `weights` are its parameters in the order of the columns.
+    `past_C` (n + 1,) and `ahead_C` (N,): simulated temperature over history and horizon, °C, not corrected by the last
+    measurement; `weights` (p,): its parameters in the order of the columns.
     """
 
     past_C: Array
@@ -50,15 +50,14 @@ class LinearFit:
 def fit_linear_weather(
     free_C: Array, history: Record, boundary: Boundary, disturbance_h: float | None = None
 ) -> LinearFit:
-    """Fit to the finite values of `free_C` (n + 1,) and simulate on over the weather of `boundary`.
+    """Fit to the finite values of `free_C` (n + 1,) and simulate over the weather of `boundary`.
 
     Args:
         free_C: control-free temperature at the boundaries of `history`, °C.
-        history: its weather.
-        boundary: the weather ahead.
-        disturbance_h: None takes what the weather does not explain for independent errors (ordinary least squares); a
-            number takes it for a disturbance that is forgotten in so many hours (generalised least squares with
-            first-order autocorrelation), so that a few days off the model's course do not bend its answer to weather.
+        history: past weather.
+        boundary: weather forecast.
+        disturbance_h: None: independent errors (ordinary least squares). A number: time constant, h, of first-order
+            autocorrelated errors (generalised least squares), so that a disturbance of a few days has less influence.
 
     Raises:
         DataError: less than a day of history, weather that is not finite, or history and forecast of different steps.
@@ -89,15 +88,15 @@ def fit_linear_weather(
 
 
 def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_s: float) -> tuple[Array, Array]:
-    """Rows and right-hand sides for the known values; with a disturbance each is whitened by the one before.
+    """Return rows and right-hand sides of the known values, whitened for first-order errors if `disturbance_h`.
 
-    Whitened rows keep the disturbance's own variance as their unit, so the priors weigh the same in both.
+    Whitened rows are scaled to the disturbance's variance, so the priors have the same weight in both cases.
     """
     known = np.flatnonzero(np.isfinite(free_C))
     rows, targets = columns[known], free_C[known]
     if disturbance_h is None:
         return rows, targets
-    # Across a gap the disturbance has been forgotten for as long as the gap is.
+    # The correlation across a gap decays over the length of the gap.
     kept = np.exp(-np.diff(known) * step_s / HOUR_S / disturbance_h)
     unit = 1.0 / np.sqrt(1.0 - kept**2)
     whitened = unit[:, None] * (rows[1:] - kept[:, None] * rows[:-1])
@@ -108,11 +107,11 @@ def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_
 
 
 def _bounded_least_squares(A: Array, b: Array, bounded: NDArray[np.bool_]) -> Array:
-    """The weights with the least |A w − b|, those of the `bounded` columns ≥ 0, exactly.
+    """Return the exact minimiser of |A w − b| with w ≥ 0 for the `bounded` columns.
 
-    By way of the normal equations, since there are thousands of rows and few columns; the ridge rows of A make them
-    positive definite. With the free columns first in the triangle, the bounded ones are a nonnegative least-squares
-    problem of their own, and the free ones follow.
+    It uses the normal equations, since there are thousands of rows and few columns; the ridge rows of A make them
+    positive definite. With the free columns first in the Cholesky factor, the bounded ones form a separate nonnegative
+    least-squares problem and the free ones follow by substitution.
     """
     order = np.argsort(bounded, kind="stable")
     free = int((~bounded).sum())
@@ -126,7 +125,7 @@ def _bounded_least_squares(A: Array, b: Array, bounded: NDArray[np.bool_]) -> Ar
 
 
 class LinearWeather:
-    """`FreeResponse` by the fitted linear model; the last deviation from it fades as past ones did."""
+    """`FreeResponse` by the fitted linear model; its last residual decays as past residuals did."""
 
     name = "linear_weather"
 
@@ -138,7 +137,7 @@ class LinearWeather:
         n = boundary.n_steps
         fading = _fading(residual, n, boundary.step_s)
         latest = np.flatnonzero(np.isfinite(residual))[-1]
-        # A silent sensor's last deviation has been fading since.
+        # If the last measurements are missing, the last residual has decayed since.
         age = residual.size - 1 - latest
         tail = np.concatenate([fading, np.full(age, fading[-1])])[age:]
         center = fit.ahead_C + residual[latest] * tail
@@ -150,7 +149,7 @@ class LinearWeather:
 
 
 def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Simulated answer to one unit of every unknown, (n + N + 1, p); which must be ≥ 0 and ridge weights, (p,)."""
+    """Return the simulated response per unit of every parameter (n + N + 1, p), which are ≥ 0, ridge weights (p,)."""
     poles = np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H)
     hour_angle = 2 * np.pi * time_s / DAY_S
     drives = np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1)
@@ -174,7 +173,7 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
 
 
 def _fading(residual: Array, n: int, step_s: float) -> Array:
-    """exp(−lead / τ), shape (n,): of a few τ the one that would have forecast the past residuals best up to 24 h."""
+    """Return exp(−lead / τ), shape (n,), with the τ of `_SHORT_TAU_H` that best predicts the past residuals."""
     leads = np.arange(1, n + 1)
     hours = leads * step_s / HOUR_S
     best, least = np.zeros(n), np.inf

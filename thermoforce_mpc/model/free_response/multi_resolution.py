@@ -1,10 +1,9 @@
-"""Several resolutions of a forecaster at one series: at its own step, once an hour, and at the last week alone.
+"""Forecast of one series at several resolutions: its own step, hourly, and hourly over the last week only.
 
-A model that answers 64 steps at once sees 16 hours of a day at 15 minutes, and must be fed its own answers beyond. An
-hourly series of the same history reaches further back and ahead in one pass: beyond 16 h errors become a few percent
-smaller, and the interval, far too narrow when unrolled, nearly right (docs/free_responses.md). The mean of several
-resolutions is better than most of them, as ensembles are. Quantiles are averaged level by level (Lichtendahl et al.
-2013).
+A model that forecasts 64 steps at once covers 16 h at 15 min and must be unrolled beyond. An hourly series of the same
+history reaches further back and ahead in one pass: beyond 16 h errors are a few percent smaller, and the interval, far
+too narrow when unrolled, is nearly right (docs/free_responses.md). The mean over resolutions is better than most single
+ones. Quantiles are averaged level by level (Lichtendahl et al. 2013).
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.model.free_response.backbones.base import Context
 
-# So many steps ahead a resolution at the series' own step answers at once; Chronos-Bolt's patch of answers.
+# Steps that the resolution at the series' own step forecasts at once: Chronos-Bolt's output patch.
 _AT_ONCE = 64
 _WEEK_S = 7 * DAY_S
-# The last week is another resolution only if there is clearly more than a week.
+# The last week is a separate resolution only if the history is longer than this.
 _MORE_THAN_A_WEEK_S = 8 * DAY_S
-# Instance normalisation of fewer values than this says nothing.
+# Least number of values for instance normalisation.
 FEWEST_VALUES = 8
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """One resolution: what the backbone sees, every `stride` steps of the series, and its N of the `n_steps` ahead."""
+    """Input of the backbone at one resolution: a context with every `stride`-th value, for `n_steps` steps ahead."""
 
     context: Context
     stride: int
@@ -35,9 +34,9 @@ class Resolution:
     now_C: float
 
     def at_own_step(self, quantiles_C: Array) -> Array:
-        """Answers (levels, ahead) at the series' own steps, (levels, n_steps), NaN where it does not reach.
+        """Return quantiles (levels, ahead) at the series' own steps, (levels, n_steps), NaN beyond their reach.
 
-        Between its instants a coarse resolution goes straight, from the last known value on.
+        A coarse resolution is interpolated linearly between its instants, starting from the last known value.
         """
         reached = np.full((quantiles_C.shape[0], self.n_steps), np.nan)
         if self.stride == 1:
@@ -52,21 +51,21 @@ class Resolution:
 
 
 def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
-    """The one resolution at the series' own step, over all steps ahead; arguments as in `resolutions_of`."""
+    """Return the resolution at the series' own step, over all steps ahead; arguments as in `resolutions_of`."""
     return _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=len(ahead_weather))
 
 
 def resolutions_of(
     free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int
 ) -> list[Resolution]:
-    """All resolutions at a series; the first is at its own step.
+    """Return all resolutions of a series; the first is at its own step.
 
     Args:
-        free_C: (k,) °C, the last value being now; NaN where not measured, at least one value known.
+        free_C: (k,) °C, the last value is now; NaN if not measured, at least one value known.
         past_weather: (k, 2) at the same instants.
         ahead_weather: (N, 2) at the ends of the steps ahead.
         step_s: step of both, s.
-        longest: how many values a backbone may see at most.
+        longest: largest number of values of a context.
     """
     n = len(ahead_weather)
     stride = max(1, int((HOUR_S + 1e-6) // step_s))
@@ -79,7 +78,7 @@ def resolutions_of(
         for length in lengths
     ]
     coarse = [resolution for resolution in coarse if np.isfinite(resolution.context.free_C).sum() >= FEWEST_VALUES]
-    # What lies beyond one answer of the backbone is left to the coarse resolutions, if there are any.
+    # Steps beyond one output patch are left to the coarse resolutions, if there are any.
     ahead = min(n, _AT_ONCE) if any(resolution.stride > 1 for resolution in coarse) else n
     return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead), *coarse]
 
@@ -87,9 +86,9 @@ def resolutions_of(
 def _at_resolution(
     free_C: Array, past_weather: Array, ahead_weather: Array, *, stride: int, longest: int, ahead: int
 ) -> Resolution:
-    """The last `longest` of every `stride`th value up to now, and the first `ahead` steps ahead."""
+    """Return the resolution of the last `longest` of every `stride`-th value up to now, and `ahead` steps ahead."""
     series = free_C[::-1][::stride][::-1][-longest:]
-    # Weather of a coarse step is its mean, since sunlight at one instant says little of an hour.
+    # Weather of a coarse step is its mean, since irradiance at one instant does not represent an hour.
     past = _block_means(past_weather, stride, pad_before=True)[-series.size :]
     coming = _block_means(ahead_weather[:ahead], stride, pad_before=False)
     now_C = float(free_C[np.isfinite(free_C)][-1])
@@ -97,7 +96,7 @@ def _at_resolution(
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
-    """Mean over the resolutions that reach each lead time, (levels, N), °C; NaN only where a resolution gave it."""
+    """Return the mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN."""
     stack = np.array([resolution.at_own_step(answer) for resolution, answer in zip(resolutions, answers, strict=True)])
     reaches = np.array([_reach(resolution) for resolution in resolutions])
     counted = np.arange(stack.shape[2]) < reaches[:, None]
@@ -110,7 +109,7 @@ def _reach(resolution: Resolution) -> int:
 
 
 def _block_means(weather: Array, stride: int, *, pad_before: bool) -> Array:
-    """Means of `stride` rows each; an incomplete first (`pad_before`) or last block is filled with its end value."""
+    """Return means of `stride` rows each; an incomplete first (`pad_before`) or last block repeats its end value."""
     if stride == 1:
         return weather
     short = (-len(weather)) % stride

@@ -1,4 +1,4 @@
-"""Persistence: it stays as it is. The floor every forecaster has to beat, and what takes over when history is short."""
+"""Persistence forecast: the reference for other forecasters, and the fallback for short histories."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, qua
 
 
 class Persistence:
-    """The last finite value of the control-free series; quantiles from its own past changes over each lead time."""
+    """`FreeResponse` that holds the last finite value; quantiles from past changes over each lead time."""
 
     name = "persistence"
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises `DataError` when no value was ever measured."""
+        """See `FreeResponse.forecast`; raises `DataError` if no value was measured."""
         free = checked_free(free_C, history)
         n = boundary.n_steps
         last = free[np.flatnonzero(np.isfinite(free))[-1]]

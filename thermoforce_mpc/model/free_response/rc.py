@@ -1,10 +1,9 @@
-"""The linear, weather-driven free response of the grey-box model (paper eq:free-evol), with q parallel modes.
+"""Linear, weather-driven free response of the grey-box model (paper eq:free-evol) with q parallel modes.
 
 z_i(t+1) = a_i z_i(t) + c_i T_out(t) + d_i I_sol(t) + e_i and T_free = Σ z_i. One mode is the paper's (a, c, d, e); a
-building with a slab needs two. What the sun does depends on where it stands and people come and go by the clock, so
-irradiance and constant may also carry a daily wave (their weights are zero in the paper's form). The modes are not
-measured: a Kalman filter (Kalman 1960) estimates them from the control-free history, skips silent sensors, and its
-covariance gives the quantiles.
+building with a slab needs two. Solar gains depend on the sun's position and internal gains on the time of day, so
+irradiance and constant may also have a daily wave (zero weights in the paper's form). A Kalman filter (Kalman 1960)
+estimates the modes from the control-free history, skipping missing values; its covariance gives the quantiles.
 """
 
 from __future__ import annotations
@@ -28,24 +27,24 @@ INPUTS: tuple[str, ...] = (
     "daily_sine",
     "solar_squared",
 )
-"""What drives the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the day from noon, and
-irradiance²/300 W/m²: a clear sky sends most of it straight through a window, a grey one does not."""
+"""Inputs of the modes: T_out °C, irradiance W/m², 1, irradiance and 1 times cosine and sine of the day from noon, and
+irradiance²/300 W/m²: the beam share, and so the transmission of windows, rises with irradiance."""
 
 _SQUARE_W_M2 = 300.0
 
-# How uncertain the modes are before the first measurement, K: a building's temperature is known to some ten degrees.
+# Prior standard deviation of the modes before the first measurement, K.
 _PRIOR_SD_K = 10.0
 
 
 @dataclass(frozen=True)
 class RcParameters:
-    """The free part of the grey-box model.
+    """Parameters of the free part of the grey-box model.
 
     Attributes:
         poles: a_i, shape (q,), in (0, 1) per step.
         weights: shape (q, 8), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
         step_s: length of a step, s.
-        process_sd_K: what the weather does not explain, per mode and step, shape (q,), K.
+        process_sd_K: standard deviation of the process noise per mode and step, shape (q,), K.
         sensor_sd_K: noise of the temperature sensor, K.
 
     Raises:
@@ -87,13 +86,13 @@ class RcParameters:
         return np.asarray(-self.step_s / HOUR_S / np.log(self.poles))
 
     def resampled(self, step_s: float) -> RcParameters:
-        """The same model at another step: exact where the weather is constant over the longer of the two steps."""
+        """Return the model at another step; exact if the weather is constant over the longer of the two steps."""
         ratio = step_s / self.step_s
         if ratio == 1.0:
             return self
         poles = self.poles**ratio
         scale = (1.0 - poles) / (1.0 - self.poles)
-        # Variance of an AR(1) sum over the step keeps the stationary spread of the mode.
+        # The process noise is scaled to keep the stationary variance of each mode.
         spread = np.sqrt((1.0 - poles**2) / (1.0 - self.poles**2))
         return RcParameters(
             poles=poles,
@@ -104,15 +103,15 @@ class RcParameters:
         )
 
     def drive(self, time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
-        """What enters each mode in each of n steps, shape (n, q), K; weather sampled at the n + 1 boundaries."""
+        """Return the input of each mode in each of n steps, shape (n, q), K; weather is sampled at n + 1 boundaries."""
         return weather_inputs(time_s, T_out_C, solar_W_m2) @ self.weights.T
 
 
 def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
-    """`INPUTS` over n steps, shape (n, 8): means of the samples at both ends of each step, arguments (n + 1,)."""
+    """Return `INPUTS` over n steps, shape (n, 8): means of the samples at both ends of a step; arguments (n + 1,)."""
     T_out, solar = (0.5 * (np.asarray(x)[:-1] + np.asarray(x)[1:]) for x in (T_out_C, solar_W_m2))
     time_s = np.asarray(time_s)
-    # Angle of the clock at mid-step, zero at noon.
+    # Daily phase at mid-step, zero at noon.
     angle = 2.0 * np.pi * (0.5 * (time_s[:-1] + time_s[1:]) / DAY_S - 0.5)
     cosine, sine = np.cos(angle), np.sin(angle)
     square = solar**2 / _SQUARE_W_M2
@@ -120,7 +119,7 @@ def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
 
 
 class RcFreeResponse:
-    """`FreeResponse` by the grey-box model: filter the control-free history, then follow the weather forecast."""
+    """`FreeResponse` by the grey-box model: filter the control-free history, then simulate the weather forecast."""
 
     name = "rc"
 
@@ -156,13 +155,13 @@ def _predict(params: RcParameters, mean: Array, covariance: Array, drive: Array)
 
 
 def _filter(params: RcParameters, free_C: Array, history: Record) -> tuple[Array, Array]:
-    """Mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
+    """Return mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
     q = params.order
     first = free_C[np.isfinite(free_C)][0]
     drive = params.drive(history.time_s, history.T_out_C, history.solar_W_m2)
     if not np.isfinite(drive).all():
         raise DataError("weather of the history has values that are not finite")
-    # Start from the steady state under the first day's weather, shifted so that the modes add up to what was measured.
+    # Start from the steady state under the first day's weather, shifted so that the modes sum to the measurement.
     day = max(1, min(len(drive), round(24 * HOUR_S / params.step_s)))
     mean = drive[:day].mean(axis=0) / (1.0 - params.poles) if len(drive) else np.full(q, first / q)
     mean = mean + (first - mean.sum()) / q

@@ -1,4 +1,4 @@
-"""All free responses by name. A new one is one new file and one entry here."""
+"""Registry of free responses by name. A new method needs one file and one entry here."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
 
 
 def free_response_options() -> dict[str, dict[str, Any]]:
-    """The names of all free responses, each with its options and their defaults."""
+    """Return all free responses by name, each with its options and their defaults."""
     return {
         name: {key: p.default for key, p in inspect.signature(builder).parameters.items() if key != "rc"}
         for name, builder in _BUILDERS.items()
@@ -75,7 +75,7 @@ def free_response_options() -> dict[str, dict[str, Any]]:
 
 
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
-    """Build a free response by name; `rc` is the identified linear free part that 'rc' forecasts with.
+    """Build a free response by name; `rc` is the identified linear free part, needed by 'rc'.
 
     Raises:
         ConfigError: unknown name or option, or 'rc' without a linear free part.
@@ -88,7 +88,7 @@ def build_free_response(name: str, *, rc: RcParameters | None = None, **options:
 
 
 def check_free_response(name: str, options: dict[str, Any]) -> None:
-    """Check a name and its options without loading anything; raises `ConfigError` naming what is allowed."""
+    """Check a name and its options without loading weights; raises `ConfigError` naming what is allowed."""
     known = free_response_options()
     if name not in known:
         raise ConfigError(f"unknown free response '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
@@ -99,6 +99,6 @@ def check_free_response(name: str, options: dict[str, Any]) -> None:
                 f"free response '{name}': unknown option '{key}'{suggestion(key, allowed)}; "
                 f"known: {', '.join(allowed) or 'none'}"
             )
-        # A word such as "off" in quotes would count as true.
+        # A quoted string such as "off" would be truthy.
         if key == "calibrate" and not isinstance(value, bool):
             raise ConfigError(f"free response '{name}': calibrate is {value!r}, write true or false")

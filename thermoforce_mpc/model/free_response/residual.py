@@ -1,9 +1,9 @@
-"""Weather-aware and still with a frozen backbone: linear weather models, and a forecaster of what they leave over.
+"""Free response by linear weather models plus a frozen backbone's forecast of their residuals.
 
-The linear model is fitted twice, once taking what weather does not explain for independent errors and once for a slow
-disturbance: the first is better where the model is nearly right, the second where it is not, their mean nearly always.
-The backbone forecasts the residual of each, and the series itself, for buildings that weather hardly moves. How much
-each of the three counts is learned in walk-forward trials on the history alone.
+The linear model is fitted twice, with independent errors and with a slow disturbance: the first is better if the model
+is nearly right, the second if it is not, and their mean nearly always. The backbone forecasts the residual of each, and
+the series itself, for buildings with little weather influence. The weights of the three candidates are learned in
+walk-forward trials on the history.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fit_linear_weather
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
-# Fixed on free runs of EnergyPlus and of the embedded plant that no table of the documentation uses.
+# Chosen on free runs of EnergyPlus and of the embedded plant that no table of the documentation uses.
 _DISTURBANCE_H = (None, 24.0)
 _NAMES = ("without weather", "independent errors", "slow disturbance")
 _PRIOR = np.array([0.10, 0.50, 0.40])
-# Of 1, 2, 5, 10, 20, 50 and 1000 the best in the first 6 h of those records, and 2 % better than 1 over 24 h. There, a
-# stronger draw would be 1 % better over 24 h still; but those buildings live by weather, and in one that does not, the
-# trials must be able to say so.
+# Strength of the prior. Of 1, 2, 5, 10, 20, 50 and 1000 the best over the first 6 h of those records, and 2 % better
+# than 1 over 24 h. A larger value is 1 % better over 24 h there, but those buildings depend strongly on the weather; in
+# others the trials must be able to change the weights.
 _STRENGTH = 10.0
-# Later trials had a longer history, nearly that of the forecast itself: they count for more.
+# Decay of a trial's weight with age, s: later trials have a longer history, more like that of the forecast.
 _FORGET_S = 3 * DAY_S
 _LEAD_EDGES_H = (3.0, 6.0, 12.0)
 _SPAN_S = 7 * DAY_S
-# No divisor of a day: all hours of the day come up.
+# Distance of trials, not a divisor of a day, so that they cover all hours of the day.
 _EVERY_S = 7 * HOUR_S
 _LEAST_CONTEXT_S = 3 * DAY_S
 _LEAST_TRIALS = 4
 _TRIAL_S = DAY_S
 _RENEW_S = DAY_S
-# Trials of two weeks: choosing anew repeats none of them.
+# Number of cached trials, about two weeks, so that renewing the weights repeats none.
 _REMEMBERED = 128
 
 _Task = tuple[Array, Record, Boundary]
@@ -47,7 +47,7 @@ _Task = tuple[Array, Record, Boundary]
 
 @dataclass(frozen=True)
 class Weights:
-    """Share of each candidate by lead time, (3, N), from `trials` trials up to `time_s`."""
+    """Weights of the candidates by lead time, `share` (3, N), from `trials` trials up to `time_s`."""
 
     share: Array
     trials: int
@@ -56,17 +56,17 @@ class Weights:
 
     @property
     def why(self) -> str:
-        """In words, for notes."""
+        """Description for notes."""
         if not self.trials:
-            return "weights fixed beforehand: too little history for trials"
+            return "default weights: too little history for trials"
         shares = ", ".join(f"{name} {share:.0%}" for name, share in zip(_NAMES, self.share.mean(axis=1), strict=True))
         return f"weights by {self.trials} trials: {shares}"
 
 
 class ResidualFreeResponse:
-    """Linear weather models plus `backbone`'s forecasts of their residual series (history less simulated course).
+    """`FreeResponse`: linear weather models plus `backbone`'s forecasts of their residuals (history − simulation).
 
-    The state of a run is its `Weights`, renewed every day. Past trials are remembered only to save their forecasts.
+    The state of a run is its `Weights`, renewed every day. Past trials are cached only to save computation.
     """
 
     name = "residual"
@@ -76,11 +76,11 @@ class ResidualFreeResponse:
         self._errors: OrderedDict[tuple[float, int, bytes], Array] = OrderedDict()
 
     def weight_hash(self) -> str:
-        """Hash of the backbone's weights, which nothing here changes."""
+        """Return the hash of the backbone's weights, which are frozen."""
         return self.backbone.weight_hash()
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises `DataError` where the linear model or the backbone does."""
+        """See `FreeResponse.forecast`; raises `DataError` as the linear model and the backbone do."""
         return self.follow(free_C, history, boundary, None)[0]
 
     def follow(
@@ -90,7 +90,7 @@ class ResidualFreeResponse:
         weights = state if isinstance(state, Weights) else None
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
-            # Too short to tell the weather's part; the backbone has its own way with a short history, and says so.
+            # Too short for the linear model; the backbone handles short histories and notes it.
             return self.backbone.forecast(free, history, boundary), weights
         candidates, note = self.candidates([(free, history, boundary)])
         now = float(history.time_s[-1])
@@ -106,10 +106,10 @@ class ResidualFreeResponse:
         return FreeForecast(LEVELS, quantiles, note), weights
 
     def candidates(self, tasks: Sequence[_Task]) -> tuple[list[Array], str]:
-        """Quantiles, (3, 9, N) °C for each task, of the three candidates, and what the backbone says of itself.
+        """Return the quantiles (3, 9, N) °C of the three candidates for each task, and the backbone's note.
 
-        The backbone alone, then with the weather model fitted for independent errors and for a slow disturbance. Raises
-        as `forecast` does.
+        Candidates: the backbone alone, then with the weather model for independent errors and for a slow disturbance.
+        Raises as `forecast` does.
         """
         todo: list[_Task] = []
         ahead: list[Array] = []
@@ -126,7 +126,7 @@ class ResidualFreeResponse:
         return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
 
     def _learn(self, free: Array, history: Record, boundary: Boundary) -> Weights:
-        """Weights from forecasts of a day that could have been made over the last week, with the weather that came."""
+        """Return weights from one-day trial forecasts over the last week, made with the measured weather."""
         step_s, now = boundary.step_s, float(history.time_s[-1])
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))
         lead_h = np.arange(1, boundary.n_steps + 1) * step_s / HOUR_S
@@ -141,11 +141,11 @@ class ResidualFreeResponse:
         return Weights(share, len(errors) if len(errors) >= _LEAST_TRIALS else 0, now, step_s)
 
     def _trial_errors(self, free: Array, history: Record, steps: int) -> tuple[list[Array], Array]:
-        """Errors of the candidates' medians, (3, steps) each, over what was measured, and the trials' instants, s."""
+        """Return the errors of the candidates' medians, (3, steps) per trial, K, and the trials' instants, s."""
         step_s = history.step_s
         last = history.n_steps - steps
         first = max(round(_LEAST_CONTEXT_S / step_s), last - round(_SPAN_S / step_s))
-        # Instants of a fixed grid, so that those of yesterday come up again and need no new forecast.
+        # Trials lie on a fixed grid, so that cached ones are reused the next day.
         number = np.round(history.time_s / step_s).astype(int)
         day = round(DAY_S / step_s)
         origins = [
@@ -170,16 +170,16 @@ class ResidualFreeResponse:
 
 
 def _past_task(free: Array, history: Record, origin: int, steps: int) -> _Task:
-    """What was known at step `origin` of the history, with the weather that came as its weather forecast."""
+    """Return the forecast task at step `origin` of the history, with the measured weather as weather forecast."""
     ahead = history.slice(origin, origin + steps).weather()
     return free[: origin + 1], history.slice(0, origin), ahead
 
 
 def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, int, bytes]:
-    """What makes a trial the same one: its instant and all that was and became known up to its end.
+    """Return the cache key of a trial: its instant, and a hash of all data up to its end.
 
-    Every value counts, however long ago: an adapted operator or a corrected record changes the past that was forecast
-    from. In a run the past stays as it was, so that the trials of yesterday are found again.
+    All past values are hashed, since an adapted operator or a corrected record changes the past series. Within a run
+    the past does not change, so cached trials are found again.
     """
     known = history.slice(0, origin + steps)
     digest = hashlib.blake2b(free[: origin + steps + 1].tobytes(), digest_size=16)

@@ -1,7 +1,7 @@
-"""How much to trust each of several forecasts, by lead time: weights that would have been best in past trials.
+"""Combination weights of several forecasts by lead time, learned from past trials.
 
-Stacked regression (Wolpert 1992, Breiman 1996): weights are not negative and sum to one. Trials of one week are few and
-hang together, so the weights are drawn towards weights that are fixed beforehand.
+Stacked regression (Wolpert 1992, Breiman 1996): weights are nonnegative and sum to one. Trials of one week are few and
+correlated, so the weights are regularised towards prior weights.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ _SUM_WEIGHT = 1e3
 def stacking_weights(
     errors_K: Array, prior: Array, strength: float, group_of: NDArray[np.intp], trust: Array | None = None
 ) -> Array:
-    """Weights of k forecasts at N lead times.
+    """Return the weights of k forecasts at N lead times.
 
     Args:
-        errors_K: forecast less truth in the trials, shape (T, k, N), NaN where the truth is unknown.
-        prior: weights to be drawn to, shape (k,), not negative, sum one.
-        strength: how much: a distance of one from the prior costs as much as `strength` times the mean squared error
-            of the best forecast.
-        group_of: number of the group of each lead time, shape (N,); a group shares its weights.
-        trust: how much each trial counts, shape (T,), positive; equally by default.
+        errors_K: forecast − truth in T trials, shape (T, k, N), NaN if the truth is unknown.
+        prior: prior weights, shape (k,), nonnegative, sum one.
+        strength: strength of the prior: a distance of one from it costs `strength` times the mean squared error of the
+            best forecast.
+        group_of: group number of each lead time, shape (N,); a group shares its weights.
+        trust: weight of each trial, shape (T,), positive; default: equal.
 
     Returns:
-        Weights, shape (k, N), each column not negative with sum one.
+        Weights, shape (k, N), each column nonnegative with sum one.
     """
     k = prior.size
     weights = np.repeat(prior[:, None], group_of.size, axis=1)
@@ -43,7 +43,7 @@ def stacking_weights(
             continue
         covariance = errors.T @ errors / errors.shape[0]
         size = float(np.trace(covariance)) / k
-        if size <= 0.0:  # all are right: nothing to choose by
+        if size <= 0.0:  # all errors are zero: keep the prior
             continue
         pull = np.sqrt(strength * float(np.diag(covariance).min()))
         root = np.linalg.cholesky(covariance + 1e-9 * size * np.eye(k)).T

@@ -1,1 +1,1 @@
-"""What the machine gives and takes: heat and electric power as functions of level and weather."""
+"""Machine models: heat and electric power as functions of level and weather."""

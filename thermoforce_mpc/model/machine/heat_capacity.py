@@ -1,9 +1,9 @@
-"""Fitting the heat a machine gives (or takes) as a function of the action and the outdoor temperature.
+"""Fit of a machine's heat (or cooling) capacity as a function of level and outdoor temperature.
 
-A day shows few levels and a few kelvin outdoors, while plans go to full and into the cold. So the fit leans on what
-machines of a kind have in common (`MachinePrior`). Which kind it is, and whether levels between off and full are run
-or made by switching, the data decide by their evidence: the probability of the data under each, with all coefficients
-integrated out (MacKay 1992; the bounds that keep loads positive are left out of it).
+One day of data covers few levels and a few K of outdoor temperature, while plans extrapolate to full level and colder
+weather. So the fit uses a prior per machine type (`MachinePrior`). The type, and whether intermediate levels are
+modulated or made by cycling, are chosen by the evidence of the data, with all coefficients marginalised (MacKay 1992;
+without the bounds that keep loads positive).
 """
 
 from __future__ import annotations
@@ -28,23 +28,22 @@ from thermoforce_mpc.model.machine.load_regression import (
     usable_steps,
 )
 
-# How long a step's deviation lasts, h: what the machine warms takes hours to cool again, so steps are not independent.
+# Correlation time of the residuals, h: heated components cool over hours, so steps are not independent.
 _RESIDUAL_CORRELATION_H = 3.0
-# Odds before anything is measured: of the first of several kinds against each other one, and of levels between off and
-# full that are run against levels made by switching.
+# Prior odds: of the first type against each other type, and of modulated against cycled intermediate levels.
 _FIRST_KIND, _LEVELS_ARE_RUN = 20.0, 10.0
 
 
 @dataclass(frozen=True)
 class MachinePrior:
-    """What machines of a kind have in common, each as mean and standard deviation.
+    """Prior of a machine type, each parameter as (mean, standard deviation).
 
     Attributes:
-        name: what a person calls this kind.
-        slope: (1/load) · d load/d T_out at full, 1/K.
-        fixed: share of the full heat that is there as soon as the machine runs and does not follow u.
-        sag: how far full heat falls short of what the lowest levels promise, as a share of full heat; the returned
-            law is straight all the same, and true at the lowest level and at full.
+        name: name of the type.
+        slope: (1/load) · d load/d T_out at full level, 1/K.
+        fixed: share of full heat that does not depend on u while the machine runs.
+        sag: deficit of full heat against extrapolation from the lowest levels, as a share of full heat; the returned
+            law is linear in u, exact at the lowest level and at full level.
     """
 
     name: str
@@ -54,35 +53,34 @@ class MachinePrior:
 
 
 HEAT_PUMP = MachinePrior("heat pump", slope=(0.025, 0.0075), fixed=(0.1, 0.1), sag=(0.12, 0.06))
-"""Heat of air-source heat pumps. Capacity at A−7/W35 is some 65 to 80 % of that at A7/W35 in EN 14511 data sheets. At
-full, water leaves 5 K and air 3 K further from where they came (rating conditions of EN 14511), at some 1 and 2.5 %
-of capacity per kelvin."""
+"""Air-source heat pumps. Capacity at A−7/W35 is about 65 to 80 % of that at A7/W35 in EN 14511 data sheets. At full
+level the temperature differences of water and air are 5 K and 3 K larger (rating conditions of EN 14511), at about 1
+and 2.5 % of capacity per K."""
 
 AIR_CONDITIONER = MachinePrior("air conditioner", slope=(-0.009, 0.005), fixed=(0.1, 0.1), sag=(0.12, 0.06))
-"""Cooling capacity falls by about a tenth from 35 to 46 °C outdoors (conditions T1 and T3 of ISO 5151)."""
+"""Cooling capacity falls by about 10 % from 35 to 46 °C outdoors (conditions T1 and T3 of ISO 5151)."""
 
 DIRECT = MachinePrior("direct", slope=(0.0, 0.002), fixed=(0.0, 0.05), sag=(0.0, 0.02))
-"""Electric heaters, boilers, coils: what they give follows u, whatever the weather."""
+"""Electric heaters, boilers, coils: heat is proportional to u, independent of the weather."""
 
 OTHER = MachinePrior("other", slope=(0.0, 0.03), fixed=(0.2, 0.2), sag=(0.0, 0.1))
-"""Whatever is none of these: next to nothing is known beforehand."""
+"""Any other machine: weak prior."""
 
 Machine = Literal["heat pump", "air conditioner", "direct", "other"]
 KINDS: dict[str, MachinePrior] = {kind.name: kind for kind in (HEAT_PUMP, AIR_CONDITIONER, DIRECT, OTHER)}
 
 
 def kinds_for(sign: int) -> tuple[MachinePrior, ...]:
-    """What a machine that heats (+1) or cools (−1) may be, the likeliest first."""
+    """Return the possible types of a heating (+1) or cooling (−1) machine, the likeliest first."""
     return (HEAT_PUMP if sign > 0 else AIR_CONDITIONER, DIRECT, OTHER)
 
 
 @dataclass(frozen=True)
 class HeatFit:
-    """A fitted heat capacity and how good it is.
+    """Fitted heat capacity and its quality.
 
-    `full_sd` is the standard deviation of the heat at full in the middle of the outdoor temperatures seen, as a share
-    of it; `kind` is what the machine was taken for, and `evidence` the logarithm of the probability of the data under
-    it, up to a constant.
+    `full_sd`: relative standard deviation of the heat at full level in the middle of the outdoor range of the data;
+    `kind`: chosen machine type; `evidence`: log probability of the data under it, up to a constant.
     """
 
     load: MachineLoad
@@ -101,19 +99,19 @@ def fit_heat(
     step_s: float,
     lowest_level: float | None = None,
 ) -> HeatFit:
-    """Least squares for `MachineLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
+    """Fit a `MachineLoad` by least squares with priors, both parts nonnegative over its outdoor range.
 
     Args:
-        u: mean control over each step, shape (n,), in [0, 1].
+        u: mean level over each step, shape (n,), in [0, 1].
         T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
-        heat_W: mean heat over each step, shape (n,), W, positive in the direction of the machine; NaN where silent.
-        kinds: what machine it may be, the likeliest first, see `kinds_for`.
+        heat_W: mean heat over each step, shape (n,), W, positive in the direction of the machine; NaN if missing.
+        kinds: possible machine types, the likeliest first, see `kinds_for`.
         step_s: length of a step, s.
-        lowest_level: level below which the machine switches. By default both an on/off machine (1, where fixed and
+        lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
             proportional part are one) and one with the lowest level in the data are tried.
 
     Raises:
-        DataError: fewer than ten usable steps, or heat was given in fewer than five.
+        DataError: fewer than ten usable steps, or fewer than five with the machine on.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
     residual_scale = RESIDUAL_SCALE * float(np.sqrt(max(1.0, 2.0 * _RESIDUAL_CORRELATION_H * HOUR_S / step_s)))
@@ -129,19 +127,19 @@ def fit_heat(
 
 
 def _fit_at(steps: Steps, residual_scale: float, lowest_level: float, kind: MachinePrior) -> HeatFit:
-    """`residual_scale` is the error of a step as a share of full heat."""
+    """Fit one machine type and lowest level; `residual_scale` is the error of a step as a share of full heat."""
     u, y, ends = steps.u, steps.load_W, EndValues.around(steps)
     levels_seen = lowest_level < 1.0
     carriers = [np.minimum(u / lowest_level, 1.0), u] if levels_seen else [u]
     straight = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
 
-    # A law that bends lies above its chord from the lowest level to full; only the chord is returned.
+    # A concave law lies above its chord from the lowest to full level; only the chord is returned.
     above = np.maximum(u - lowest_level, 0.0) * (1.0 - u)
     design = np.column_stack([straight, above]) if levels_seen else straight
 
     full = _full_load(u, y, lowest_level, kind)
     relations, sds = _prior_rows(kind, lowest_level, ends, design.shape[1])
-    # In shares of full heat, so that the evidence does not depend on the unit.
+    # In units of full heat, so that the evidence does not depend on the unit.
     rows = np.concatenate([design / residual_scale, relations / sds[:, None]])
     values = np.concatenate([y / full / residual_scale, np.zeros(sds.size)])
     least = np.full(design.shape[1], LEAST_W / full)
@@ -154,7 +152,7 @@ def _fit_at(steps: Steps, residual_scale: float, lowest_level: float, kind: Mach
     precision = rows.T @ rows
     variance = float(at_full @ np.linalg.solve(precision, at_full))
     full_sd = float(np.sqrt(max(variance, 0.0))) / float(at_full @ solution)
-    # Densities are of the relations and of the heat at full, which nothing is known of: hence the determinant.
+    # The priors are densities of the relations and of the heat at full level (flat): hence the determinant.
     jacobian = np.linalg.slogdet(np.vstack([relations, at_full]))[1]
     evidence = -0.5 * (residual @ residual + np.linalg.slogdet(precision)[1]) - np.log(sds).sum() + jacobian
 
@@ -169,16 +167,16 @@ def _fit_at(steps: Steps, residual_scale: float, lowest_level: float, kind: Mach
 
 
 def _full_load(u: Array, y: Array, lowest_level: float, kind: MachinePrior) -> float:
-    """Rough size of the heat at full, W: the largest step, scaled up where it was not one at full."""
+    """Return an estimate of the heat at full level, W: the largest step, scaled to full level."""
     top = int(np.argmax(y))
     fixed = kind.fixed[0] if lowest_level < 1.0 else 0.0
     return float(y[top] / (fixed + (1.0 - fixed) * max(float(u[top]), LEVEL_EDGE)))
 
 
 def _prior_rows(kind: MachinePrior, lowest_level: float, ends: EndValues, n: int) -> tuple[Array, Array]:
-    """What is known beforehand as relations that are zero, give or take: rows (m, n) and deviations (m,).
+    """Return the priors as relations with mean zero: rows (m, n) and standard deviations (m,).
 
-    Columns are the end values of each part, then the height above the chord; all in shares of full heat.
+    Columns are the end values of each part, then the height above the chord; all in units of full heat.
     """
     slope, slope_sd = kind.slope
     sloping, middle = ends.sloping(slope), ends.weights(ends.middle_C)

@@ -1,8 +1,8 @@
-"""What a machine gives or draws as a function of its level and the outdoor temperature.
+"""Heat or electric power of a machine as a function of its level and the outdoor temperature.
 
-A machine with a fixed part while it runs has the load `on·(c0 + c1·T_out) + u·(c2 + c3·T_out)`. Below its
-`lowest_level` a mean level u is made by switching, so the share of time it runs is `on = min(u / lowest_level, 1)`:
-1.0 is a pure on/off machine, where everything is proportional to u; a small value is one that modulates.
+A machine with a fixed part while it runs has the load `on·(c0 + c1·T_out) + u·(c2 + c3·T_out)`. Below `lowest_level` a
+mean level u is made by cycling, so the share of time it runs is `on = min(u / lowest_level, 1)`: 1.0 is a pure on/off
+machine, with a load proportional to u; a small value is a modulating machine.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from thermoforce_mpc.errors import DataError
 
 @dataclass(frozen=True)
 class MachineLoad:
-    """`on(u)·(c0 + c1·T) + u·(c2 + c3·T)`: the common form of delivered heat and electric power of a machine.
+    """Load `on(u)·(c0 + c1·T) + u·(c2 + c3·T)`, W: common form of a machine's heat and electric power.
 
-    `coefficients` are (c0, c1, c2, c3) in W, W/K, W, W/K; `T_out_range_C` the outdoor temperatures for which they
-    hold, outside of which T_out is held at the nearer end (an affine law goes negative if followed too far).
-    `levels_seen` says whether levels between off and full were in the data, that is whether c0 and c2 are known apart.
+    `coefficients` are (c0, c1, c2, c3) in W, W/K, W, W/K. `T_out_range_C` is their valid outdoor range; outside, T_out
+    is held at the nearer end, since an affine law may become negative. `levels_seen`: whether the data had intermediate
+    levels, which separate c0 from c2.
 
     Raises:
-        DataError: the load is not a nondecreasing function of u at both ends of the range, or a number is not finite.
+        DataError: the load decreases in u at an end of the range, or a number is not finite.
     """
 
     coefficients: tuple[float, float, float, float]
@@ -49,23 +49,23 @@ class MachineLoad:
                 )
 
     def parts(self, T_out_C: Array | float) -> tuple[Array, Array]:
-        """The part that is fixed while on and the part per unit of u at `T_out_C` °C, both W."""
+        """Return the fixed part while on and the part per unit of u at `T_out_C` °C, both W."""
         T = np.clip(T_out_C, *self.T_out_range_C)
         c0, c1, c2, c3 = self.coefficients
         return np.asarray(c0 + c1 * T), np.asarray(c2 + c3 * T)
 
     def on_share(self, u: Array) -> Array:
-        """Share of the step the machine runs, same shape as `u`."""
+        """Return the share of the step the machine runs, shape of `u`."""
         u = np.asarray(u, dtype=np.float64)
         return u if self.lowest_level == 1.0 else np.minimum(u / self.lowest_level, 1.0)
 
     def __call__(self, u: Array, T_out_C: Array) -> Array:
-        """Load for `u` in [0, 1] at `T_out_C` °C (shapes broadcast), W."""
+        """Return the load for `u` in [0, 1] at `T_out_C` °C (shapes broadcast), W."""
         fixed, per_u = self.parts(T_out_C)
         return np.asarray(self.on_share(u) * fixed + np.asarray(u, dtype=np.float64) * per_u)
 
     def slope_bounds(self) -> tuple[float, float]:
-        """Smallest and largest ∂load/∂u over u in [0, 1] and the outdoor range, W."""
+        """Return the smallest and largest ∂load/∂u over u in [0, 1] and the outdoor range, W."""
         slopes: list[float] = []
         for T in self.T_out_range_C:
             fixed, slope = self.parts(T)
@@ -75,14 +75,14 @@ class MachineLoad:
         return min(slopes), max(slopes)
 
     def at_lowest_level(self, lowest_level: float) -> MachineLoad:
-        """The same machine actuated with another lowest level.
+        """Return the same machine with another lowest level.
 
         Raises:
-            DataError: a lower level is asked for than the data can tell about.
+            DataError: `lowest_level` is below 1, but the data had no intermediate levels.
         """
         if lowest_level < 1.0 and not self.levels_seen:
             raise DataError(
-                "the actuator was only seen off and full on, so its load at lower levels is unknown: "
+                "the data have only off and full level, so the load at intermediate levels is unknown: "
                 "probe with intermediate levels, or keep lowest_level at 1"
             )
         return replace(self, lowest_level=lowest_level)

@@ -1,7 +1,8 @@
-"""What fits of heat and of electric power share: usable steps, levels to try, and a law affine in T_out by its ends.
+"""Regression common to heat and electric power: usable steps, lowest levels to try, and affine laws of T_out.
 
-Both are `MachineLoad`: a fixed part while on and a part that follows u, each affine in the outdoor temperature. Such a
-law is nonnegative on an interval exactly when it is at both ends, so the unknowns are the values there, bounded below.
+Both are `MachineLoad`: a fixed part while on and a part proportional to u, each affine in the outdoor temperature. An
+affine law is nonnegative on an interval exactly if it is at both ends, so the unknowns are the end values, bounded
+below.
 """
 
 from __future__ import annotations
@@ -15,22 +16,22 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
 
-# A level between these shares of full is an intermediate level; outside, off or full.
+# A level in (LEVEL_EDGE, 1 − LEVEL_EDGE) is intermediate; outside it is off or full.
 LEVEL_EDGE = 0.02
-# Bound of the end values, a hair above zero so that rounding in the affine law cannot make a load negative.
+# Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
 LEAST_W = 1e-3
-# Intermediate samples needed before the fixed and the proportional part can be told apart.
+# Least number of intermediate samples to separate the fixed and the proportional part.
 _MIN_LEVELS = 3
 _MIN_STEPS, _MIN_RUNNING = 10, 5
-# Share of full load that a step's measurement is off by (dynamics inside the step, what the law leaves out).
+# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
 RESIDUAL_SCALE = 0.02
-# How far beyond the outdoor temperatures seen the affine law is trusted, K; beyond, its value there is held.
+# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
 _TRUST_K = 15.0
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Usable steps: `u`, `T_out_C` °C, `load_W` W and whether the machine ran, all (n,); `kept` of the steps given."""
+    """Usable steps: `u`, `T_out_C` °C, `load_W` W and whether the machine ran, all (n,); `kept`: mask on the input."""
 
     u: Array
     T_out_C: Array
@@ -40,7 +41,7 @@ class Steps:
 
 
 def usable_steps(u: Array, T_out_C: Array, load_W: Array, what: str) -> Steps:
-    """Steps where all was measured; raises `DataError` where they are too few or the machine hardly ran."""
+    """Return the fully measured steps; raises `DataError` below 10 steps or 5 with the machine on."""
     u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, load_W))
     kept = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
     if kept.sum() < _MIN_STEPS:
@@ -55,7 +56,7 @@ def usable_steps(u: Array, T_out_C: Array, load_W: Array, what: str) -> Steps:
 
 
 def levels_to_try(steps: Steps, lowest_level: float | None) -> list[float]:
-    """The lowest level given, or those of an on/off machine (1) and of one that runs at the lowest level seen."""
+    """Return the given lowest level, or 1 (on/off machine) and the lowest intermediate level in the data."""
     if lowest_level is not None:
         return [lowest_level]
     between = steps.running & (steps.u < 1.0 - LEVEL_EDGE)
@@ -64,7 +65,7 @@ def levels_to_try(steps: Steps, lowest_level: float | None) -> list[float]:
 
 @dataclass(frozen=True)
 class EndValues:
-    """Affine laws of T_out on [`low_C`, `high_C`] by their values at both ends; `middle_C` of what was seen."""
+    """Affine laws of T_out on [`low_C`, `high_C`] by their end values; `middle_C` is the middle of the data."""
 
     low_C: float
     high_C: float
@@ -72,22 +73,22 @@ class EndValues:
 
     @classmethod
     def around(cls, steps: Steps) -> EndValues:
-        """The range of the outdoor temperatures while running, and what lies near it."""
+        """Return the range of outdoor temperatures while running, extended by 15 K on both sides."""
         T = steps.T_out_C[steps.running]
         low, high = float(T.min()), float(T.max())
         return cls(low - _TRUST_K, high + _TRUST_K, 0.5 * (low + high))
 
     def weights(self, T_out_C: Array | float) -> Array:
-        """Weights of the two end values at `T_out_C`, shape (…, 2); outside the range those of the nearer end."""
+        """Return the weights of the two end values at `T_out_C`, shape (…, 2); outside the range, of the nearer end."""
         share = (np.clip(T_out_C, self.low_C, self.high_C) - self.low_C) / (self.high_C - self.low_C)
         return np.stack([1.0 - share, share], axis=-1)
 
     def sloping(self, mean_per_K: float) -> Array:
-        """Slope minus `mean_per_K` times the value in the middle, as weights of the end values, shape (2,)."""
+        """Return slope − `mean_per_K` times the value in the middle, as weights of the end values, shape (2,)."""
         return np.array([-1.0, 1.0]) / (self.high_C - self.low_C) - mean_per_K * self.weights(self.middle_C)
 
     def load(self, ends_W: Array, lowest_level: float) -> MachineLoad:
-        """The load whose parts have the end values `ends_W`: (fixed, per u), or per u alone for an on/off machine."""
+        """Return the load with end values `ends_W` of its parts: (fixed, per u), or per u only for on/off machines."""
         laws = []
         for at_low, at_high in np.reshape(ends_W, (-1, 2)):
             slope = (at_high - at_low) / (self.high_C - self.low_C)
@@ -103,7 +104,7 @@ class EndValues:
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a fit is: `rmse_W`, `bias_W` over `n_running` steps, `r2` over all `n_samples`."""
+    """Quality of a fit: `rmse_W`, `bias_W` over `n_running` steps, `r2` over all `n_samples`."""
 
     rmse_W: float
     bias_W: float
@@ -113,7 +114,7 @@ class Quality:
 
     @classmethod
     def of(cls, fitted_W: Array, steps: Steps) -> Quality:
-        """Of `fitted_W` (n,) against what was measured."""
+        """Return the quality of `fitted_W` (n,) against the measured load."""
         error = fitted_W - steps.load_W
         variance = float(np.var(steps.load_W))
         return cls(

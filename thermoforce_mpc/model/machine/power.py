@@ -1,8 +1,8 @@
-"""Total electric power as a function of the action: a fixed part while on, a part that follows u, both with T_out.
+"""Total electric power as a function of the level: a fixed part while on and a part proportional to u, both with T_out.
 
-P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor where
-the return water's temperature is measured (`return_water.py`). A model without the fixed part believes that running
-slowly is cheap; on a machine with losses that do not scale with speed that costs a controller a quarter of the energy.
+P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor if the
+return water temperature is measured (`return_water.py`). Without the fixed part the model underestimates the power at
+part load; on a machine with speed-independent losses that costs a controller 25 % of the energy.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_w
 
 @dataclass(frozen=True)
 class SlopePrior:
-    """What is believed about (1/load) · d load/d T_out before measuring: mean and standard deviation, 1/K.
+    """Prior of (1/load) · d load/d T_out: mean and standard deviation, 1/K.
 
-    A few days of one season say little about it, and the days to be planned for are colder or warmer.
+    A few days of one season contain little information on it, and plans extend to colder or warmer days.
     """
 
     mean_per_K: float
@@ -44,7 +44,7 @@ POWER_SLOPE = SlopePrior(0.0, 0.015)
 
 @dataclass(frozen=True)
 class LoadFit:
-    """A fitted load and how good it is."""
+    """Fitted load and its quality."""
 
     load: MachineLoad
     quality: Quality
@@ -52,9 +52,9 @@ class LoadFit:
 
 @dataclass(frozen=True)
 class PowerModel:
-    """P(u, T_out, T_return) in W with the quality of its fit; `load.coefficients` are (c0 … c3).
+    """Electric power P(u, T_out, T_return) in W with the quality of its fit; `load.coefficients` are (c0 … c3).
 
-    `water` says how the power follows the return water; None where that was not measured.
+    `water`: dependence on the return water temperature; None if that was not measured.
     """
 
     load: MachineLoad
@@ -64,20 +64,20 @@ class PowerModel:
     water: ReturnWater | None = None
 
     def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
-        """Mean electric power over a step for `u` in [0, 1] at `T_out_C` and return water at `T_return_C` °C, W.
+        """Return the mean electric power over a step for `u` in [0, 1] at `T_out_C` and `T_return_C` °C, W.
 
-        Shapes broadcast. Where the return temperature is NaN it is taken to be the one of the fit.
+        Shapes broadcast. A NaN return temperature is replaced by that of the fit.
         """
         return np.asarray(self.load(u, T_out_C) * self._factor(T_return_C))
 
     def parts(self, T_out_C: Array, T_return_C: Array | float = float("nan")) -> tuple[Array, Array]:
-        """The part that is fixed while on and the part per unit of u, both W; see `MachineLoad.parts`."""
+        """Return the fixed part while on and the part per unit of u, both W; see `MachineLoad.parts`."""
         fixed, per_u = self.load.parts(T_out_C)
         factor = self._factor(T_return_C)
         return np.asarray(fixed * factor), np.asarray(per_u * factor)
 
     def at_lowest_level(self, lowest_level: float) -> PowerModel:
-        """The same machine actuated with another lowest level, see `MachineLoad.at_lowest_level`."""
+        """Return the same machine with another lowest level, see `MachineLoad.at_lowest_level`."""
         return replace(self, load=self.load.at_lowest_level(lowest_level))
 
     @property
@@ -93,7 +93,7 @@ class PowerModel:
 def fit_power(
     histories: Sequence[Record], *, lowest_level: float | None = None, slope: SlopePrior = POWER_SLOPE
 ) -> PowerModel:
-    """Fit the power model to the measured power of probes; see `fit_load` for arguments and errors."""
+    """Fit the power model to the measured power of records; see `fit_load` for arguments and errors."""
     u, T_out, power, T_return, T_zone = (
         np.concatenate([values(history) for history in histories])
         for values in (
@@ -129,17 +129,17 @@ def fit_load(
     slope: SlopePrior | None = None,
     factor: Array | None = None,
 ) -> LoadFit:
-    """Least squares for `MachineLoad`, with both parts kept nonnegative over the outdoor range it is valid for.
+    """Fit a `MachineLoad` by least squares, both parts nonnegative over its outdoor range.
 
     Args:
-        u: mean control over each step, shape (n,), in [0, 1].
+        u: mean level over each step, shape (n,), in [0, 1].
         T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
-        load_W: measured mean load over each step, shape (n,), W; NaN where silent.
+        load_W: measured mean load over each step, shape (n,), W; NaN if missing.
         what: name of the load for messages.
-        lowest_level: level below which the machine switches. By default both an on/off machine (1, where fixed and
+        lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
             proportional part are one) and one with the lowest level in the data are tried, and the better fit kept.
-        slope: prior on the dependence on T_out; none by default.
-        factor: what the load is known to be multiplied by in each step, shape (n,); 1 by default.
+        slope: prior of the dependence on T_out; default: none.
+        factor: known factor on the load in each step, shape (n,); default: 1.
 
     Raises:
         DataError: fewer than ten usable steps, or the load was on in fewer than five.
@@ -159,7 +159,7 @@ def _fit_at(steps: Steps, times: Array, lowest_level: float, slope: SlopePrior |
     rows: list[Array] = [design / (RESIDUAL_SCALE * full)]
     values: list[Array] = [steps.load_W / (RESIDUAL_SCALE * full)]
     if slope is not None:
-        # Zero, give or take; the load's own size sets the scale.
+        # Prior of the slope, scaled by the size of the load.
         per_part = slope.sd_per_K * full / len(carriers)
         rows.append(np.asarray(np.kron(np.eye(len(carriers)), ends.sloping(slope.mean_per_K)) / per_part))
         values.append(np.zeros(len(carriers)))

@@ -1,8 +1,8 @@
-"""How electric power follows the water that comes back from the emitters: a factor 1 + κ (T_return − reference).
+"""Dependence of electric power on the return water temperature: a factor 1 + κ (T_return − reference).
 
-At a given level a heat pump draws more when it works against warmer water. The return temperature is measured, so κ is
-identified with the rest of the power; ahead it is not known, but it follows the zone: the floor that returns the water
-is as much warmer than the zone as it was on the day before.
+At a given level a heat pump draws more power with warmer water. κ is identified with the rest of the power model from
+the measured return temperature. In predictions the return temperature is the zone temperature plus the mean difference
+of the last day.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from scipy.optimize import minimize_scalar
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, RESIDUAL_SCALE
 
-# Fewer running steps than this with a measured return temperature cannot tell κ from the rest.
+# Least number of running steps with a measured return temperature to identify κ.
 _LEAST_STEPS = 20
-# One kelvin of lift is 2 to 3 % of a heat pump's efficiency, part of which shows in the heat and not in the power.
+# 1 K of lift changes a heat pump's efficiency by 2 to 3 %, partly through the heat instead of the power.
 _PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
 _BOUNDS_PER_K = (-0.02, 0.05)
-# How far beyond the temperatures seen the law is trusted, K.
+# Extrapolation beyond the return temperatures of the data, K.
 _TRUST_K = 5.0
 
 
 @dataclass(frozen=True)
 class ReturnWater:
-    """Electric power is multiplied by `factor(T_return_C)`.
+    """Factor on electric power by return water temperature.
 
-    `per_K` is κ in 1/K, `reference_C` °C the return temperature at which the load was fitted, `range_C` °C where the
-    law holds (held beyond), `above_zone_K` by how much the running machine's return water was warmer than the zone.
+    `per_K`: κ, 1/K; `reference_C`: return temperature of the fitted load, °C; `range_C`: valid range, °C (held beyond);
+    `above_zone_K`: mean difference of return and zone temperature while the machine runs, K.
     """
 
     per_K: float
@@ -39,15 +39,15 @@ class ReturnWater:
     above_zone_K: float
 
     def factor(self, T_return_C: Array) -> Array:
-        """Factor on the power at `T_return_C` °C; 1 where it is NaN (not measured)."""
+        """Return the factor on the power at `T_return_C` °C; 1 if it is NaN (not measured)."""
         T = np.clip(T_return_C, *self.range_C)
         return np.where(np.isfinite(T), 1.0 + self.per_K * (T - self.reference_C), 1.0)
 
     def expected_C(self, history: Record, T_zone_C: Array) -> Array:
-        """Return temperature to be expected where the zone is at `T_zone_C` °C and the machine runs, same shape, °C.
+        """Return the expected return temperature with the zone at `T_zone_C` °C and the machine on, same shape, °C.
 
-        As far above the zone as in the running steps of the last day of `history`, or of the identification where it
-        did not run or was not measured.
+        The difference to the zone is that of the running steps of the last day of `history`, or of the identification
+        if there are none or it was not measured.
         """
         if history.n_steps:
             last_day = history.last(max(1, round(DAY_S / history.step_s)))
@@ -58,7 +58,7 @@ class ReturnWater:
 
 
 def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
-    """Mean of return minus zone temperature over running steps, weighted by u, K; NaN where nothing was measured."""
+    """Return the mean of return − zone temperature over running steps, weighted by u, K; NaN without measurements."""
     weight = np.where(np.isfinite(T_return_C) & np.isfinite(T_zone_C) & (u > LEVEL_EDGE), u, 0.0)
     if not weight.sum() > 0:
         return float("nan")
@@ -68,12 +68,12 @@ def above_zone(T_return_C: Array, T_zone_C: Array, u: Array) -> float:
 def fit_return_water(
     T_return_C: Array, T_zone_C: Array, u: Array, misfit_of: Callable[[Array], float], full_W: float
 ) -> ReturnWater | None:
-    """κ by least squares with a prior, or None where too few running steps have a measured return temperature.
+    """Fit κ by least squares with a prior; None if too few running steps have a measured return temperature.
 
     Args:
         T_return_C: mean over each step, (n,), °C; T_zone_C: at the start of each step, (n,), °C; u: (n,).
-        misfit_of: sum of squared misfits in W² of the load fitted to the measured power over factors (n,) given.
-        full_W: scale of the power, W: a step's power is believed to `RESIDUAL_SCALE` of it, as in `fit_load`.
+        misfit_of: sum of squared residuals, W², of the load fitted to the measured power with given factors (n,).
+        full_W: scale of the power, W: a step's error has a standard deviation of `RESIDUAL_SCALE` times it.
     """
     known = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
     if known.sum() < _LEAST_STEPS:

@@ -1,4 +1,4 @@
-"""The forced-response operator: what an action adds to the zone temperature. Imports neither torch nor casadi."""
+"""Forced-response operator: the effect of an action on the zone temperature. Imports neither torch nor casadi."""
 
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import FEATURES, feature_matrix, time_of_day

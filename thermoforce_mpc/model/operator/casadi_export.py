@@ -1,4 +1,4 @@
-"""The trained operator as CasADi functions: the same equations, weights as constants, exact derivatives."""
+"""Trained operator as CasADi functions: the same equations with constant weights and exact derivatives."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ Expression = TypeVar("Expression", ca.SX, ca.MX)
 
 
 def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) -> Expression:
-    """`load(u, T_out)` in W as an expression (elementwise), for delivered heat and for electric power."""
+    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat and electric power."""
     low, high = load.T_out_range_C
     T = ca.fmin(ca.fmax(T_out_C, low), high)
     c0, c1, c2, c3 = load.coefficients
-    # At lowest_level 1 the load is linear in u: no kink for the solver to stumble over.
+    # At lowest_level 1 the load is linear in u, without a kink for the solver.
     on = u if load.lowest_level == 1.0 else ca.fmin(u / load.lowest_level, 1.0)
     return on * (c0 + c1 * T) + u * (c2 + c3 * T)
 
 
 def heat_input_expression(heat_input: HeatInput, u: Expression, T_out_C: Expression) -> Expression:
-    """v(u, T_out) as an expression (elementwise)."""
+    """Return v(u, T_out) as an expression (elementwise)."""
     if heat_input.heat is None:
         return u
     return on_load_expression(heat_input.heat, u, T_out_C) / heat_input.reference_W
 
 
 def modulation_function(params: OperatorParameters) -> ca.Function:
-    """`m(x)` (paper eq:mod): x (4,) in physical units → scalar; use `.map(N)` for a horizon."""
+    """Return `m(x)` (paper eq:mod): x (4,) in physical units → scalar; use `.map(N)` for a horizon."""
     x = ca.SX.sym("x", N_FEATURES)
     normalised = (x - ca.DM(params.feature_mean)) / ca.DM(params.feature_scale)
     hidden = ca.tanh(ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias))
@@ -41,7 +41,7 @@ def modulation_function(params: OperatorParameters) -> ca.Function:
 
 
 def step_function(params: OperatorParameters) -> ca.Function:
-    """`F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
+    """Return `F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
     F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
     seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
     drive = modulation_function(params)(seen) * heat_input_expression(params.heat_input, u, x[OUTDOOR])
@@ -50,7 +50,7 @@ def step_function(params: OperatorParameters) -> ca.Function:
 
 
 def rollout_function(params: OperatorParameters, n_steps: int) -> ca.Function:
-    """The forced response over `n_steps` steps as one function.
+    """Return the forced response over `n_steps` steps as one function.
 
     Inputs F0 (r,) K, u (n_steps,), X (4, n_steps) with x_t of each step in its column; outputs `modes` (r, n_steps) K
     at the end of each step and `forced` (1, n_steps) K, their sum.

@@ -1,11 +1,11 @@
-"""The certificate: what the weights at hand guarantee about the effect of an action (paper, proposition).
+"""Certificate: guaranteed bounds of the effect of an action for given weights (paper, proposition).
 
 For k = 1 … K, ∂F(t+k)/∂u(t) = m(x_t) · ∂v/∂u · Σ_i g_i a_i^(k−1). With a_i in (0, 1), an impulse response of one sign
-(see `operator.parameters` for why two conditions on the gains are enough), m inside [1 − γ, 1 + γ] and ∂v/∂u inside
-known bounds, the effect lies in an interval that never crosses zero, for any features.
+(two conditions on the gains suffice, see `operator.parameters`), m in [1 − γ, 1 + γ] and ∂v/∂u in known bounds, the
+effect lies in an interval that does not cross zero, for any features.
 
-Where m sees the predicted zone temperature this form is lost; then the interval comes from `operator.feedback`, holds
-for the `n_steps` of the certificate, and may cross zero: such an operator is not certified.
+With feedback, m depends on the predicted zone temperature and this form does not hold. Then the interval comes from
+`operator.feedback`, is valid for the `n_steps` of the certificate, and may cross zero: that operator is not certified.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.feedback import feedback_bounds
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-# Share of the gains by which rounding may put a response below zero.
+# Tolerance of a negative response by rounding, as a share of the gains.
 _ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Proven bounds; `certified` only where every clause holds, `reasons` says which do not.
+    """Proven bounds of the effect, K per step ahead; `certified` if all conditions hold, else see `reasons`.
 
-    `feedback_slope_per_K` encloses v ∂m/∂T where the modulation sees the predicted temperature, else (0, 0).
+    `feedback_slope_per_K` encloses v ∂m/∂T, 1/K, with feedback, else (0, 0).
     """
 
     certified: bool
@@ -42,7 +42,7 @@ class Certificate:
     feedback_slope_per_K: tuple[float, float] = (0.0, 0.0)
 
     def to_json(self) -> dict[str, object]:
-        """Plain values, for the artifact."""
+        """Return plain values for JSON."""
         return {
             "certified": self.certified,
             "sign": self.sign,
@@ -58,14 +58,14 @@ class Certificate:
 
 
 def modulation_interval(params: OperatorParameters) -> tuple[float, float]:
-    """Interval that contains m(x) for every x: the output layer sees hidden units inside [−1, 1], whatever they saw."""
+    """Return an interval that contains m(x) for every x, since hidden units lie in [−1, 1]."""
     reach = float(np.abs(params.output_weight).sum())
     low, high = np.tanh(params.output_bias - reach), np.tanh(params.output_bias + reach)
     return 1.0 + params.gamma * float(low), 1.0 + params.gamma * float(high)
 
 
 def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
-    """Prove the proposition for these weights over `n_steps` steps.
+    """Check the proposition for these weights over `n_steps` steps.
 
     Raises:
         DataError: `n_steps` is not positive.
@@ -78,15 +78,15 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
     least, most, slope = _responses(params, n_steps)
     if not (most > 0).any():
         reasons.append(f"no action has an effect: gains {params.gains.tolist()}")
-    # A response through the free features is never below zero, by its form: rounding is cut off there.
+    # Without feedback the response is nonnegative by construction, up to rounding.
     refuted = ~(np.isfinite(least) & (least >= -_ROUNDING * np.abs(params.gains).sum()))
     if refuted.any():
         first = int(np.flatnonzero(refuted)[0])
         reasons.append(
-            "the modulation sees the predicted temperature, and its slope "
-            f"(v dm/dT within [{slope[0]:.4g}, {slope[1]:.4g}] per K) could turn the effect of an action around: "
-            f"{first + 1} steps later it is only known to be {least[first]:.4g} K or more in the direction "
-            "of the sign; use feedback: false, or a smaller gamma or modulation_sd"
+            "the modulation depends on the predicted temperature, and its slope "
+            f"(v dm/dT within [{slope[0]:.4g}, {slope[1]:.4g}] per K) could reverse the effect of an action: "
+            f"{first + 1} steps later its lower bound in the direction of the sign is {least[first]:.4g} K; "
+            "use feedback: false, or a smaller gamma or modulation_sd"
         )
     m_low, m_high = modulation_interval(params)
     if m_low <= 0:
@@ -94,7 +94,7 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
     v_low, v_high = params.heat_input.slope_bounds()
     if v_low < 0:
         reasons.append(f"the heat input falls with u (slope {v_low:g})")
-    # Times a nonnegative interval of m ∂v/∂u; where the response itself may be negative, so may its product be.
+    # Product with the nonnegative interval of m ∂v/∂u; a negative lower response takes the upper end of that interval.
     weak = np.where(least < 0, least * m_high * v_high, least * m_low * v_low)
     strong = most * m_high * v_high
     low, high = (weak, strong) if params.sign > 0 else (-strong, -weak)
@@ -113,7 +113,7 @@ def certificate(params: OperatorParameters, n_steps: int = 48) -> Certificate:
 
 
 def _responses(params: OperatorParameters, n_steps: int) -> tuple[Array, Array, tuple[float, float]]:
-    """Response to one unit of m ∂v/∂u in the direction of the sign: at least and at most (n,) K; feedback slope 1/K."""
+    """Return bounds (n,) K of the response to one unit of m ∂v/∂u, in the direction of the sign; feedback slope 1/K."""
     if not params.feedback_active:
         impulse: Array = params.impulse(n_steps) * params.sign
         return impulse, impulse, (0.0, 0.0)

@@ -1,7 +1,7 @@
-"""The features x_t of the modulation (paper eq:mod): the state of zone and weather, never the control.
+"""Features x_t of the modulation (paper eq:mod): zone temperature and weather, without the control.
 
-That `u` and `F` stay out is what makes the effect of an action exactly `a^k g m(x_t)` (paper eq:marginal). An operator
-with `feedback` adds F to the first column itself, and has to be certified for it.
+Without `u` and `F` in x_t the effect of an action is exactly `a^k g m(x_t)` (paper eq:marginal). An operator with
+`feedback` adds F to the first column itself, and its certificate accounts for it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _WARMEST_HOUR = 15.0
 
 
 def time_of_day(time_s: Array) -> Array:
-    """cos(2π(hour − 15)/24): 1 at 15:00, −1 at 03:00; `time_s` in s since 1 January 00:00, any shape."""
+    """Return cos(2π(hour − 15)/24): 1 at 15:00, −1 at 03:00; `time_s` in s since 1 January 00:00, any shape."""
     hour = np.mod(np.asarray(time_s, dtype=np.float64), DAY_S) / HOUR_S
     return np.asarray(np.cos(2.0 * np.pi * (hour - _WARMEST_HOUR) / 24.0))
 

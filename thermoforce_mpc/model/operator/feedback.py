@@ -1,4 +1,4 @@
-"""What can be proven when the modulation sees the predicted zone temperature, and so the forced state itself.
+"""Bounds of the effect of an action if the modulation depends on the predicted zone temperature, and so on F.
 
 Then F(t+1) = a ⊙ F(t) + g m(T_free + ΣF(t), …) v(t) (paper eq:operator with the remark below eq:mod), and an action
 changes the gain of all later ones. With x(1) = g m ∂v/∂u the derivative of the modes with respect to the action, the
@@ -6,9 +6,9 @@ chain rule gives
 
     x(j+1) = (diag a + κ_j g 1ᵀ) x(j),   κ_j = v_j ∂m/∂T,   ∂F(t+k)/∂u(t) = 1ᵀ x(k).
 
-Nothing is known of κ_j but an interval: v lies in [0, v_max], and the slope of the network is enclosed by interval
-arithmetic (both derivatives of tanh lie in [0, 1], whatever they are evaluated at). 1ᵀ x(k) is affine in each κ_j, so
-its extremes lie at the intervals' ends: the convex hull of all reachable x(k) is carried along exactly.
+κ_j is known by an interval only: v lies in [0, v_max], and the slope of the network is enclosed by interval arithmetic
+(both derivatives of tanh lie in [0, 1] everywhere). 1ᵀ x(k) is affine in each κ_j, so its extremes lie at the interval
+ends, and the convex hull of all reachable x(k) is propagated exactly.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # More corners than this are reduced to their convex hull, and a hull with more than that to its bounding box.
 _PRUNE_ABOVE, _BOX_ABOVE = 48, 768
-# Relative room for rounding, here and in Qhull's joggled input.
+# Relative margin for rounding, here and in Qhull's joggled input.
 _ROUNDING = 1e-9
-# Feedback that multiplies a deviation by more than this within one step is beyond any use, and beyond float64 soon.
+# Feedback gain per step above which the bounds are infinite; larger values would soon overflow float64.
 _RUNAWAY = 1e3
 
 
@@ -34,8 +34,8 @@ _RUNAWAY = 1e3
 class FeedbackBounds:
     """Enclosure of the feedback of F through the modulation.
 
-    `slope_per_K` encloses v ∂m/∂T, 1/K; `response_low_K` and `response_high_K` enclose, for k = 1 … n, the effect on F
-    of one unit of m ∂v/∂u, K (the impulse response where there is no feedback).
+    `slope_per_K` encloses v ∂m/∂T, 1/K; `response_low_K` and `response_high_K` (n,) enclose, for k = 1 … n, the effect
+    on F of one unit of m ∂v/∂u, K (the impulse response without feedback).
     """
 
     slope_per_K: tuple[float, float]
@@ -44,13 +44,13 @@ class FeedbackBounds:
 
 
 def modulation_slope(params: OperatorParameters) -> tuple[float, float]:
-    """Interval that contains ∂m/∂(zone temperature) for every x, 1/K."""
+    """Return an interval that contains ∂m/∂(zone temperature) for every x, 1/K."""
     paths = params.output_weight * params.hidden_weight[:, ZONE] / params.feature_scale[ZONE]
     return params.gamma * float(np.minimum(paths, 0.0).sum()), params.gamma * float(np.maximum(paths, 0.0).sum())
 
 
 def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
-    """Enclose the response over `n_steps` steps for every course of weather, temperature and later actions."""
+    """Return bounds of the response over `n_steps` steps for any weather, temperatures and later actions."""
     largest = params.heat_input.largest()
     low, high = (largest * slope for slope in modulation_slope(params))
     low, high = (low, high) if params.feedback_active else (0.0, 0.0)
@@ -72,7 +72,7 @@ def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
 
 
 def _pruned(corners: Array) -> Array:
-    """Fewer points with the same convex hull (or, where they are too many, with one around it)."""
+    """Return fewer points with the same convex hull (or, above 768 points, their bounding box)."""
     order = corners.shape[1]
     if order == 1:
         return np.array([corners.min(axis=0), corners.max(axis=0)])
@@ -87,7 +87,7 @@ def _pruned(corners: Array) -> Array:
 
 
 def _box(points: Array) -> Array:
-    """Corners of the smallest box around the points, sides along the modes."""
+    """Return the corners of the bounding box of the points, sides along the modes."""
     low, high = points.min(axis=0), points.max(axis=0)
     grids = np.meshgrid(*zip(low, high, strict=True), indexing="ij")
     return np.stack([grid.ravel() for grid in grids], axis=1)

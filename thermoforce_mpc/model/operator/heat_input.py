@@ -1,4 +1,4 @@
-"""The input of the operator: a map v(u, T_out), monotone in u, from the level to the heat that enters the building."""
+"""Input of the operator: a map v(u, T_out), monotone in u, from the level to the delivered heat."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from thermoforce_mpc.model.machine.load import MachineLoad
 
 @dataclass(frozen=True)
 class HeatInput:
-    """v(u, T_out), dimensionless and nondecreasing in u, with v = 1 at full heat at `reference_C`.
+    """Map v(u, T_out), dimensionless and nondecreasing in u, with v = 1 at full level and `reference_C`.
 
-    Without a `heat` load it is the identity v = u, which is the paper's operator.
+    Without a `heat` load it is the identity v = u of the paper's operator.
     """
 
     heat: MachineLoad | None = None
@@ -27,30 +27,30 @@ class HeatInput:
 
     @property
     def reference_W(self) -> float:
-        """Heat that counts as v = 1, W (1 for the identity)."""
+        """Heat at v = 1, W (1 for the identity)."""
         return 1.0 if self.heat is None else float(self.heat(np.asarray(1.0), np.asarray(self.reference_C)))
 
     def __call__(self, u: Array, T_out_C: Array) -> Array:
-        """v for `u` in [0, 1] and `T_out_C` °C (shapes broadcast)."""
+        """Return v for `u` in [0, 1] and `T_out_C` °C (shapes broadcast)."""
         if self.heat is None:
             return np.asarray(u, dtype=np.float64) + 0.0 * np.asarray(T_out_C, dtype=np.float64)
         return self.heat(u, T_out_C) / self.reference_W
 
     def slope_bounds(self) -> tuple[float, float]:
-        """Smallest and largest ∂v/∂u over u in [0, 1] and the outdoor range."""
+        """Return the smallest and largest ∂v/∂u over u in [0, 1] and the outdoor range."""
         if self.heat is None:
             return 1.0, 1.0
         low, high = self.heat.slope_bounds()
         return low / self.reference_W, high / self.reference_W
 
     def largest(self) -> float:
-        """Largest v over u in [0, 1] and the outdoor range: full actuation at the end that delivers more."""
+        """Return the largest v over u in [0, 1] and the outdoor range: full level at the end with more heat."""
         if self.heat is None:
             return 1.0
         return max(sum(float(part) for part in self.heat.parts(T)) for T in self.heat.T_out_range_C) / self.reference_W
 
     def at_lowest_level(self, lowest_level: float) -> HeatInput:
-        """The same map for another actuation, see `MachineLoad.at_lowest_level`."""
+        """Return the same map with another lowest level, see `MachineLoad.at_lowest_level`."""
         return self if self.heat is None else replace(self, heat=self.heat.at_lowest_level(lowest_level))
 
 

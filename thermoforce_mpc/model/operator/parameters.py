@@ -1,10 +1,11 @@
-"""The forced-response operator in numbers (paper eq:operator to eq:mod), in numpy alone.
+"""Forced-response operator and its parameters (paper eq:operator to eq:mod), in numpy only.
 
 `r` parallel modes, fastest first, F = Σ F_i with F_i(t+1) = a_i F_i(t) + g_i m(x_t) v(u_t, T_out). Order 1 with v = u
-is the paper's operator. A sum of modes of one sign is strongest right after the action, but a floor slab answers hours
-later: so the fastest gain may be negative, as the delay of what the others bring, as far as Σ g_i (−ln a_i)/(1 − a_i)
-keeps the sign. That sum is the slope of the step response at its start (up to the step), and it is enough: divided by
-the fastest decay the impulse response only grows, so it never crosses zero, at any step length and for any weights.
+is the paper's operator. With gains of one sign the response is largest right after the action, but a floor slab
+responds hours later. So the fastest gain may be negative, which gives a delay, as long as Σ g_i (−ln a_i)/(1 − a_i)
+keeps the sign. That sum is the initial slope of the step response (up to the step), and this condition is sufficient:
+the impulse response divided by the fastest decay is monotone, so it does not cross zero at any step length and for any
+weights.
 """
 
 from __future__ import annotations
@@ -21,33 +22,33 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 HIDDEN = 32
 GAMMA = 0.75
 
-# Weights and features below this cannot overflow float64 inside the network, so saturation is the worst that happens.
+# Weights and features below this saturate the network but cannot overflow float64.
 _LARGEST = 1e100
-# A pure delay has a starting slope of exactly zero, which rounding may put a hair below.
+# Tolerance of the initial slope by rounding: a pure delay has slope zero.
 _ROUNDING = 1e-9
 
 
 def initial_weight(poles: Array) -> Array:
-    """(−ln a_i)/(1 − a_i): what one unit of each g_i adds to the starting slope of the step response, shape (r,)."""
+    """Return (−ln a_i)/(1 − a_i), the contribution of one unit of g_i to the step response's initial slope, (r,)."""
     return np.asarray(-np.log(poles) / (1.0 - poles))
 
 
 @dataclass(frozen=True)
 class OperatorParameters:
-    """One identified operator.
+    """Parameters of an identified operator.
 
     Attributes:
-        poles: a_i, shape (r,), 1, in (0, 1), per step, increasing.
+        poles: a_i, shape (r,), dimensionless, in (0, 1), per step, increasing.
         gains: g_i, shape (r,), K per step at v = 1 and m = 1; all but the first are of `sign` or zero.
         hidden_weight, hidden_bias, output_weight, output_bias: the MLP, shapes (H, 4), (H,), (H,), scalar.
         feature_mean, feature_scale: normalisation of the features, shape (4,), in their physical units.
         gamma: γ of eq:mod, in [0, 1).
         sign: +1 heating, −1 cooling.
-        step_s: length of the step the poles and gains belong to, s.
+        step_s: step of poles and gains, s.
         pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2), not overlapping.
         heat_input: v(u, T_out) in front of the modes.
-        feedback: whether m(x) sees the predicted temperature T instead of T − F (the paper's). Past actions then
-            change the gain of later ones: see `operator.feedback` for what can still be proven.
+        feedback: whether m(x) uses the predicted temperature T instead of T − F (the paper's). Past actions then change
+            the gain of later ones; see `operator.feedback` for the bounds.
 
     Raises:
         DataError: a shape or value is not allowed; the message names the field.
@@ -108,7 +109,7 @@ class OperatorParameters:
         rates = self.gains * initial_weight(self.poles) * self.sign
         if rates.sum() < -_ROUNDING * np.abs(rates).sum():
             raise DataError(
-                f"operator: gains {self.gains.tolist()} answer an action with the sign {-self.sign:+d} first"
+                f"operator: gains {self.gains.tolist()} give an initial response of sign {-self.sign:+d} (wrong sign)"
             )
         if not 0.0 <= self.gamma < 1.0:
             raise DataError(f"operator: gamma is {self.gamma}, expected a value in [0, 1)")
@@ -133,9 +134,9 @@ class OperatorParameters:
 
     @property
     def n_effective(self) -> int:
-        """Number of trained parameters that bear on a prediction: poles and gains, and those of connected hidden units.
+        """Number of trained parameters that affect a prediction: poles, gains, and those of connected hidden units.
 
-        Where the network was not kept its output weights are zero and m(x) is constant: then poles and gains alone.
+        If the network was not kept, its output weights are zero, m(x) is constant, and only poles and gains count.
         """
         units = int(np.count_nonzero(self.output_weight)) if self.gamma > 0.0 else 0
         network = units * (N_FEATURES + 2) + 1 if units else 0
@@ -143,7 +144,7 @@ class OperatorParameters:
 
     @property
     def parameters_in_words(self) -> str:
-        """Trained parameters, and how many of them are effective where that is not all."""
+        """Number of trained parameters and, if different, of effective ones, as text."""
         if self.n_effective == self.n_trained:
             return f"{self.n_trained} trained parameters"
         constant = "; the modulation is constant" if self.n_effective == 2 * self.order else ""
@@ -156,34 +157,34 @@ class OperatorParameters:
 
     @property
     def steady_gains_K(self) -> Array:
-        """g_i / (1 − a_i): what full actuation adds in the end at m = 1, shape (r,), K."""
+        """g_i / (1 − a_i): steady response to v = 1 at m = 1, shape (r,), K."""
         return np.asarray(self.gains / (1.0 - self.poles))
 
     def impulse(self, n_steps: int) -> Array:
-        """Σ g_i a_i^(k−1) for k = 1 … `n_steps`, shape (n_steps,), K: what one step of v = m = 1 adds k steps on.
+        """Return the impulse response Σ g_i a_i^(k−1), k = 1 … `n_steps`, to one step of v = m = 1, (n_steps,), K.
 
-        Never of the other sign; what rounding leaves beyond zero is cut off.
+        It has one sign; rounding errors beyond zero are clipped.
         """
         response = (self.gains[:, None] * self.poles[:, None] ** np.arange(n_steps)).sum(axis=0)
         return np.asarray(self.sign * np.maximum(self.sign * response, 0.0))
 
     def modulation(self, features: Array) -> Array:
-        """m(x) of eq:mod for `features` (..., 4) in physical units; shape (...), inside [1 − γ, 1 + γ]."""
+        """Return m(x) of eq:mod for `features` (..., 4) in physical units; shape (...), in [1 − γ, 1 + γ]."""
         x = (np.asarray(features, dtype=np.float64) - self.feature_mean) / self.feature_scale
         hidden = np.tanh(x @ self.hidden_weight.T + self.hidden_bias)
         return np.asarray(1.0 + self.gamma * np.tanh(hidden @ self.output_weight + self.output_bias))
 
     @property
     def feedback_active(self) -> bool:
-        """Whether the modulation depends on F: then a rollout is not linear in the drive."""
-        # A constant modulation sees nothing, whatever it is shown.
+        """Whether the modulation depends on F; then a rollout is not linear in the drive."""
+        # Without a connection to the zone temperature the modulation does not depend on F.
         connected = (self.output_weight != 0.0) & (self.hidden_weight[:, ZONE] != 0.0)
         return self.feedback and self.gamma > 0.0 and bool(connected.any())
 
     def seen(self, features: Array, forced_K: Array) -> Array:
-        """`features` (..., 4) with T − F in them, as the modulation sees them at the forced state `forced_K` (..., r).
+        """Return the modulation's input for `features` (..., 4) with T − F at the forced state `forced_K` (..., r).
 
-        Callers always give T − F: with `feedback` F is added here and nowhere else.
+        Callers always pass T − F; with `feedback`, F is added only here.
         """
         features = np.asarray(features, dtype=np.float64)
         if not self.feedback:
@@ -195,22 +196,22 @@ class OperatorParameters:
         return features
 
     def drive(self, u: Array, features: Array) -> Array:
-        """m(x_t) · v(u_t, T_out,t), the scalar that enters every mode; `u` (..., N), `features` (..., N, 4) as seen."""
+        """Return the drive m(x_t) · v(u_t, T_out,t) of all modes; `u` (..., N), `features` (..., N, 4) from `seen`."""
         features = np.asarray(features, dtype=np.float64)
         return self.modulation(features) * self.heat_input(u, features[..., OUTDOOR])
 
     def advance(self, forced_K: Array, heat: Array, features: Array) -> Array:
-        """One step under v = `heat` (...): `forced_K` (..., r) K, `features` (..., 4) with T − F → (..., r) K."""
+        """Advance one step with v = `heat` (...): `forced_K` (..., r), `features` (..., 4) with T − F → (..., r) K."""
         drive = self.modulation(self.seen(features, forced_K)) * heat
         return np.asarray(self.poles * forced_K + self.gains * np.asarray(drive)[..., None])
 
     def step(self, forced_K: Array, u: Array, features: Array) -> Array:
-        """One step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) with T − F → (..., r) K."""
+        """Advance one step of eq:operator: `forced_K` (..., r) K, `u` (...), `features` (..., 4) → (..., r) K."""
         features = np.asarray(features, dtype=np.float64)
         return self.advance(forced_K, self.heat_input(u, features[..., OUTDOOR]), features)
 
     def resampled(self, step_s: float) -> OperatorParameters:
-        """The same operator at another step: exact where v and m are constant over the longer of the two steps."""
+        """Return the operator at another step; exact if v and m are constant over the longer of the two steps."""
         ratio = step_s / self.step_s
         if ratio == 1.0:
             return self
@@ -219,7 +220,7 @@ class OperatorParameters:
             self,
             poles=poles,
             gains=self.steady_gains_K * (1.0 - poles),
-            # Rounding must not push a pole that sits on its bound outside of it.
+            # Keeps a pole on its bound inside despite rounding.
             pole_bounds=np.stack(
                 [
                     np.minimum(self.pole_bounds[:, 0] ** ratio, poles),
@@ -232,7 +233,7 @@ class OperatorParameters:
 
 
 def bounds_between(poles: Array) -> Array:
-    """Bounds (r, 2) that fill (0, 1) and part in the middle between neighbouring poles."""
+    """Return bounds (r, 2) that divide (0, 1) in the middle between neighbouring poles."""
     edges = np.concatenate([[0.0], 0.5 * (poles[:-1] + poles[1:]), [1.0]])
     return np.stack([edges[:-1], edges[1:]], axis=1)
 
@@ -250,7 +251,7 @@ def linear_operator(
     heat_input: HeatInput = IDENTITY,
     hidden: int = HIDDEN,
 ) -> OperatorParameters:
-    """An operator whose modulation is exactly 1 (all weights zero): the linear gain of paper eq:arx."""
+    """Return an operator with modulation exactly 1 (all weights zero): the linear gain of paper eq:arx."""
     return OperatorParameters(
         poles=np.asarray(poles, dtype=np.float64),
         gains=np.asarray(gains, dtype=np.float64),

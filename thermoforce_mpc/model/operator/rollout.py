@@ -1,4 +1,4 @@
-"""Rolling the forced state over a horizon, for any number of candidate trajectories at once."""
+"""Rollout of the forced state over a horizon, for any number of candidate trajectories at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
 def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
-    """Forced state of every mode at the end of each of N steps (paper eq:operator).
+    """Return the forced state of every mode at the end of each of N steps (paper eq:operator).
 
     Args:
         params: the operator; its step is the step of `u`.
@@ -41,7 +41,7 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
 
 
 def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
-    """Forced state of every mode when m(x)·v is known: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
+    """Return the forced state of every mode for a known m(x)·v: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
     lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
     drive = np.broadcast_to(drive, (*lead, drive.shape[-1]))
     F0 = np.broadcast_to(F0, (*lead, params.order))
@@ -53,7 +53,7 @@ def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array
 
 
 def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
-    """The recursion step by step, all candidates at once: m(x) depends on where the actions have led."""
+    """Roll out step by step, all candidates at once, for m(x) that depends on F."""
     lead = np.broadcast_shapes(u.shape[:-1], features.shape[:-2], F0.shape[:-1])
     n = u.shape[-1]
     forced = np.empty((*lead, n, params.order))

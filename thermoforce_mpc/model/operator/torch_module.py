@@ -1,4 +1,4 @@
-"""The operator as a torch module, for training and for autodiff. Nothing in the closed loop imports this file."""
+"""Operator as a torch module, for training and automatic differentiation. The closed loop does not import it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
 
-# How close to a bound a pole may start: its logit must stay finite for the gradient to live.
+# Least relative distance of an initial pole to its bounds, which keeps its logit and gradient finite.
 _EDGE = 1e-9
 _SMALLEST_GAIN = 1e-12
 
@@ -21,7 +21,7 @@ def _tensor(value: Array) -> Tensor:
 
 
 class ForcedResponseOperator(nn.Module):
-    """Paper eq:operator to eq:mod in float64: trained are ã (r,), g̃ (r,) and the MLP, 195 numbers at order 1."""
+    """Paper eq:operator to eq:mod in float64; trained: ã (r,), g̃ (r,) and the MLP, 195 parameters at order 1."""
 
     pole_bounds: Tensor
     feature_mean: Tensor
@@ -55,7 +55,7 @@ class ForcedResponseOperator(nn.Module):
 
     @property
     def poles(self) -> Tensor:
-        """a = a_lo + (a_hi − a_lo) σ(ã) (eq:pole), shape (r,)."""
+        """Poles a = a_lo + (a_hi − a_lo) σ(ã) (eq:pole), shape (r,)."""
         low, high = self.pole_bounds[:, 0], self.pole_bounds[:, 1]
         return low + (high - low) * torch.sigmoid(self.raw_pole)
 
@@ -63,7 +63,7 @@ class ForcedResponseOperator(nn.Module):
     def gains(self) -> Tensor:
         """Gains g (r,), K per step: ±softplus(g̃) (eq:gain) for all but the fastest mode.
 
-        The fastest takes what leaves softplus(g̃_1) as the step response's starting slope; alone, that is eq:gain.
+        The fastest gain is set so that softplus(g̃_1) is the initial slope of the step response; at r = 1 it is eq:gain.
         """
         magnitude = nn.functional.softplus(self.raw_gain)
         poles = self.poles
@@ -72,12 +72,12 @@ class ForcedResponseOperator(nn.Module):
         return self.sign * torch.cat([first, magnitude[1:]])
 
     def modulation(self, features: Tensor) -> Tensor:
-        """m(x) (eq:mod) for `features` (..., 4) in physical units; shape (...)."""
+        """Return m(x) (eq:mod) for `features` (..., 4) in physical units; shape (...)."""
         x = (features - self.feature_mean) / self.feature_scale
         return 1.0 + self.gamma * torch.tanh(self.output(torch.tanh(self.hidden(x)))[..., 0])
 
     def heat(self, u: Tensor, T_out_C: Tensor) -> Tensor:
-        """v(u, T_out) of the heat input, differentiable in u; shapes broadcast."""
+        """Return v(u, T_out) of the heat input, differentiable in u; shapes broadcast."""
         load = self.heat_input.heat
         if load is None:
             return u
@@ -87,7 +87,7 @@ class ForcedResponseOperator(nn.Module):
         return (on * (c0 + c1 * T) + u * (c2 + c3 * T)) / self.heat_input.reference_W
 
     def forward(self, F0: Tensor, u: Tensor, features: Tensor) -> Tensor:
-        """Forced state after each step, K: `F0` (..., r), `u` (..., N), `features` (..., N, 4) → (..., N, r).
+        """Return the forced state after each step: `F0` (..., r) K, `u` (..., N), `features` (..., N, 4) → (..., N, r) K.
 
         The zone's column of `features` is T − F; with `feedback` F is added step by step.
         """
@@ -97,7 +97,7 @@ class ForcedResponseOperator(nn.Module):
         return self.respond(F0, drive)
 
     def _stepwise(self, F0: Tensor, heat: Tensor, features: Tensor) -> Tensor:
-        """The recursion for a modulation that sees F."""
+        """Roll out step by step for a modulation that depends on F."""
         state, out = F0, []
         for t in range(heat.shape[-1]):
             total = features[..., t, ZONE] + state.sum(-1)
@@ -110,7 +110,7 @@ class ForcedResponseOperator(nn.Module):
         return torch.stack(out, dim=-2)
 
     def respond(self, F0: Tensor, drive: Tensor) -> Tensor:
-        """The modes' answer to a drive m·v (..., N), from `F0` (..., r): one product with a matrix of pole powers."""
+        """Return the modes' response (..., N, r) K to a drive m·v (..., N) from `F0` (..., r)."""
         n = drive.shape[-1]
         steps = torch.arange(n, device=drive.device)
         lag = steps[:, None] - steps[None, :]
@@ -120,14 +120,14 @@ class ForcedResponseOperator(nn.Module):
         return forced + F0[..., None, :] * self.poles ** (steps[:, None] + 1)
 
     def numpy(self) -> OperatorParameters:
-        """The operator as it stands, in numbers."""
+        """Return the present operator as numpy parameters."""
 
         def array(tensor: Tensor) -> Array:
             return tensor.detach().cpu().numpy().astype(np.float64)
 
         bounds = array(self.pole_bounds)
         return OperatorParameters(
-            # Rounding at a saturated sigmoid must not leave the bounds, nor (0, 1).
+            # Rounding of a saturated sigmoid must not leave the bounds or (0, 1).
             poles=np.clip(array(self.poles), np.maximum(bounds[:, 0], 1e-300), np.minimum(bounds[:, 1], 1 - 1e-16)),
             gains=array(self.gains),
             hidden_weight=array(self.hidden.weight),

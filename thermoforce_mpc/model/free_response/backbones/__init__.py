@@ -1,1 +1,1 @@
-"""Frozen time-series foundation models behind one interface. One file per family; `loading` finds them by name."""
+"""Frozen time-series foundation models behind one interface. One file per family; `loading` loads them by name."""

@@ -1,4 +1,4 @@
-"""What every frozen backbone can do."""
+"""Interface of the frozen backbones."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Context:
-    """What a backbone may see: the control-free series, and the weather before and after now. Never the control.
+    """Input of a backbone: the control-free series, past and forecast weather. It never contains the control.
 
-    `free_C` (k,) °C with NaN gaps, the last value being now; `past_weather` (k, 2) at the same instants and
+    `free_C` (k,) °C with NaN gaps, the last value is now; `past_weather` (k, 2) at the same instants and
     `ahead_weather` (N, 2) at the ends of the N steps ahead: outdoor temperature °C and irradiance W/m².
     """
 
@@ -29,29 +29,29 @@ class Context:
 
 
 class Backbone(Protocol):
-    """A frozen model that turns a context into quantiles."""
+    """Frozen model that maps a context to forecast quantiles."""
 
     @property
     def label(self) -> str:
-        """What it is, for reports."""
+        """Name for reports."""
         ...
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """All that has weights, in a fixed order."""
+        """Modules with weights, in a fixed order."""
         ...
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
-        """Quantiles 0.1, 0.2, ... 0.9 over the N steps ahead of each context, shape (9, N), °C.
+        """Return quantiles 0.1, 0.2, ... 0.9 over the N steps ahead of each context, shape (9, N), °C.
 
-        Contexts may differ in length and in N; many at once (several buildings, several past instants) cost little more
-        than one.
+        Contexts may differ in length and in N; a batch (several buildings, several past instants) costs little more
+        than one context.
         """
         ...
 
 
 def padded_series(contexts: Sequence[Context]) -> NDArray[np.float32]:
-    """The series of all contexts in one array (contexts, longest), NaN on the left of shorter ones: not there."""
+    """Return the series of all contexts in one array (contexts, longest), shorter ones padded on the left with NaN."""
     longest = max(context.free_C.size for context in contexts)
     series = np.full((len(contexts), longest), np.nan, dtype=np.float32)
     for row, context in zip(series, contexts, strict=True):

@@ -1,4 +1,4 @@
-"""Chronos-Bolt (Ansari et al. 2024): univariate, patches in, nine quantiles out."""
+"""Chronos-Bolt backbone (Ansari et al. 2024): univariate, patch input, nine quantiles."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ if TYPE_CHECKING:
 
 
 class BoltBackbone:
-    """`Backbone` around a `ChronosBoltPipeline`; sees the series alone."""
+    """`Backbone` of a `ChronosBoltPipeline`; uses the series only."""
 
     def __init__(self, pipeline: Any, label: str) -> None:
         self._pipeline = pipeline
         self._label = label
-        # The decoder runs once per call: a cache of what it has seen is never read, and takes a fifth of the time.
+        # The decoder runs once per call, so its cache is never read but takes 20 % of the time.
         pipeline.model.decoder.config.use_cache = False
 
     @property
     def label(self) -> str:
-        """What it is, for reports."""
+        """Name for reports."""
         return self._label
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """All that has weights."""
+        """Modules with weights."""
         return (self._pipeline.model,)
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
-        """See `Backbone.quantiles_C`; horizons beyond the trained one are unrolled by the library."""
+        """See `Backbone.quantiles_C`; the library unrolls horizons beyond the trained one."""
         import torch
 
         steps = [len(context.ahead_weather) for context in contexts]

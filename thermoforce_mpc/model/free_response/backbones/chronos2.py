@@ -1,4 +1,4 @@
-"""Chronos-2 (Ansari et al. 2025): takes the weather forecast as covariates known ahead."""
+"""Chronos-2 backbone (Ansari et al. 2025), with the weather forecast as known covariates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _COVARIATES = ("outdoor_temperature", "irradiance")
 
 
 class Chronos2Backbone:
-    """`Backbone` around a `Chronos2Pipeline`: outdoor temperature and irradiance enter, past and ahead."""
+    """`Backbone` of a `Chronos2Pipeline` with past and forecast outdoor temperature and irradiance."""
 
     def __init__(self, pipeline: Any, label: str) -> None:
         self._pipeline = pipeline
@@ -27,16 +27,16 @@ class Chronos2Backbone:
 
     @property
     def label(self) -> str:
-        """What it is, for reports."""
+        """Name for reports."""
         return self._label
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """All that has weights."""
+        """Modules with weights."""
         return (self._pipeline.model,)
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
-        """See `Backbone.quantiles_C`; contexts of one N go through together."""
+        """See `Backbone.quantiles_C`; contexts with equal N form one batch."""
         answers: list[Array] = [np.empty(0)] * len(contexts)
         for steps in {len(context.ahead_weather) for context in contexts}:
             same = [i for i, context in enumerate(contexts) if len(context.ahead_weather) == steps]

@@ -1,4 +1,4 @@
-"""Fracast-0: 85 001 pretrained parameters in the wheel of the optional package `fracast` (Apache-2.0)."""
+"""Fracast-0 backbone: 85 001 pretrained parameters in the wheel of the optional package `fracast` (Apache-2.0)."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from thermoforce_mpc.model.free_response.checks import LEVELS
 if TYPE_CHECKING:
     from torch import nn
 
-# More at once are slower: a hundred series make tensors that the system hands out and takes back page by page, which
-# takes three times as long as all the arithmetic.
+# Batch size. Larger batches are slower: with 100 series, memory allocation takes three times as long as the arithmetic.
 _AT_ONCE = 8
 
 
 class FracastBackbone:
-    """`Backbone` by `fracast` with its full-precision weights; sees the series alone, unrolls beyond 48 steps."""
+    """`Backbone` of `fracast` with full-precision weights; uses the series only, unrolls beyond 48 steps."""
 
     def __init__(self) -> None:
         """Load the weights of the wheel; raises `BackboneError` when the package is absent or damaged."""
@@ -32,7 +31,7 @@ class FracastBackbone:
             from fracast import FracastModel
 
             self._model = FracastModel.from_pretrained(weights="fp32")
-        except Exception as error:  # whatever its readers of JSON and safetensors raise
+        except Exception as error:  # its JSON and safetensors readers raise several types
             raise BackboneError(
                 f"backbone 'fracast': its weights cannot be loaded: {type(error).__name__}: {error}; reinstall it"
             ) from error
@@ -41,12 +40,12 @@ class FracastBackbone:
 
     @property
     def label(self) -> str:
-        """What it is, for reports."""
+        """Name for reports."""
         return "Fracast-0"
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """All that has weights."""
+        """Modules with weights."""
         return (self._model.core, self._model.head)
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:

@@ -1,7 +1,7 @@
-"""Find a backbone by name: 'shipped' (or a smaller scale), 'fracast', a directory, or one on the Hugging Face hub.
+"""Loading of backbones by name: 'shipped' (or a smaller scale), 'fracast', a directory, or a Hugging Face hub name.
 
-Every failure is a `BackboneError` that says what was wrong and what to do, at once: no minutes of retries without a
-network, and no quietly random weights where a file lacks tensors.
+Every failure raises `BackboneError` at once, with the cause and what to do: no long retries without a network, and no
+randomly initialised weights if a file lacks tensors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SHIPPED = "shipped"
 FRACAST = "fracast"
 _WEIGHTS = "model.safetensors"
 _HUB_TIMEOUT_S = 5.0
-# The forecaster to use, and smaller scales of it for comparison (`tf-mpc bench backbones`).
+# Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
 _SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
 SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
 
@@ -35,7 +35,7 @@ def load_backbone(name: str) -> Backbone:
             Chronos-2, or a hub name such as 'amazon/chronos-bolt-small'.
 
     Raises:
-        BackboneError: nothing of that name, damaged or incomplete weights, hub out of reach, or another kind of model.
+        BackboneError: unknown name, damaged or incomplete weights, hub not reachable, or unsupported model family.
     """
     backbone = _fracast() if name == FRACAST else _chronos(name)
     for module in backbone.modules:
@@ -44,7 +44,7 @@ def load_backbone(name: str) -> Backbone:
 
 
 def shipped_folder(name: str = SHIPPED) -> Path:
-    """Where a shipped checkpoint, one of `SHIPPED_SCALES`, lies."""
+    """Return the folder of a shipped checkpoint, one of `SHIPPED_SCALES`."""
     return Path(
         str(
             resources.files("thermoforce_mpc.model.free_response.backbones").joinpath("weights", _SHIPPED_FOLDERS[name])
@@ -53,7 +53,7 @@ def shipped_folder(name: str = SHIPPED) -> Path:
 
 
 def parameter_count(modules: Sequence[nn.Module]) -> int:
-    """Number of weights; tensors that are shared count once."""
+    """Return the number of weights; shared tensors count once."""
     tensors = {p.data_ptr(): p.numel() for module in modules for p in module.parameters()}
     return sum(tensors.values())
 
@@ -80,7 +80,7 @@ def _chronos(name: str) -> Backbone:
                 f"backbone '{name}': neither a directory nor a hub name; use one of {', '.join(SHIPPED_SCALES)}, "
                 f"{FRACAST}, a directory, or a name like 'amazon/chronos-bolt-small'"
             )
-        # What was downloaded before needs no network, and stays the version it was.
+        # A cached download needs no network and keeps its version.
         cached = _cached(name, "config.json") is not None and _cached(name, _WEIGHTS) is not None
         if not cached:
             _check_hub(name)
@@ -100,7 +100,7 @@ def _label(name: str) -> str:
 def _wrapped(name: str, pipeline: Any) -> Backbone:
     family = type(pipeline).__name__
     levels = getattr(pipeline, "quantiles", [])
-    # Outside the levels it was trained for the library clamps, and the interval would be too narrow unnoticed.
+    # The library clamps quantiles outside its trained levels, which would give too narrow an interval.
     if family in {"ChronosBoltPipeline", "Chronos2Pipeline"} and not (min(levels) <= 0.1 and max(levels) >= 0.9):
         raise BackboneError(f"backbone '{name}': trained for the quantiles {levels}; 0.1 to 0.9 are needed")
     if family == "ChronosBoltPipeline":
@@ -125,7 +125,7 @@ def _pipeline(name: str, source: str, *, local: bool) -> Any:
         return BaseChronosPipeline.from_pretrained(
             source, device_map="cpu", dtype=torch.float32, local_files_only=local
         )
-    except Exception as error:  # the libraries below raise anything from KeyError to their own types
+    except Exception as error:  # the libraries raise many types
         reason = " ".join(str(error).split())[:300]
         raise BackboneError(
             f"backbone '{name}': {source} cannot be loaded ({type(error).__name__}: {reason}); "
@@ -137,7 +137,7 @@ def _pipeline(name: str, source: str, *, local: bool) -> Any:
 
 
 def _check_weights(name: str, model: Any, file: Path) -> None:
-    """Refuse weights that are not finite, or that the file lacks: the library would draw those at random."""
+    """Raise `BackboneError` for weights that are not finite or missing in the file (the library randomises those)."""
     import torch
 
     state = model.state_dict()
@@ -145,7 +145,7 @@ def _check_weights(name: str, model: Any, file: Path) -> None:
     if broken:
         raise BackboneError(f"backbone '{name}': weights of {broken[0]} are not finite; the checkpoint is damaged")
     if not file.is_file():
-        return  # an older format (pickle, shards), for which the library has no such list
+        return  # older formats (pickle, shards) have no list of tensors
     from safetensors import safe_open
 
     with safe_open(str(file), framework="pt") as content:
@@ -167,7 +167,7 @@ def _cached(name: str, file: str) -> Path | None:
 
 
 def _check_hub(name: str) -> None:
-    """Fail at once when the hub does not answer, instead of after the library's many retries."""
+    """Raise `BackboneError` if the hub does not answer within 5 s, instead of after the library's retries."""
     import requests
 
     endpoint = os.environ.get("HF_ENDPOINT", "https://huggingface.co").rstrip("/")
