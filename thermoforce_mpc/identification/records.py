@@ -66,7 +66,7 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
     notes: list[str] = []
     for index, run in enumerate(runs):
         name = f"run {index}" if len(runs) > 1 else "run"
-        run, doubts = _believed(run, allowed, name)
+        run, doubts = _plausible(run, allowed, name)
         pieces = _pieces(run)
         if len(pieces) > 1:
             doubts += (f"gaps in u or in the weather divide it into {len(pieces)} pieces",)
@@ -104,7 +104,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
         sides = []
         for side, history in (("first run", pair.a), ("second run", pair.b)):
             name = f"pair {pair.label or index} ({side})"
-            history, doubts = _believed(history, allowed, name)
+            history, doubts = _plausible(history, allowed, name)
             if _usable(history).all():
                 history, filled = bridged(history)
                 doubts += (filled,) if filled else ()
@@ -114,7 +114,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
     return found, notes
 
 
-def _believed(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
+def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
     """Return the record without implausible readings, and notes; raises `DataError` above 10 % of a signal."""
     screened, doubts = screened_history(record, allowed)
     for signal in SIGNALS:

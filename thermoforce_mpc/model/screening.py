@@ -105,10 +105,10 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
             notes.append(f"{name} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}")
         elif name in _ALWAYS and np.isnan(value):
             notes.append(f"{name} was not measured")
-    believed = np.flatnonzero(np.isfinite(history.T_zone_C))
-    if believed.size and "T_zone_C" not in refused:
-        before_C = float(history.T_zone_C[believed[-1]])
-        since_s = measurement.time_s - float(history.time_s[believed[-1]])
+    accepted = np.flatnonzero(np.isfinite(history.T_zone_C))
+    if accepted.size and "T_zone_C" not in refused:
+        before_C = float(history.T_zone_C[accepted[-1]])
+        since_s = measurement.time_s - float(history.time_s[accepted[-1]])
         if abs(measurement.T_zone_C - before_C) > _reach_K(since_s):
             refused.append("T_zone_C")
             notes.append(
@@ -165,11 +165,11 @@ def _jumps(time_s: Array, T_zone_C: Array) -> NDArray[np.bool_]:
     steps = np.abs(np.diff(T_zone_C[known]))
     if not (steps > _reach_K(0.0)).any():
         return wrong
-    at_s, believed = float(time_s[known[0]]), float(T_zone_C[known[0]])
+    at_s, accepted = float(time_s[known[0]]), float(T_zone_C[known[0]])
     for i in known:
         reach_K = _reach_K(float(time_s[i]) - at_s)
-        if abs(T_zone_C[i] - believed) > reach_K:
+        if abs(T_zone_C[i] - accepted) > reach_K:
             wrong[i] = True
         else:
-            at_s, believed = float(time_s[i]), float(T_zone_C[i])
+            at_s, accepted = float(time_s[i]), float(T_zone_C[i])
     return wrong

@@ -87,7 +87,7 @@ class ForcedResponseOperator(nn.Module):
         return (on * (c0 + c1 * T) + u * (c2 + c3 * T)) / self.heat_input.reference_W
 
     def forward(self, F0: Tensor, u: Tensor, features: Tensor) -> Tensor:
-        """Return the forced state after each step: `F0` (..., r) K, `u` (..., N), `features` (..., N, 4) → (..., N, r) K.
+        """Return the forced state after each step: `F0` (..., r) K, `u` (..., N), `features` (..., N, 4) → (..., N, r).
 
         The zone's column of `features` is T − F; with `feedback` F is added step by step.
         """
