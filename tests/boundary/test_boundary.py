@@ -42,7 +42,7 @@ def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
         ("time,price\n0,1\n60,nan\n", r"line 3, column 'price': 'nan'"),
         ("time,price\n0,1\n60\n", r"line 3, column 'price': None"),
         ("time,cost\n0,1\n60,1\n", "PriceElectricPowerHighlyDynamic"),
-        ("time,price\n0,1\n", "one price only"),
+        ("time,price\n0,1\n", "only one price"),
         ("time,price\n3600,1\n7200,1\n", "start at 0"),
         ("time,price\n0,1\n0,2\n", "must rise"),
         ("", "columns 'time'"),

@@ -181,8 +181,11 @@ def _at(index, value):
         (lambda: _changed(T_zone_C=_at(slice(0, 120), np.nan)), "only .* of the zone temperatures"),
         (lambda: _changed(T_out_C=_at(slice(None), np.nan)), "u and the weather were never measured together"),
         (lambda: _changed(u=_at(slice(5, 110), np.nan)), r"run, 5 steps between gaps: 0\.05 days of data"),
-        (lambda: _changed(u=lambda u: 100 * u), r"u at \d+ of 192 .* \(first \d+ .*so many are no faults .* its unit"),
-        (lambda: _changed(T_zone_C=lambda T: T + 273.15), "T_zone_C at 193 of 193 places .* check its unit"),
+        (
+            lambda: _changed(u=lambda u: 100 * u),
+            r"u at \d+ of 192 .* \(first \d+ .*too many for sensor faults: check the unit",
+        ),
+        (lambda: _changed(T_zone_C=lambda T: T + 273.15), "T_zone_C at 193 of 193 places .* check the unit"),
         (lambda: _changed(time_s=_at(5, 1728000.0)), r"time_s goes from .* \(index 4\)"),
     ],
 )

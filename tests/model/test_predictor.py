@@ -297,7 +297,7 @@ def test_rc_refuses_what_it_cannot_use():
     free_response = RcFreeResponse(RC)
     with pytest.raises(DataError, match="shape"):
         free_response.forecast(np.zeros(3), history, make_boundary(history))
-    with pytest.raises(DataError, match="silent"):
+    with pytest.raises(DataError, match="never measured"):
         free_response.forecast(np.full(25, np.nan), history, make_boundary(history))
     with pytest.raises(DataError, match="poles"):
         replace(RC, poles=np.array([0.5, 1.0]))

@@ -40,8 +40,11 @@ def test_broken_yaml_is_refused_with_file_and_reason(tmp_path, text, message):
             "testcase: x\nplant: {kind: real}\n",
             r"plant\.kind: Input should be 'embedded', 'boptest' or 'fmu' \(got 'real'\)",
         ),
-        ("testcase: x\nplant: {kind: boptest, prices_file: p.csv}\n", r"prices_file apply only to kind .embedded."),
-        ("testcase: x\nplant: {kind: boptest, weather: w.mos}\n", r"weather and prices_file are for the emulator"),
+        ("testcase: x\nplant: {kind: boptest, prices_file: p.csv}\n", r"prices_file apply only to kind 'embedded'"),
+        (
+            "testcase: x\nplant: {kind: boptest, weather: w.mos}\n",
+            r"weather and prices_file apply only to kind 'embedded'",
+        ),
         ("testcase: x\ndays: .nan\n", r"days: .*\(got nan\)"),
         ("testcase: x\nprice: free\n", r"price: Input should be 'constant', 'dynamic' or 'highly_dynamic'"),
         ("period: 44\n", r"testcase: missing"),

@@ -67,7 +67,7 @@ def test_it_is_fetched_once_and_then_kept(server, fingerprint, tmp_path):
         (weather_file(6.0), "another weather year"),
         (b"<html>sign in</html>", "did not answer with a weather file"),
         (weather_file(5.0)[:100_000], "did not answer with a weather file"),
-        (b"#" * 6_000_000, "no weather file"),
+        (b"#" * 6_000_000, "not a weather file"),
         (None, "cannot be fetched .HTTPError."),
     ],
     ids=["other year", "page", "truncated", "huge", "missing"],
@@ -91,7 +91,7 @@ def test_another_file_of_that_name_is_not_taken_nor_overwritten(server, fingerpr
     url, files, _ = server
     files["/w"] = weather_file(5.0)
     (tmp_path / FILE_NAME).write_bytes(weather_file(7.0))
-    with pytest.raises(WeatherError, match="move it away"):
+    with pytest.raises(WeatherError, match="move the file"):
         fetch_brussels(tmp_path, f"{url}/w", fingerprint)
     assert (tmp_path / FILE_NAME).read_bytes() == weather_file(7.0)
 

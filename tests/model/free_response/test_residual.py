@@ -74,7 +74,7 @@ def test_a_room_that_cools_when_the_sun_shines_is_not_believed() -> None:
 
 
 def test_residual_adds_the_backbones_forecast_of_what_the_weather_leaves_over() -> None:
-    """With four days there are no trials: the weights fixed beforehand, which the note says."""
+    """With four days there are no trials: the default weights, which the note says."""
     free, outdoor, solar = room_and_weather(2)
     short = 4 * 24
     free, outdoor, solar = (values[: short + AHEAD + 1] for values in (free, outdoor, solar))
