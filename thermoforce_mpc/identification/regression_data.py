@@ -73,7 +73,14 @@ class RegressionData:
 
 
 def run_regression(history: Record, heat_input: HeatInput, config: IdentificationConfig) -> RegressionData:
-    """Return a run as a regression; missing temperatures are omitted."""
+    """Return a run as a regression; missing temperatures are omitted.
+
+    The drive is v(u), the heat capacity at the applied level, and not the measured heat that drives the forced history
+    of a controlled run (`forced_history.heat_drive`). A plan knows levels only, so the gain is identified per level and
+    takes up the mean error of the heat capacity; for the past the measured heat is exact, whoever controlled. The two
+    drives differ by the fit error of the heat capacity, which the model card notes (below 1 % of full heat where heat
+    was measured on the embedded plant).
+    """
     n = history.n_steps
     stride = max(1, -(-n // _MAX_ROWS))
     rows = np.arange(0, n + 1, stride)

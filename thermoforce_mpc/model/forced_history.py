@@ -51,6 +51,8 @@ def forced_history(operator: OperatorParameters, history: Record, *, initial_for
 def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: int) -> Array:
     """Return v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,), from measured heat if available.
 
+    Identification is driven by v(u) instead; `identification.regression_data.run_regression` says why.
+
     Raises:
         DataError: the weather has gaps, u has gaps without measured heat, or u is outside [0, 1]; says where.
     """

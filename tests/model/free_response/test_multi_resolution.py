@@ -1,4 +1,4 @@
-"""Looks at a series: each is aligned to now, they agree on a straight line, and none invents a value."""
+"""Several resolutions of a series: aligned to now, equal on a straight line, without invented values."""
 
 from __future__ import annotations
 
