@@ -12,6 +12,7 @@ from controllers.actuation import Actuation, ActuationState
 from controllers.backoff import backoff_K
 from controllers.errors import ControllerConfigError
 from controllers.fallback import FallbackPolicy, GoodPlan
+from controllers.guard import guard_level
 from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.problem import MPCProblem, Solution, Weights
@@ -159,6 +160,11 @@ class ThermoForceMPC:
             peak_W=self._peak_W(before, observation),
             actuation=self._actuation.now(before.actuation if state is not None else None, history),
         )
+        return self._guarded(observation, now, self._planned(observation, now))
+
+    def _planned(self, observation: Observation, now: MPCState) -> Plan:
+        """Predict, solve and check; the fallback policy acts where one of them fails."""
+        history = observation.history
         try:
             adaptation = self._adaptation.update(now.adaptation, history)
             planner = self._planner(adaptation.model)
@@ -182,6 +188,24 @@ class ThermoForceMPC:
             return self._fall_back(observation, now, solution.problem, solution.status, seconds)
         plan = self._accept(observation, now, planner.operator, problem, context.free, solution, seconds)
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
+
+    def _guarded(self, observation: Observation, now: MPCState, plan: Plan) -> Plan:
+        """The plan, or the guard's level in its place while the zone is far outside the comfort band."""
+        if any(block.u is None for block in plan.blocks):
+            return plan  # native control
+        planned = sum((block.u or 0.0) * block.duration_s for block in plan.blocks) / self.step_s
+        sign, highest = self.model.operator.sign, self._actuation.highest
+        found = guard_level(self.config.guard, observation, u=planned, highest=highest, sign=sign)
+        if found is None:
+            return plan
+        level, why = found
+        blocks, actuation = self._actuation.realise(level, self.step_s, now.actuation)
+        if blocks == plan.blocks:  # minimum on or off time: the machine cannot do more
+            return plan
+        assert isinstance(plan.state, MPCState)
+        # The plan is not followed, so it must not be shifted later.
+        state = replace(plan.state, actuation=actuation, good=now.good)
+        return replace(plan, blocks=blocks, status=PlanStatus.GUARD, why=f"{why}; {plan.why}", state=state)
 
     def _planner(self, model: ThermalModel) -> Planner:
         """The planner of `model`, from the cache if present."""

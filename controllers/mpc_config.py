@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from controllers.actuation import ActuationConfig
 from controllers.fallback import FallbackConfig
+from controllers.guard import GuardConfig
 from controllers.ipopt import IpoptConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
@@ -107,6 +108,7 @@ class MPCConfig(StrictModel):
     adaptation: AdaptationConfig = AdaptationConfig()
     actuation: ActuationConfig = ActuationConfig()
     fallback: FallbackConfig = FallbackConfig()
+    guard: GuardConfig = GuardConfig()
     qp: QPConfig = QPConfig()
     semi_continuous: SemiContinuousConfig = SemiContinuousConfig()
     ipopt: IpoptConfig = IpoptConfig()

@@ -56,6 +56,7 @@ _AS_PRINTED: dict[str, Any] = {
     "backoff_level_other": 0.5,
     "backoff_violation_K": None,
     "actuation": {"mode": "modulating"},
+    "guard": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
 

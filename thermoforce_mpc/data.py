@@ -400,6 +400,7 @@ class PlanStatus(StrEnum):
     SOLVED = "solved"  # an optimisation whose status and solution were checked
     SHIFTED = "shifted"  # first fallback level: the previous plan, one step on
     THERMOSTAT = "thermostat"  # second level: on/off rule
+    GUARD = "guard"  # the zone was far outside the comfort band: full level or off instead of the plan
     RULE = "rule"  # the controller is a rule; nothing was solved
 
 

@@ -52,7 +52,9 @@ class LoopDisplay:
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
-        self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT) or bool(record.refused)
+        self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT, PlanStatus.GUARD) or bool(
+            record.refused
+        )
         if self._quiet:
             return
         last = record.samples[-1]

@@ -1,0 +1,44 @@
+"""Comfort guard: full level or off when the zone is far outside the comfort band, whatever the plan says."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.scenario.settings import StrictModel
+
+
+class GuardConfig(StrictModel):
+    """Options of the comfort guard."""
+
+    enabled: bool = Field(True, description="override a plan while the zone is far outside the comfort band")
+    margin_K: float = Field(1.0, gt=0, le=10, description="distance from the band at which the guard acts, K")
+
+
+def guard_level(
+    config: GuardConfig, observation: Observation, *, u: float, highest: float, sign: int
+) -> tuple[float, str] | None:
+    """Return the level that brings the zone back, and why; None while the plan may act.
+
+    Args:
+        config: options.
+        observation: zone temperature and comfort bounds now.
+        u: planned level of this step, in [0, `highest`].
+        highest: highest level that may be planned.
+        sign: +1 heating, −1 cooling.
+    """
+    T = observation.T_zone_C
+    lower, upper = float(observation.boundary.lower_C[0]), float(observation.boundary.upper_C[0])
+    if not config.enabled or not all(map(math.isfinite, (T, lower, upper))):
+        return None
+    below, above = lower - T, T - upper
+    if max(below, above) <= config.margin_K:
+        return None
+    needed = below > above if sign > 0 else above > below
+    level = highest if needed else 0.0
+    if math.isclose(u, level, abs_tol=1e-3):
+        return None
+    side = f"{below:.2f} K below" if below > above else f"{above:.2f} K above"
+    return level, f"guard: {T:.2f} °C is {side} the comfort band at a planned level of {u:.2f}: {level:.2f} instead"

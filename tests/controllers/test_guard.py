@@ -1,0 +1,86 @@
+"""The comfort guard: a model or forecast that is wrong does not take the zone far outside the comfort band."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, bounds_C, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.guard import GuardConfig
+from controllers.mpc_config import MPCConfig
+from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, PlanStatus, Record
+from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+
+
+class Offset(OutdoorResponse):
+    """A forecast that is finite, confident and wrong by `off_K`."""
+
+    def __init__(self, off_K: float) -> None:
+        self.off_K = off_K
+
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
+        right = super().forecast(free_C, history, boundary)
+        return replace(right, quantiles_C=right.quantiles_C + self.off_K)
+
+
+def run(off_K: float, **guard: object) -> RunResult:
+    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(**guard))
+    mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(off_K))
+    house = SimpleHouse()
+    return run_closed_loop(house, mpc, house.period("x"))
+
+
+def outside_K(result: RunResult) -> Array:
+    """How far each sample is outside the comfort band, K."""
+    T = np.array([sample.T_zone_C for sample in result.samples])
+    lower, upper = bounds_C(np.array([sample.start_s + sample.duration_s for sample in result.samples]))
+    return np.maximum(lower - T, T - upper)
+
+
+@pytest.mark.parametrize("off_K", [12.0, -12.0], ids=["forecast too warm", "forecast too cold"])
+def test_a_wrong_forecast_is_overruled_at_the_margin(off_K):
+    guarded, alone = run(off_K), run(off_K, enabled=False)
+    assert alone.fallback_levels()["solved"] == len(alone.steps), "nothing looks wrong from inside"
+    assert alone.fallback_levels()["guard"] == 0
+    assert outside_K(alone).max() > 2.5
+    assert guarded.kpis["tdis_tot"] < 0.7 * alone.kpis["tdis_tot"]
+    overruled = [step for step in guarded.steps if step.plan.status is PlanStatus.GUARD]
+    assert guarded.fallback_levels()["guard"] == len(overruled) > 0
+    for step in overruled:
+        applied = np.mean([sample.u_applied for sample in step.samples])
+        assert applied == pytest.approx(1.0 if off_K > 0 else 0.0)
+        assert step.plan.why.startswith("guard: ")
+        assert ("below" if off_K > 0 else "above") in step.plan.why
+
+
+def test_a_right_forecast_is_never_overruled():
+    assert run(0.0).fallback_levels()["guard"] == 0
+
+
+def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
+    house = SimpleHouse(T_start_C=17.0)
+    house.reset(10 * 86400.0, 0.0)
+    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(margin_K=0.5))
+    mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(12.0))
+    seen = Observation(Record.beginning(house._measure()), house.forecast(86400.0, 3600.0))
+    plan = mpc.plan(seen)
+    assert plan.status is PlanStatus.GUARD
+    assert plan.u[0] < 0.5, "the plan itself stays readable"
+    assert sum(block.duration_s for block in plan.blocks) == 3600.0
+    assert plan.state.good is None
+
+
+def test_cooling_is_guarded_the_other_way_round():
+    from controllers.guard import guard_level
+
+    house = SimpleHouse(T_start_C=26.0)
+    house.reset(10 * 86400.0, 0.0)
+    seen = Observation(Record.beginning(house._measure()), house.forecast(86400.0, 3600.0))
+    level, why = guard_level(GuardConfig(), seen, u=0.0, highest=0.8, sign=-1)
+    assert level == 0.8
+    assert "2.00 K above" in why
+    assert guard_level(GuardConfig(), seen, u=0.8, highest=0.8, sign=-1) is None, "fully used already"
+    assert guard_level(GuardConfig(margin_K=2.5), seen, u=0.0, highest=0.8, sign=-1) is None
