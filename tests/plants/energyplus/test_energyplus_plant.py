@@ -97,7 +97,7 @@ def test_what_cannot_be_done_is_refused_and_the_process_ends_with_the_plant():
     with pytest.raises(InputError, match="call reset"):
         plant.advance(0.5, 900.0)
     plant.reset(0.0, 0.0)
-    with pytest.raises(InputError, match="steps of 300 s"):
+    with pytest.raises(InputError, match="step of 300 s"):
         plant.advance(0.5, 450.0)
     with pytest.raises(InputError, match="from 0 to 1"):
         plant.advance(1.5, 900.0)

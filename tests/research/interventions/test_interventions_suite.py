@@ -105,7 +105,7 @@ def test_studies_have_their_own_methods_and_names(tmp_path):
     command = ["bench", "interventions", "--data", str(tmp_path), "--study"]
     done = CliRunner().invoke(cli, [*command, "gamma", "--method", "tsfm"])
     assert done.exit_code == 2
-    assert "studies have their own methods" in done.output
+    assert "the other studies have fixed methods" in done.output
     done = CliRunner().invoke(cli, [*command, "astrology"])
     assert done.exit_code == 2
     assert "ablation" in done.output
