@@ -1,4 +1,4 @@
-"""The data that travels between plant, forecaster, predictor and controller.
+"""Data passed between plant, forecaster, predictor and controller.
 
 Time is in seconds since 1 January 00:00 (BOPTEST's clock). `N` steps have `N + 1` boundaries: what is *sampled*
 (temperatures, weather, comfort bounds) has `N + 1` values, what *acts over a step* (u, power, heat) has `N`.
@@ -26,10 +26,10 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
-# A clock that counts in milliseconds, or adds up its steps, is this far from even at most; more is a missing sample.
+# Tolerance of equal steps, s: clocks in milliseconds and summed steps round; more is a missing sample.
 _CLOCK_ROUNDING_S = 0.01
 
-# What a `Record` holds: values at the boundaries, and means over the steps between them.
+# Signals of a `Record`: samples at the boundaries, and means over the steps between them.
 SAMPLED = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
 ACTING = ("u", "power_W", "heat_W", "T_return_C")
 SIGNALS = (*SAMPLED, *ACTING)
@@ -300,18 +300,18 @@ class Record:
         )
 
     def weather(self) -> Boundary:
-        """Its weather as the forecast that came true; of the rest of a boundary nothing is known, NaN."""
+        """Measured weather as a perfect forecast; the other boundary conditions are NaN."""
         unknown = np.full(self.time_s.size, np.nan)
         return Boundary(self.time_s, self.T_out_C, self.solar_W_m2, unknown, unknown, unknown, unknown, unknown)
 
     @classmethod
     def beginning(cls, measurement: Measurement) -> Record:
-        """The history of one instant, before anything has acted."""
+        """Record of one instant, without a step."""
         none = np.empty(0)
         return cls(**{name: np.array([getattr(measurement, name)]) for name in SAMPLED}, **dict.fromkeys(ACTING, none))
 
     def extended(self, measurement: Measurement) -> Record:
-        """This history with one more step, the one that `measurement` closes."""
+        """This record with the step that ends at `measurement` appended."""
         return Record(
             **{name: np.append(getattr(self, name), getattr(measurement, name)) for name in SIGNALS},
             origin=self.origin,
@@ -320,7 +320,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the plant reports at one instant.
+    """Measured values at one instant.
 
     `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W` (total
     electric), `heat_W` and `T_return_C` (return water) are means over the interval just advanced (NaN right after a
@@ -349,7 +349,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Observation:
-    """All a controller gets to see: the past, the forecast of the boundary conditions, and nothing else."""
+    """Input of a controller: the record until now and the forecast of the boundary conditions."""
 
     history: Record
     boundary: Boundary
@@ -395,7 +395,7 @@ class FreeForecast:
 
 
 class PlanStatus(StrEnum):
-    """Where an action came from."""
+    """Source of an action."""
 
     SOLVED = "solved"  # an optimisation whose status and solution were checked
     SHIFTED = "shifted"  # first fallback level: the previous plan, one step on
@@ -406,14 +406,14 @@ class PlanStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Plan:
-    """A decision and its reasons.
+    """A decision and its reason.
 
     `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`,
     predicted `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
     predicted `power_W`; they are empty for rules. `time_s` (N,) is the start of each step, counted from `origin` where
     the record has time stamps. `T_free_now_C` is the control-free temperature the plan starts from.
-    `why` is one sentence a person can read; `solver_status` is the solver's own word. `state` is what the controller
-    needs to know at its next plan of this run; nobody else looks into it.
+    `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` is what the controller
+    needs at its next plan of this run, opaque to others.
     """
 
     blocks: tuple[Block, ...]
@@ -473,7 +473,7 @@ class Period:
 
 @dataclass(frozen=True)
 class PlantInfo:
-    """What a plant is, for manifests and headlines: never leave a reader guessing which plant made a number."""
+    """Plant kind, test case, weather and version, for manifests and headlines."""
 
     kind: str
     testcase: str

@@ -45,7 +45,7 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Least share of the whitened variance that the forced response must explain to be believed.
+# Least share of the whitened variance that the forced response must explain to be accepted.
 _LEAST_EXPLAINED = 0.1
 # Relative standard deviation of the answer after a day from which a model is called uncertain.
 _UNCERTAIN = 0.15
@@ -77,7 +77,7 @@ def identify(
 
     Returns:
         Operator, electric power (where measured), linear free model (where there are runs) and model card, whose notes
-        say which readings were not believed and how gaps were bridged or left out (`prepared_runs`).
+        say which readings were rejected and how gaps were bridged or left out (`prepared_runs`).
 
     Raises:
         DataError: there are no data, or they cannot identify; the message has the numbers and what to do.
@@ -110,16 +110,16 @@ def identify(
         model = _joint_model(
             runs, pairs, data, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes, say
         )
-    model = _believed(model, cases, mode)
+    model = _accepted(model, cases, mode)
     say(f"identified an operator of order {model.operator.order}")
     return model
 
 
-def _believed(model: ThermalModel, cases: Sequence[Case], mode: str) -> ThermalModel:
+def _accepted(model: ThermalModel, cases: Sequence[Case], mode: str) -> ThermalModel:
     """`model`, with the share that its actions explain on its card.
 
     Raises:
-        DataError: they explain too little to be believed, or their effect has no proven sign.
+        DataError: they explain too little, or their effect has no proven sign.
     """
     explained = explained_share(cases, model.operator)
     if explained < _LEAST_EXPLAINED:
