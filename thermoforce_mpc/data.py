@@ -412,8 +412,8 @@ class Plan:
     predicted `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
     predicted `power_W`; they are empty for rules. `time_s` (N,) is the start of each step, counted from `origin` where
     the record has time stamps. `T_free_now_C` is the control-free temperature the plan starts from.
-    `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` is what the controller
-    needs at its next plan of this run, opaque to others.
+    `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` goes to the
+    controller's next plan of this run and is opaque to others.
     """
 
     blocks: tuple[Block, ...]
