@@ -35,7 +35,7 @@ def check_observation(observation: Observation, step_s: float, n_steps: int) -> 
     if boundary.n_steps < n_steps:
         raise DataError(
             f"boundary forecast has {boundary.n_steps} steps, the horizon needs {n_steps} of {step_s:g} s:"
-            " ask the plant for `horizon_s` and `step_s` of the controller"
+            " give `horizon_s` of the controller, or set the option `horizon_h` to less"
         )
     for what, time_s in (("boundary forecast", boundary.time_s[: n_steps + 1]), ("history", history.time_s)):
         steps = np.diff(time_s)
@@ -43,5 +43,5 @@ def check_observation(observation: Observation, step_s: float, n_steps: int) -> 
         if wrong.size:
             raise DataError(
                 f"{what}: step {wrong[0]} of {steps.size} is {steps[wrong[0]]:g} s long, expected"
-                f" {step_s:g} s: give it in steps of the controller's `step_s`"
+                f" {step_s:g} s: give it in steps of the controller's `step_s`, or set the option `step_s` to its step"
             )
