@@ -179,3 +179,12 @@ def test_a_run_gives_kpis_and_trajectories_and_leaves_nothing_behind(tmp_path, m
         tf.run("bestest_hydronic_heat_pump", horizn=3)
     assert list(tmp_path.iterdir()) == []
     assert capsys.readouterr().out == ""
+
+
+def test_a_run_with_a_model_identifies_nothing_and_says_whose_model_it_was(model):
+    result = tf.run(
+        "bestest_hydronic_heat_pump", model=model, days=0.25, period="20", baselines=["thermostat"], progress=False
+    )
+    assert result.models == {"thermoforce_mpc": model}
+    assert result.identification == {}
+    assert result.result.fallback_levels()["solved"] == 24

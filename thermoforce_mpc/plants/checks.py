@@ -56,3 +56,9 @@ def forecast_times(now_s: float, horizon_s: float, interval_s: float) -> Array:
         raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
     steps = np.arange(math.floor(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
     return np.asarray(now_s + steps * interval_s, dtype=np.float64)
+
+
+def check_record_step(step_s: float) -> None:
+    """Raise `InputError` unless a record can be asked for at steps of `step_s`: finite and positive, s."""
+    if not (math.isfinite(step_s) and step_s > 0):
+        raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Measurement
+from thermoforce_mpc.data import Array, Measurement, Record
 from thermoforce_mpc.scenario.testcase import Measurements
 
 _KELVIN = 273.15
@@ -36,6 +36,27 @@ def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: 
         "heat_W": interval_means(record, m.heat, edges),
         "T_return_C": interval_means(record, water, edges) - _KELVIN,
     }
+
+
+def past_record(
+    record: Mapping[str, Array], m: Measurements, levels: Callable[[Array], Array], now_s: float, step_s: float
+) -> Record:
+    """Return sampled points as a `Record` at `step_s` that ends at `now_s`; the oldest partial step is dropped.
+
+    `levels` gives the mean actuator level u between edges (n + 1,), shape (n,).
+    """
+    n = math.floor((now_s - record["time"][0]) / step_s + 1e-9)
+    edges: Array = now_s - np.arange(float(n), -1.0, -1.0) * step_s
+    T_zone, T_out, solar = (
+        np.interp(edges, record["time"], record[name]) for name in (m.zone_temperature, m.outdoor_temperature, m.solar)
+    )
+    return Record(
+        time_s=edges,
+        T_zone_C=T_zone - _KELVIN,
+        T_out_C=T_out - _KELVIN,
+        solar_W_m2=solar,
+        **acting_means(record, m, levels(edges), edges),
+    )
 
 
 def measurement(

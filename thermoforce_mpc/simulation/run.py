@@ -209,14 +209,18 @@ def _execute(
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(_headline(plant, period, scenario))
-        identified = _identify_all(scenario, testcase, plant, display) if model is None else {}
-        models = {who: found.model for who, found in identified.items()}
+        if model is None:
+            identified = _identify_all(scenario, testcase, plant, display)
+            models = {who: found.model for who, found in identified.items()}
+        else:
+            identified = {}
+            models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
 
         def follow(controller: Controller) -> RunResult:
             return _follow(plant, controller, period, scenario, testcase, display, records)
 
         def built(who: str) -> Controller:
-            return build_controller(who, controller_options(scenario, who), testcase, models.get(who, model))
+            return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
 
         controller = built(name)
         before = _weight_hash(controller)

@@ -24,8 +24,8 @@ from boptest_client import (
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import forecast_times
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
+from thermoforce_mpc.plants.checks import check_record_step, forecast_times
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
@@ -238,24 +238,14 @@ class BoptestPlant:
             InputError: `step_s` is not positive.
             PlantError: the service failed.
         """
-        if not (math.isfinite(step_s) and step_s > 0):
-            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        check_record_step(step_s)
         m = self.testcase.measurements
         sampled = [m.zone_temperature, m.outdoor_temperature, m.solar]
         names = [*sampled, f"{self.testcase.actuator.point}_u", *m.flows]
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, names)
         # Services that do not record the warm-up start the record at the present.
-        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
-        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
-        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in sampled)
-        return Record(
-            time_s=edges,
-            T_zone_C=T_zone - _KELVIN,
-            T_out_C=T_out - _KELVIN,
-            solar_W_m2=solar,
-            **acting_means(record, m, self._levels(record, edges), edges),
-        )
+        return past_record(record, m, lambda edges: self._levels(record, edges), self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
         """Return the service's KPIs since the end of the warm-up; KPIs the test case does not have are omitted."""

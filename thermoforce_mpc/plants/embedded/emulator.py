@@ -16,7 +16,7 @@ from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_start, forecast_times
+from thermoforce_mpc.plants.checks import check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
@@ -216,8 +216,7 @@ class EmbeddedPlant:
         Raises:
             InputError: `step_s` is not positive.
         """
-        if not (math.isfinite(step_s) and step_s > 0):
-            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        check_record_step(step_s)
         record = self.recorded(self._begin_s, self._now_s)
         steps = math.floor((self._now_s - self._begin_s) / step_s + 1e-9)
         edges: Array = self._now_s - np.arange(float(steps), -1.0, -1.0) * step_s

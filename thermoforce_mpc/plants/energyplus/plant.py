@@ -20,7 +20,13 @@ from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
-from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
+from thermoforce_mpc.plants.checks import (
+    check_level_and_duration,
+    check_record_step,
+    check_start,
+    day_period,
+    forecast_times,
+)
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
 from thermoforce_mpc.plants.energyplus.live import Advance, Stretch, serve
@@ -200,8 +206,7 @@ class EnergyPlusPlant:
         Raises:
             InputError: `step_s` is not positive, or the plant was not reset.
         """
-        if not (math.isfinite(step_s) and step_s > 0):
-            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        check_record_step(step_s)
         record = self._record()
         n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
         edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s

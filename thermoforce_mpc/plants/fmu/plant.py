@@ -17,12 +17,18 @@ from thermoforce_mpc.boundary.periods import centred_window
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_level_and_duration, check_start, day_period, forecast_times
+from thermoforce_mpc.plants.checks import (
+    check_level_and_duration,
+    check_record_step,
+    check_start,
+    day_period,
+    forecast_times,
+)
 from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _KELVIN = 273.15
@@ -181,23 +187,10 @@ class FmuPlant:
         Raises:
             InputError: `step_s` is not positive, or the plant was not reset.
         """
-        if not (math.isfinite(step_s) and step_s > 0):
-            raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+        check_record_step(step_s)
         record = self._record()
         m = self.testcase.measurements
-        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
-        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
-        T_zone, T_out, solar = (
-            np.interp(edges, record["time"], record[name])
-            for name in (m.zone_temperature, m.outdoor_temperature, m.solar)
-        )
-        return Record(
-            time_s=edges,
-            T_zone_C=T_zone - _KELVIN,
-            T_out_C=T_out - _KELVIN,
-            solar_W_m2=solar,
-            **acting_means(record, m, interval_means(record, ["u"], edges), edges),
-        )
+        return past_record(record, m, lambda edges: interval_means(record, ["u"], edges), self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up, from the 30-s record; raises as `past` does."""
