@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +16,11 @@ from thermoforce_mpc.scenario.settings import StrictModel
 class FallbackConfig(StrictModel):
     """Options of the fallback policy."""
 
+    stand_back: Literal["native", "rule"] = Field(
+        "native",
+        description="who acts while the model is not competent or does not hold: the plant's own control, or the on/off"
+        " rule",
+    )
     follow_steps: int = Field(3, ge=0, description="largest number of steps for which the previous plan is followed")
     trust_K: float = Field(
         1.0, gt=0, description="the previous plan is dropped when its predicted zone temperature is off by more, K"

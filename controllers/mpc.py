@@ -337,6 +337,16 @@ class ThermoForceMPC:
             state=replace(now, actuation=actuation, good=GoodPlan(observation.time_s, u, T_zone_C)),
         )
 
+    def _stand_back(self, observation: Observation, now: MPCState, status: PlanStatus, reason: str) -> Plan:
+        """A step of native control or of the on/off rule (`fallback.stand_back`); nothing is planned."""
+        if self.config.fallback.stand_back == "native":
+            u, who = None, "native control"
+        else:
+            u, who = self._fallback.rule(observation)
+        blocks, actuation = self._actuation.realise(u, self.step_s, now.actuation)
+        # The plan before was not followed, so it must not be shifted later.
+        return Plan(blocks, status, f"{reason}: {who}", state=replace(now, actuation=actuation, good=None))
+
     def _fall_back(
         self, observation: Observation, now: MPCState, reason: str, solver_status: str, seconds: Mapping[str, float]
     ) -> Plan:

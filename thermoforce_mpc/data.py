@@ -401,6 +401,8 @@ class PlanStatus(StrEnum):
     SHIFTED = "shifted"  # first fallback level: the previous plan, one step on
     THERMOSTAT = "thermostat"  # second level: on/off rule
     GUARD = "guard"  # the zone was far outside the comfort band: full level or off instead of the plan
+    GATE = "gate"  # the model is not competent: native control or the on/off rule acts
+    WATCH = "watch"  # the model does not hold at present: native control or the on/off rule acts
     RULE = "rule"  # the controller is a rule; nothing was solved
 
 
