@@ -27,8 +27,10 @@ _OFF = 1e-3
 class ActuationConfig(StrictModel):
     """Options of the conversion from planned level to actuator signal."""
 
-    mode: Literal["duty", "modulating"] = Field(
-        "duty", description="duty: on/off blocks; modulating: one level held for the step"
+    mode: Literal["duty", "modulating", "room_setpoints"] = Field(
+        "duty",
+        description="duty: on/off blocks; modulating: one level held for the step; room_setpoints: the plant's own "
+        "loops keep the planned temperature (test cases of that kind)",
     )
     level: float = Field(1.0, gt=0, le=1, description="duty: level while on")
     block_s: float = Field(300.0, ge=30, description="duty: on and off times are multiples of this, s")
@@ -78,6 +80,8 @@ class Actuation:
     @property
     def lowest_level(self) -> float:
         """Levels below this are realised by switching: power and heat are then proportional to on-time."""
+        if self.config.mode == "room_setpoints":
+            return 1.0  # the loops modulate: power and heat are proportional to the level
         return self.config.level if self.config.mode == "duty" else max(self.config.lowest_level, 1e-3)
 
     def check_step(self, step_s: float) -> None:

@@ -15,9 +15,10 @@ from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.guard import guard_level
 from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
-from controllers.problem import MPCProblem, Solution, Weights
+from controllers.problem import Cooling, MPCProblem, Solution, Weights
+from controllers.room import room_blocks, within_C
 from controllers.solvers import Solver, build_solver
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
@@ -110,6 +111,11 @@ class ThermoForceMPC:
         self._actuation = Actuation(c.actuation)
         self._actuation.check_step(step_s)
         self._power = model.power.at_lowest_level(self._actuation.lowest_level)
+        self._rooms = c.actuation.mode == "room_setpoints"
+        if self._rooms != (model.operator.heat_input.lowest < 0.0):
+            raise ControllerConfigError(
+                "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
+            )
         self._adaptation = OnlineAdaptation(model, c.adaptation)
         self._free_response = free_response or _build_free_response(c.free_response, model)
         self._base = self._build_planner(model)
@@ -191,8 +197,8 @@ class ThermoForceMPC:
 
     def _guarded(self, observation: Observation, now: MPCState, plan: Plan) -> Plan:
         """The plan, or the guard's level in its place while the zone is far outside the comfort band."""
-        if any(block.u is None for block in plan.blocks):
-            return plan  # native control
+        if self._rooms or any(block.u is None for block in plan.blocks):
+            return plan  # the plant's own control acts on the bounds
         planned = sum((block.u or 0.0) * block.duration_s for block in plan.blocks) / self.step_s
         sign, highest = self.model.operator.sign, self._actuation.highest
         found = guard_level(self.config.guard, observation, u=planned, highest=highest, sign=sign)
@@ -237,10 +243,12 @@ class ThermoForceMPC:
         c, boundary, T_free = self.config, context.boundary, context.free.median_C
         aims = c.objective
         boundary.check("lower_C", "upper_C", "price_per_kWh")
-        price = boundary.price_per_kWh[:-1]
+        boundary.check("heating_price_per_kWh")
+        carbon = np.zeros(boundary.n_steps)
         if aims.carbon_price_per_kg:
             boundary.check("emission_kg_per_kWh")
-            price = price + aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
+            carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
+        price = boundary.heating_price_per_kWh[:-1] + carbon
         fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(context, history))
         low, high = c.backoff_level, c.backoff_level_other
         if operator.sign < 0:
@@ -270,7 +278,15 @@ class ThermoForceMPC:
                 operator, context.features[-1], price[-1] * (fixed_W + per_u_W)[-1]
             ),
             peak_so_far_W=peak_W,
+            cooling=self._cooling(operator, boundary, boundary.price_per_kWh[:-1] + carbon),
         )
+
+    def _cooling(self, operator: OperatorParameters, boundary: Boundary, price: Array) -> Cooling | None:
+        """What levels below 0 cost at `price` (N,), currency/kWh; None where there are none."""
+        load, lowest = self._power.cooling, operator.heat_input.lowest
+        if load is None or lowest == 0.0:
+            return None
+        return Cooling(lowest, price, load(np.ones(boundary.n_steps), boundary.T_out_C[:-1]))
 
     def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
         """Return water temperature while running, (N,), °C; NaN where the power model does not depend on it.
@@ -316,7 +332,10 @@ class ThermoForceMPC:
         forced_K = problem.forced_K(operator, u)
         T_zone_C = problem.T_free_C + forced_K
         slack_K = problem.slack_K(T_zone_C)
-        blocks, actuation = self._actuation.realise(float(u[0]), self.step_s, now.actuation)
+        if self._rooms:
+            blocks, actuation = self._room_blocks(observation, float(u[0]), float(T_zone_C[0])), now.actuation
+        else:
+            blocks, actuation = self._actuation.realise(float(u[0]), self.step_s, now.actuation)
         return Plan(
             blocks=blocks,
             status=PlanStatus.SOLVED,
@@ -337,9 +356,15 @@ class ThermoForceMPC:
             state=replace(now, actuation=actuation, good=GoodPlan(observation.time_s, u, T_zone_C)),
         )
 
+    def _room_blocks(self, observation: Observation, u: float, T_end_C: float) -> tuple[Block, ...]:
+        """Room set-points of the first step."""
+        lower_C, upper_C = (float(bound[0]) for bound in (observation.boundary.lower_C, observation.boundary.upper_C))
+        bounds = within_C(lower_C, upper_C, self.config.comfort_margin_K)
+        return room_blocks(u, observation.T_zone_C, T_end_C, bounds, self.step_s, self.config.actuation.block_s)
+
     def _stand_back(self, observation: Observation, now: MPCState, status: PlanStatus, reason: str) -> Plan:
         """A step of native control or of the on/off rule (`fallback.stand_back`); nothing is planned."""
-        if self.config.fallback.stand_back == "native":
+        if self._rooms or self.config.fallback.stand_back == "native":
             u, who = None, "native control"
         else:
             u, who = self._fallback.rule(observation)
@@ -350,8 +375,10 @@ class ThermoForceMPC:
     def _fall_back(
         self, observation: Observation, now: MPCState, reason: str, solver_status: str, seconds: Mapping[str, float]
     ) -> Plan:
-        u = self._fallback.level_to_follow(now.good, observation)
-        if u is not None:
+        u = None if self._rooms else self._fallback.level_to_follow(now.good, observation)
+        if self._rooms:
+            status, why = PlanStatus.THERMOSTAT, "native control"
+        elif u is not None:
             status, why = PlanStatus.SHIFTED, f"following the previous plan (u = {u:.2f})"
         else:
             status = PlanStatus.THERMOSTAT

@@ -3,6 +3,7 @@
     minimise    sum_k  price_k · P_k(u_k) · Δt  +  w · s_k · Δt  +  ε u_k²  +  π · p  −  λ' F_N
     subject to  F_{k+1} = A F_k + g m(x_k) u_k            forced response (paper eq:operator)
                 lower_k - s_k ≤ T_free,k + F_k ≤ upper_k + s_k,   s_k ≥ 0,   0 ≤ u_k ≤ u_max
+                (one zone's heating and cooling: −c ≤ u_k, with price and power of cooling for u_k < 0)
                 P_k(u_k) ≤ p_0 + p,   p ≥ 0                       p: peak power above the highest so far, p_0
                 u_k = v_j for all steps k of move j               move blocking
 
@@ -45,14 +46,15 @@ class ProblemShape:
     """Structure shared by all instances, from which a solver is built once.
 
     `move_of_step` (N,) numbers the move each step belongs to (0 … M − 1, nondecreasing): steps of one move share one
-    level. `u_max` is the highest level; below `lowest_level` the machine switches. `peak`: peak power is in the
-    objective.
+    level. `u_max` is the highest level, `u_min` the lowest (below 0: cooling); between 0 and `lowest_level` the machine
+    switches. `peak`: peak power is in the objective.
     """
 
     move_of_step: NDArray[np.intp]
     u_max: float = 1.0
     lowest_level: float = 1.0
     peak: bool = False
+    u_min: float = 0.0
 
     @property
     def n_steps(self) -> int:
@@ -91,6 +93,15 @@ def blocked_moves(n_steps: int, step_s: float, free_h: float, hold_h: float) -> 
 
 
 @dataclass(frozen=True)
+class Cooling:
+    """Cooling beside heating: lowest level `u_min` < 0, `price_per_kWh` and power over −u, `power_per_u_W`, (N,)."""
+
+    u_min: float
+    price_per_kWh: Array
+    power_per_u_W: Array
+
+
+@dataclass(frozen=True)
 class MPCProblem:
     """Numbers of one instance over N steps, r modes.
 
@@ -99,7 +110,7 @@ class MPCProblem:
     `power_fixed_W` (while on) and `power_per_u_W` over each step. `u_max` is the highest level; below `lowest_level`
     the machine is on for the share u / `lowest_level` of a step, so the power is linear in u when the two are equal.
     `terminal_price_per_K` (r,): value of one kelvin of each mode at the end, currency/K; `peak_so_far_W`: highest mean
-    power over a step so far.
+    power over a step so far. `cooling`: what levels below 0 cost; None where there are none.
     """
 
     forced_state_K: Array
@@ -116,6 +127,7 @@ class MPCProblem:
     weights: Weights
     terminal_price_per_K: Array
     peak_so_far_W: float = 0.0
+    cooling: Cooling | None = None
 
     @property
     def n_steps(self) -> int:
@@ -123,9 +135,21 @@ class MPCProblem:
         return int(self.T_free_C.size)
 
     @property
+    def u_min(self) -> float:
+        """Lowest level."""
+        return 0.0 if self.cooling is None else self.cooling.u_min
+
+    @property
     def price_per_W(self) -> Array:
         """Cost of one watt held over each step, currency/W, shape (N,)."""
         return np.asarray(self.price_per_kWh * self.step_s / J_PER_KWH, dtype=np.float64)
+
+    @property
+    def cooling_cost_per_u(self) -> Array:
+        """Energy cost of cooling over each step per unit of −u, currency, shape (N,); 0 without cooling."""
+        if self.cooling is None:
+            return np.zeros(self.n_steps)
+        return np.asarray(self.cooling.price_per_kWh * self.cooling.power_per_u_W * self.step_s / J_PER_KWH)
 
     @property
     def comfort_price(self) -> float:
@@ -134,6 +158,17 @@ class MPCProblem:
 
     def power_W(self, u: Array) -> Array:
         """Mean electric power over each step for levels `u` (..., N), W."""
+        if self.cooling is not None:
+            return self._heating_W(np.maximum(u, 0.0)) + self.cooling.power_per_u_W * np.maximum(-u, 0.0)
+        return self._heating_W(u)
+
+    def energy_cost(self, u: Array) -> Array:
+        """Cost of energy over each step for levels `u` (..., N), currency, shape (..., N)."""
+        if self.cooling is None:
+            return np.asarray(self.price_per_W * self.power_W(u))
+        return self.price_per_W * self._heating_W(np.maximum(u, 0.0)) + self.cooling_cost_per_u * np.maximum(-u, 0.0)
+
+    def _heating_W(self, u: Array) -> Array:
         on_share = np.minimum(u / self.lowest_level, 1.0)
         return np.asarray(self.power_fixed_W * on_share + self.power_per_u_W * u, dtype=np.float64)
 
@@ -158,7 +193,7 @@ class MPCProblem:
         """Objective for levels `u` (..., N) with forced state `modes` (..., N, r), K; currency, shape (...,)."""
         slack = self.slack_K(self.T_free_C + modes.sum(axis=-1))
         power = self.power_W(u)
-        energy = (self.price_per_W * power).sum(axis=-1)
+        energy = self.energy_cost(u).sum(axis=-1)
         comfort = self.comfort_price * slack.sum(axis=-1)
         peak = self.weights.peak * np.maximum(power.max(axis=-1) - self.peak_so_far_W, 0.0)
         left = modes[..., -1, :] @ self.terminal_price_per_K
@@ -169,7 +204,8 @@ class MPCProblem:
         """Whether every number of the instance is finite."""
         arrays = (
             self.forced_state_K, self.features.ravel(), self.T_free_C, self.lower_C, self.upper_C, self.price_per_kWh,
-            self.power_fixed_W, self.power_per_u_W, self.terminal_price_per_K, [self.peak_so_far_W],
+            self.power_fixed_W, self.power_per_u_W, self.terminal_price_per_K, self.cooling_cost_per_u,
+            [self.peak_so_far_W, self.u_min],
         )  # fmt: skip
         return bool(np.isfinite(np.concatenate(arrays)).all())
 
@@ -214,10 +250,10 @@ def checked_solution(
         return Solution(
             False, np.empty(0), status, iterations, f"{status} was reported, but the solution is not finite"
         )
-    if u.min() < -_BOUND_TOLERANCE or u.max() > problem.u_max + _BOUND_TOLERANCE:
+    if u.min() < problem.u_min - _BOUND_TOLERANCE or u.max() > problem.u_max + _BOUND_TOLERANCE:
         what = f"{status} was reported, but u leaves its bounds (from {u.min():.4g} to {u.max():.4g})"
         return Solution(False, np.empty(0), status, iterations, what)
-    u = np.clip(u, 0.0, problem.u_max)
+    u = np.clip(u, problem.u_min, problem.u_max)
     cost = float(problem.cost_under(u, modes_of(u)))
     if not abs(cost - claimed) <= tolerance * (1.0 + abs(cost)):
         what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {cost:.6g}"

@@ -8,6 +8,9 @@ y = Σ F_i only, which obeys one difference equation of order r, the transfer fu
 
 with d_k = m(x_k) v(1, T_out,k). This takes one variable and one equation per step instead of r of each. Every solution
 is checked by a rollout of the r modes before it is accepted.
+
+One zone's heating and cooling: u = v − n with n ≥ 0 of its own price. An optimum with both positive does not exist
+while heat and cold cost anything.
 """
 
 from __future__ import annotations
@@ -47,10 +50,12 @@ class SparsePattern:
 class QPSolver:
     """Solves `MPCProblem`s of one operator and shape.
 
-    Variables: moves v (M), forced response y (N), slack s (N), and peak power if it is priced.
+    Variables: moves v (M), forced response y (N), slack s (N), peak power if it is priced, and cooling moves n (M) if
+    the lowest level is below 0.
 
     Raises:
-        ControllerConfigError: the problem is not convex (levels between off and `u_max` have their own efficiency).
+        ControllerConfigError: the problem is not convex (levels between off and `u_max` have their own efficiency), or
+            peak power is priced where there is cooling too.
     """
 
     def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: QPConfig) -> None:
@@ -61,17 +66,25 @@ class QPSolver:
                 "feedback: false, or solver: ipopt"
             )
         self.operator, self.shape, self.config = operator, shape, config
+        if shape.peak and shape.u_min < 0.0:
+            raise ControllerConfigError(
+                "controller.options.objective.peak_price_per_kW: not available where one plant heats and cools; use 0"
+            )
         n, m = shape.n_steps, shape.n_moves
-        self._n_variables = m + 2 * n + int(shape.peak)
+        self._cooling = slice(m + 2 * n, m + 2 * n + (m if shape.u_min < 0.0 else 0))
+        self._n_variables = m + 2 * n + int(shape.peak) + (m if shape.u_min < 0.0 else 0)
         step = np.arange(n)
         response, slack = m + step, m + n + step
 
         denominator, self._numerator = transfer_function(operator.poles, operator.gains)
         lagged = [(lag, step[lag:], step[: n - lag]) for lag in range(min(operator.order, n - 1) + 1)]
         driven = [entry for entry in lagged if entry[0] < operator.order]
+        moves_of = [shape.move_of_step] + ([m + 2 * n + shape.move_of_step] if shape.u_min < 0.0 else [])
         self._dynamics = SparsePattern(
-            np.concatenate([now for _, now, _ in lagged + driven]),
-            np.concatenate([response[then] for *_, then in lagged] + [shape.move_of_step[then] for *_, then in driven]),
+            np.concatenate([now for _, now, _ in lagged] + [now for _ in moves_of for _, now, _ in driven]),
+            np.concatenate(
+                [response[then] for *_, then in lagged] + [move[then] for move in moves_of for *_, then in driven]
+            ),
             (n, self._n_variables),
         )
         self._response_entries = np.concatenate([np.full(now.size, denominator[lag]) for lag, now, _ in lagged])
@@ -94,6 +107,7 @@ class QPSolver:
         self._x_low, self._x_high = np.zeros(self._n_variables), np.full(self._n_variables, np.inf)
         self._x_low[response] = -np.inf
         self._x_high[:m] = shape.u_max
+        self._x_high[self._cooling] = -shape.u_min
         self._counts = np.bincount(shape.move_of_step, minlength=m).astype(np.float64)
         self._quadratic = sparse.csc_matrix(sparse.diags(np.ones(self._n_variables)))
         self._solve_with: dict[QPBackend, Callable[[QPData], SolverResult]] = {
@@ -124,7 +138,10 @@ class QPSolver:
         status = f"{backend}:{answer.status}"
         if not answer.solved:
             return Solution(False, np.empty(0), status, answer.iterations, f"ended with {answer.status}")
-        u = answer.x[: self.shape.n_moves][self.shape.move_of_step]
+        moves = answer.x[: self.shape.n_moves]
+        if self.shape.u_min < 0.0:
+            moves = moves - answer.x[self._cooling]
+        u = moves[self.shape.move_of_step]
         claimed = qp_data.objective(answer.x)
 
         def modes_of(u: Array) -> Array:
@@ -138,6 +155,8 @@ class QPSolver:
         moves = slice(0, m)
         power_per_u = p.power_W(np.full(n, p.u_max)) / p.u_max
         driven = [-self._numerator[lag] * drive[: n - lag] for lag in self._driven_lags]
+        if self.shape.u_min < 0.0:
+            driven += [-entries for entries in driven]
         A = self._dynamics.filled(np.concatenate([self._response_entries, *driven]))
         b = np.zeros(n)
         b[: self._begin.shape[0]] = self._begin @ p.forced_state_K
@@ -147,6 +166,9 @@ class QPSolver:
         linear = np.zeros(self._n_variables)
         linear[moves] = np.bincount(self.shape.move_of_step, weights=p.price_per_W * power_per_u - kept, minlength=m)
         linear[m + n : m + 2 * n] = p.comfort_price
+        if self.shape.u_min < 0.0:
+            cost = p.cooling_cost_per_u + kept
+            linear[self._cooling] = np.bincount(self.shape.move_of_step, weights=cost, minlength=m)
         low, high, unbounded = p.lower_C - p.T_free_C, p.upper_C - p.T_free_C, np.full(n, np.inf)
         row_low, row_high = np.concatenate([low, -unbounded]), np.concatenate([unbounded, high])
         entries = self._bound_entries
@@ -157,6 +179,8 @@ class QPSolver:
             linear[-1] = p.weights.peak * PEAK_UNIT_W
         curvature = np.zeros(self._n_variables)
         curvature[moves] = 2.0 * p.weights.curvature * self._counts
+        if self.shape.u_min < 0.0:
+            curvature[self._cooling] = curvature[moves]
         # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.
         unit = float(np.abs(linear).max()) or 1.0
         self._quadratic.data[:] = curvature / unit

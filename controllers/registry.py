@@ -60,6 +60,15 @@ _AS_PRINTED: dict[str, Any] = {
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
 
+# Room set-points are kept by the plant's own loops within each step, so plans need no reserve for forecast errors.
+_ROOM_SETPOINTS: dict[str, Any] = {
+    "comfort_margin_K": 0.05,
+    "backoff_level": 0.5,
+    "backoff_level_other": 0.5,
+    "backoff_violation_K": None,
+    "actuation": {"mode": "room_setpoints"},
+}
+
 REGISTRY: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
         "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
@@ -127,7 +136,9 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     if name == "native":
         defaults["step_s"] = testcase.step_s
     if name in ("thermostat", "pi"):
-        defaults["mode"] = testcase.mode
+        defaults["mode"] = "cooling" if testcase.mode == "cooling" else "heating"
+    if testcase.mode == "both" and entry.needs_model:
+        defaults = dict(merge(defaults, _ROOM_SETPOINTS))
     if "actuation" in entry.config().model_fields and testcase.defaults.actuation and "actuation" not in entry.defaults:
         defaults["actuation"] = testcase.defaults.actuation
     if name == "thermostat" and testcase.thermostat_C is not None:

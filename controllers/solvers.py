@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from controllers.actuation import Actuation
+from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptSolver
 from controllers.mpc_config import MPCConfig
 from controllers.problem import MPCProblem, ProblemShape, Solution, blocked_moves
@@ -34,14 +35,19 @@ def build_solver(config: MPCConfig, operator: OperatorParameters, actuation: Act
         ControllerConfigError: the solver named does not fit the problem.
     """
     n_steps = config.n_steps(operator.step_s)
-    if config.solver == "search":
+    if config.solver == "search" and operator.heat_input.lowest == 0.0:
         return CandidateSearch(operator, n_steps, config.search)
     shape = ProblemShape(
         blocked_moves(n_steps, operator.step_s, config.move_blocking.free_h, config.move_blocking.hold_h),
         actuation.highest,
         actuation.lowest_level,
         peak=config.objective.peak_price_per_kW > 0,
+        u_min=operator.heat_input.lowest,
     )
+    if shape.u_min < 0.0 and config.solver not in ("auto", "qp"):
+        raise ControllerConfigError(
+            f"controller.options.solver: {config.solver} does not plan heating and cooling together; use auto or qp"
+        )
     chosen = config.solver
     if chosen == "auto":
         switching = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))

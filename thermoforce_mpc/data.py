@@ -60,10 +60,15 @@ def _check_clock(time_s: Array, what: str) -> None:
 
 @dataclass(frozen=True)
 class Block:
-    """One stretch of constant actuation: level `u` in [0, 1], or None for the plant's native control."""
+    """One stretch of constant actuation: level `u` in [0, 1], or None for the plant's native control.
+
+    A plant that heats and cools takes levels in [−1, 1]. `band_C` are the heating and the cooling set-point that its own
+    loop is to keep meanwhile, °C; u is then the mean level that the plan expects of that loop.
+    """
 
     u: float | None
     duration_s: float
+    band_C: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,8 @@ class Boundary:
     Every array has shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m²,
     `occupancy` persons,
     `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg
-    CO2/kWh.
+    CO2/kWh. Where heating has an energy carrier of its own (gas beside electric cooling), `heating_price_per_kWh` is its
+    price; by default it is `price_per_kWh`.
 
     Raises:
         DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
@@ -87,11 +93,14 @@ class Boundary:
     upper_C: Array
     price_per_kWh: Array
     emission_kg_per_kWh: Array
+    heating_price_per_kWh: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
         if n < 1:
             raise DataError("a boundary needs at least one instant")
+        if not np.size(self.heating_price_per_kWh):
+            object.__setattr__(self, "heating_price_per_kWh", self.price_per_kWh)
         for item in fields(self):
             object.__setattr__(self, item.name, _freeze(getattr(self, item.name), item.name, n))
         _check_clock(self.time_s, "boundary")
@@ -183,7 +192,8 @@ class Record:
 
     Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent),
     `T_out_C`, `solar_W_m2`.
-    Shape (n,), mean over each step: `u` in [0, 1], `power_W` total electric, `heat_W` delivered heat, `T_return_C`
+    Shape (n,), mean over each step: `u` in [0, 1] (in [−1, 1], cooling below 0, where one plant heats and cools),
+    `power_W` total electric, `heat_W` delivered heat, `T_return_C`
     return water from the emitters (NaN where not measured; all of `T_return_C` where it is not given).
     `origin` is the `pandas.Timestamp` with `time_s` 0 where the record came from a table with time stamps.
 

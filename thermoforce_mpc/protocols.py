@@ -59,6 +59,18 @@ class Plant(Protocol):
 
 
 @runtime_checkable
+class RoomSetpointPlant(Plant, Protocol):
+    """Plant whose own loops keep a heating and a cooling set-point of the room."""
+
+    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
+        """Let the loops keep `band_C`, heating and cooling set-point, °C, for `duration_s` s.
+
+        `u` is the level that is planned, below 0 for cooling; its sign says which loop may act, 0 both.
+        """
+        ...
+
+
+@runtime_checkable
 class FreeResponse(Protocol):
     """Forecaster of the free response, the zone temperature without control action. It never receives the control."""
 

@@ -14,7 +14,7 @@ from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, spli
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
-from thermoforce_mpc.model.machine.power import PowerModel, fit_power
+from thermoforce_mpc.model.machine.power import PowerModel, fit_power, fit_signed_power
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -36,9 +36,14 @@ class Case:
 
 
 def identified_heat_input(
-    histories: Sequence[Record], config: IdentificationConfig, sign: int
+    histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float
 ) -> tuple[HeatInput, list[str]]:
-    """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it."""
+    """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it.
+
+    Signed levels, `lowest` below 0, are heat themselves.
+    """
+    if lowest < 0.0:
+        return HeatInput(lowest=lowest), ["heat input: identity, the level is heat over full heat"]
     if config.heat_input == "identity":
         return IDENTITY, ["heat input: identity, as configured"]
     if config.heat_capacity is not None:
@@ -76,10 +81,17 @@ def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:
     ]
 
 
-def power_model(histories: Sequence[Record], config: IdentificationConfig) -> PowerModel | None:
-    """Return the electric power model of (u, T_out, return water); None if measured in less than half of the steps."""
+def power_model(
+    histories: Sequence[Record], config: IdentificationConfig, *, signed: bool = False
+) -> PowerModel | None:
+    """Return the electric power model of (u, T_out, return water); None if measured in less than half of the steps.
+
+    `signed`: levels below 0 cool, with a power of their own.
+    """
     if np.isfinite(np.concatenate([h.power_W for h in histories])).mean() < _MEASURED:
         return None
+    if signed:
+        return fit_signed_power(histories)
     return fit_power(histories, lowest_level=config.lowest_level)
 
 

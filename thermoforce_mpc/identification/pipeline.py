@@ -25,9 +25,9 @@ from thermoforce_mpc.identification.cases import (
 )
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
-from thermoforce_mpc.identification.modes import mode_priors, to_operator
+from thermoforce_mpc.identification.modes import AIR_SLOPE_K_PER_H, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
-from thermoforce_mpc.identification.order import choose_order, explained_share, fit_and_judge
+from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
 from thermoforce_mpc.identification.records import (
     Pair,
     check_pairs,
@@ -47,6 +47,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be accepted.
 _LEAST_EXPLAINED = 0.1
+# Held-out whitened residual, in standard deviations, from which the default prior of the initial slope is doubted.
+_POOR = 1.5
 # Relative standard deviation of the answer after a day from which a model is called uncertain.
 _UNCERTAIN = 0.15
 
@@ -56,7 +58,8 @@ def identify(
     pairs: Sequence[Pair] = (),
     *,
     config: IdentificationConfig | None = None,
-    mode: Literal["heating", "cooling"] = "heating",
+    mode: Literal["heating", "cooling", "both"] = "heating",
+    lowest: float = 0.0,
     floor_area_m2: float | None = None,
     step_s: float | None = None,
     source: str | None = None,
@@ -68,7 +71,8 @@ def identify(
         runs: one recorded run or several, each with its own excitation, of about a day or longer.
         pairs: runs that share start and weather (paper eq:paired). All records have one step.
         config: options.
-        mode: sign of what the actuator does to the zone.
+        mode: sign of what the actuator does to the zone; both: levels are signed, cooling below 0.
+        lowest: lowest level, below 0 with mode both.
         floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on. Readings of heat and
             power that no building of this area gives are left out.
         step_s: step of the returned operator, s; by default the step of the data.
@@ -86,19 +90,21 @@ def identify(
     runs = (runs,) if isinstance(runs, Record) else tuple(runs)
     source = source or _times_of([*runs, *(pair.a for pair in pairs)])
     say = progress or (lambda text: None)
+    if (mode == "both") != (lowest < 0.0):
+        raise DataError(f"mode is {mode} and the lowest level {lowest:g}: mode both needs one below 0, others 0")
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     names = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
     data = {name: data_hash(h) for name, h in named(names, runs, pairs)}
-    allowed = Limits.of(None, floor_area_m2)
+    allowed = Limits.of(None, floor_area_m2, lowest)
     runs, gaps = prepared_runs(runs, allowed)
     pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
-    sign = 1 if mode == "heating" else -1
-    heat_input, notes = identified_heat_input(histories, config, sign)
+    sign = -1 if mode == "cooling" else 1
+    heat_input, notes = identified_heat_input(histories, config, sign, lowest)
     notes = [*gaps, *pair_gaps, *notes]
     days = sum(h.n_steps * h.step_s for h in histories) / DAY_S
     say(f"fitting the forced response to {days:.3g} days at {histories[0].step_s:g} s")
@@ -150,11 +156,21 @@ def _joint_model(
     """The joint estimator as a thermal model: order chosen on held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
     splits = held_out(cases, config)
-    candidates = {
-        order: fit_and_judge(cases, splits, mode_priors(order, config, heat_input, floor_area_m2), config, sign)
-        for order in config.orders()
-    }
+
+    def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
+        return {
+            order: fit_and_judge(cases, splits, mode_priors(order, chosen, heat_input, floor_area_m2), config, sign)
+            for order in chosen.orders()
+        }
+
+    candidates = judged(config)
     order = choose_order(candidates)
+    if config.start_slope_K_per_h is None and candidates[order].score > _POOR:
+        # Heat that reaches the air at once is not that of a slab or a radiator.
+        direct = judged(config.model_copy(update={"start_slope_K_per_h": AIR_SLOPE_K_PER_H}))
+        if direct[choose_order(direct)].score < candidates[order].score:
+            candidates, order = direct, choose_order(direct)
+            notes = [*notes, "the zone responds at once, as to air heating: initial slope from a wide prior"]
     priors = candidates[order].priors
     final = fit_joint([c.regression for c in cases], priors, config, sign)
     base_step = histories[0].step_s
@@ -186,7 +202,7 @@ def _joint_model(
     certainty = uncertainty(final, operator.step_s)
     return ThermalModel(
         operator=operator,
-        power=power_model(histories, config),
+        power=power_model(histories, config, signed=heat_input.lowest < 0.0),
         free=final.free_model(step_s or base_step, config) if runs else None,
         card=ModelCard(
             source=source,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
-from thermoforce_mpc.model.limits import ROUNDING
+from thermoforce_mpc.model.limits import LEVEL, ROUNDING
 from thermoforce_mpc.model.screening import Limits, screened_history
 
 # Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.
@@ -75,7 +75,8 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
         for piece in pieces:
             piece, filled = bridged(piece)
             try:
-                check_run(piece, name if len(pieces) == 1 else f"{name}, {piece.n_steps} steps between gaps")
+                part = name if len(pieces) == 1 else f"{name}, {piece.n_steps} steps between gaps"
+                check_run(piece, part, allowed.range("u"))
             except DataError as error:
                 refusals.append(error)
                 continue
@@ -137,13 +138,13 @@ def _pieces(run: Record) -> list[Record]:
     return [run.slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def check_run(history: Record, name: str) -> None:
-    """Check length, signals and excitation of a run.
+def check_run(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
+    """Check length, signals, range of levels and excitation of a run.
 
     Raises:
         DataError: the run is too short, incomplete or not excited; gives the wrong numbers and what to do.
     """
-    _check_signals(history, name)
+    _check_signals(history, name, levels)
     days = history.n_steps * history.step_s / DAY_S
     if days < MIN_DAYS:
         raise DataError(
@@ -151,7 +152,7 @@ def check_run(history: Record, name: str) -> None:
             "from the daily cycle of the weather; record one to three days"
         )
     u = history.u
-    on_h = float((u > 0.02).sum()) * history.step_s / HOUR_S
+    on_h = float((np.abs(u) > 0.02).sum()) * history.step_s / HOUR_S
     changes = int((np.abs(np.diff(u)) > 0.02).sum())
     spread = float(np.std(u))
     advice = "probe with varied levels and holding times (`tf-mpc identify` designs that), or add days"
@@ -193,7 +194,7 @@ def check_steps(histories: Sequence[Record]) -> None:
         raise DataError(f"the records have steps of {', '.join(f'{s:g}' for s in steps)} s: resample them to one step")
 
 
-def _check_signals(history: Record, name: str) -> None:
+def _check_signals(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
     finite = np.isfinite(history.T_zone_C)
@@ -209,9 +210,10 @@ def _check_signals(history: Record, name: str) -> None:
                 f"{name}: {signal} is not finite at {gaps.size} of {values.size} places, first at {gaps[0]}; "
                 "cut the record there or fill it"
             )
-    if (history.u < -ROUNDING).any() or (history.u > 1 + ROUNDING).any():
+    if (history.u < levels[0]).any() or (history.u > levels[1]).any():
         raise DataError(
-            f"{name}: u ranges from {history.u.min():g} to {history.u.max():g}, expected [0, 1]; rescale it"
+            f"{name}: u ranges from {history.u.min():g} to {history.u.max():g}, expected "
+            f"[{levels[0] + ROUNDING:g}, 1]; rescale it"
         )
 
 

@@ -81,7 +81,9 @@ def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array]) -> OperatorP
         step_s=float(data["step_s"]),
         feedback=data["feedback"],
         heat_input=HeatInput(
-            heat=None if heat is None else _load(heat), reference_C=float(data["heat_input"]["reference_C"])
+            heat=None if heat is None else _load(heat),
+            reference_C=float(data["heat_input"]["reference_C"]),
+            lowest=float(data["heat_input"].get("lowest", 0.0)),
         ),
     )
 
@@ -100,8 +102,9 @@ def _power(data: Mapping[str, Any] | None) -> PowerModel | None:
     if data is None:
         return None
     return PowerModel(
-        _load(data["load"]), _number(data["rmse_W"]), _number(data["r2"]), str(data["source"]), _water(data["water"])
-    )
+        _load(data["load"]), _number(data["rmse_W"]), _number(data["r2"]), str(data["source"]), _water(data["water"]),
+        None if data.get("cooling") is None else _load(data["cooling"]),
+    )  # fmt: skip
 
 
 def _card(data: Mapping[str, Any]) -> ModelCard:

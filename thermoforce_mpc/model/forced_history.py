@@ -69,10 +69,12 @@ def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: 
                 "bridge it first (thermoforce_mpc.model.gaps)"
             )
     # Means over a step can exceed 1 by rounding.
-    outside = np.flatnonzero((u < -ROUNDING) | (u > 1 + ROUNDING))
+    lowest = operator.heat_input.lowest
+    outside = np.flatnonzero((u < lowest - ROUNDING) | (u > 1 + ROUNDING))
     if outside.size:
-        raise DataError(f"history: u is {u[outside[0]]:g} at step {start + outside[0]}, expected values in [0, 1]")
-    heat = operator.heat_input(np.clip(u, 0.0, 1.0), T_out[:-1])
+        at = start + outside[0]
+        raise DataError(f"history: u is {u[outside[0]]:g} at step {at}, expected values in [{lowest:g}, 1]")
+    heat = operator.heat_input(np.clip(u, lowest, 1.0), T_out[:-1])
     return np.where(measured, operator.sign * heat_W / operator.heat_input.reference_W, heat)
 
 

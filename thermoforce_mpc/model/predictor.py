@@ -112,14 +112,16 @@ class PredictionContext:
         """Temperature under `u` (..., N) in [0, 1], free and forced apart; all candidates at once.
 
         Raises:
-            DataError: `u` has another number of steps, is not finite, or leaves [0, 1].
+            DataError: `u` has another number of steps, is not finite, or leaves [0, 1] (its lower end where the
+                operator's levels are signed).
         """
         u = np.asarray(u, dtype=np.float64)
         if u.shape[-1:] != (self.n_steps,):
             raise DataError(f"u has shape {u.shape}, expected (..., {self.n_steps})")
-        if not ((u >= -ROUNDING) & (u <= 1 + ROUNDING)).all():
-            raise DataError("u must be finite and inside [0, 1]")
-        u = np.clip(u, 0.0, 1.0)
+        lowest = self.operator.heat_input.lowest
+        if not ((u >= lowest - ROUNDING) & (u <= 1 + ROUNDING)).all():
+            raise DataError(f"u must be finite and inside [{lowest:g}, 1]")
+        u = np.clip(u, lowest, 1.0)
         forced = forced_rollout(self.operator, self.forced_K, u, self.features).sum(axis=-1)
         return Prediction(
             free_C=self.free.median_C,

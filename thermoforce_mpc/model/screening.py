@@ -38,29 +38,36 @@ _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
 class Limits:
     """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.model.limits`).
 
-    `power_W` and `heat_W` are (lowest, highest) in W, as measured: heat of a cooling machine is negative.
+    `power_W` and `heat_W` are (lowest, highest) in W, as measured: heat of a cooling machine is negative. `lowest`: the
+    lowest level, below 0 where levels are signed.
     """
 
     power_W: tuple[float, float] = _INFINITE
     heat_W: tuple[float, float] = _INFINITE
+    lowest: float = 0.0
 
     @classmethod
-    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None) -> Limits:
+    def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
         """Return limits as multiples of the identified machine's largest heat and power.
 
         Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
         """
         most_W = limits.LOAD_W_PER_M2 * (floor_area_m2 or np.inf)
-        found = cls(power_W=(-most_W, most_W), heat_W=(-most_W, most_W))
+        found = cls((-most_W, most_W), (-most_W, most_W), lowest)
         if model is None:
             return found
         heat_input, power = model.operator.heat_input, model.power
+        found = replace(found, lowest=heat_input.lowest)
         if heat_input.heat is not None:
             full_W = model.operator.sign * heat_input.largest() * heat_input.reference_W
             low, high = sorted(share * full_W for share in limits.LOAD_RANGE)
             found = replace(found, heat_W=(low, high))
         if power is not None:
-            full_W = float(np.sum(power.parts(np.array(power.load.T_out_range_C)), axis=0).max())
+            full_W = max(
+                float(np.sum(load.parts(np.array(load.T_out_range_C)), axis=0).max())
+                for load in (power.load, power.cooling)
+                if load is not None
+            )
             found = replace(found, power_W=(limits.POWER_RANGE[0] * full_W, limits.POWER_RANGE[1] * full_W))
         return found
 
@@ -70,7 +77,7 @@ class Limits:
             "T_zone_C": limits.ZONE_C,
             "T_out_C": limits.OUTDOOR_C,
             "solar_W_m2": limits.SOLAR_W_M2,
-            "u": limits.LEVEL,
+            "u": (self.lowest + limits.LEVEL[0], limits.LEVEL[1]),
             "power_W": self.power_W,
             "heat_W": self.heat_W,
             "T_return_C": limits.RETURN_WATER_C,
@@ -78,14 +85,14 @@ class Limits:
         return ranges[name]
 
 
-def limits_of(controller: object, floor_area_m2: float | None = None) -> Limits:
-    """Return limits by the model of `controller`, else by the floor area, m², see `Limits.of`."""
+def limits_of(controller: object, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
+    """Return limits by the model of `controller`, else by the floor area, m², and `lowest` level, see `Limits.of`."""
     model = getattr(controller, "model", None)
     if model is None:
-        return Limits.of(None, floor_area_m2)
+        return Limits.of(None, floor_area_m2, lowest)
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-    return Limits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2)
+    return Limits.of(model if isinstance(model, ThermalModel) else None, floor_area_m2, lowest)
 
 
 def screened(measurement: Measurement, allowed: Limits, history: Record) -> tuple[Measurement, tuple[str, ...]]:

@@ -10,6 +10,8 @@ import numpy as np
 from thermoforce_mpc.boundary.weather.year import YEAR_S
 from thermoforce_mpc.data import DAY_S, Array, Period
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.testcase import Actuator
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:
@@ -37,13 +39,32 @@ def check_start(start_s: float, warmup_s: float) -> None:
         raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
 
 
-def check_level_and_duration(u: float | None, duration_s: float) -> None:
-    """Raise `InputError` unless `u` is None or in [0, 1] and `duration_s` is positive and less than a year."""
-    number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and 0.0 <= u <= 1.0)
+def check_level_and_duration(u: float | None, duration_s: float, lowest: float = 0.0) -> None:
+    """Raise `InputError` unless `u` is None or in [`lowest`, 1] and `duration_s` is positive and less than a year."""
+    number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and lowest <= u <= 1.0)
     if not number:
-        raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
+        raise InputError(f"level of {u!r}: expected a number from {lowest:g} to 1, or None")
     if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < YEAR_S):
         raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
+
+
+def plant_inputs(
+    actuator: Actuator | RoomSetpoints, u: float | None, band_C: tuple[float, float] | None
+) -> dict[str, float]:
+    """Return the inputs for a level and, where the actuator has room set-points, the band they are to keep, °C.
+
+    Raises:
+        InputError: a band for an actuator without room set-points, or one that is not two rising finite numbers.
+    """
+    if isinstance(actuator, RoomSetpoints):
+        if band_C is not None and not (all(map(math.isfinite, band_C)) and band_C[0] <= band_C[1]):
+            raise InputError(f"room set-points of {band_C!r}: expected a heating set-point not above the cooling one, °C")
+        if band_C is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
+            raise InputError(f"level of {u:g} without room set-points: a room's own loop can only be driven to its limits")
+        return actuator.inputs(u, band_C)
+    if band_C is not None:
+        raise InputError(f"room set-points of {band_C!r}: the actuator '{actuator.point}' has none")
+    return actuator.inputs(u)
 
 
 def forecast_times(now_s: float, horizon_s: float, interval_s: float) -> Array:

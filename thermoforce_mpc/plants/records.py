@@ -8,13 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from thermoforce_mpc.data import Array, Measurement, Record
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import Measurements
 
 _KELVIN = 273.15
 
 
-def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Array) -> Array:
+def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float], edges: Array) -> Array:
     """Return time means of the sum of `points` between `edges` (n + 1,), shape (n,); NaN without points.
+
+    `points` may have a factor each.
 
     Each sample holds for the time since the previous one: at a switch, the sample at the start of an interval belongs
     to the previous action.
@@ -22,9 +25,20 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str], edges: Ar
     if not points or edges.size < 2:
         return np.full(edges.size - 1, math.nan)
     time_s = record["time"]
-    total = np.sum([record[name] for name in points], axis=0)
+    total = weighted_sum(record, points)
     integral = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * total[1:])])
     return np.asarray(np.diff(np.interp(edges, time_s, integral)) / np.diff(edges))
+
+
+def weighted_sum(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float]) -> Array:
+    """Return the sum of `points` over the samples of `record`, each times its factor where `points` has factors."""
+    factors = points if isinstance(points, Mapping) else dict.fromkeys(points, 1.0)
+    return np.asarray(np.sum([factor * record[name] for name, factor in factors.items()], axis=0))
+
+
+def room_level(record: Mapping[str, Array], m: Measurements, actuator: RoomSetpoints) -> Array:
+    """Return the level u of each sample where room set-points act: heat to the room over full heat, in range."""
+    return np.clip(weighted_sum(record, m.heat_factors) / actuator.heating_W, actuator.lowest, 1.0)
 
 
 def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: Array) -> dict[str, Array]:
@@ -33,7 +47,7 @@ def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: 
     return {
         "u": u,
         "power_W": interval_means(record, m.electric_power, edges),
-        "heat_W": interval_means(record, m.heat, edges),
+        "heat_W": interval_means(record, m.heat_factors, edges),
         "T_return_C": interval_means(record, water, edges) - _KELVIN,
     }
 

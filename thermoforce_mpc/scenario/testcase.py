@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel
 
 Price = Literal["constant", "dynamic", "highly_dynamic"]
@@ -70,13 +72,22 @@ class Measurements(StrictModel):
     electric_power: tuple[str, ...] = Field(
         min_length=1, description="points whose sum is the power billed at `forecast.price`: electric, or gas"
     )
-    heat: tuple[str, ...] = Field((), description="points whose sum is the delivered heat, W; empty if not measured")
+    heat: tuple[str, ...] | dict[str, float] = Field(
+        (),
+        description="points whose sum is the delivered heat, W; empty if not measured. With a factor each, heat from "
+        "metered power: an efficiency, or for cooling minus the coefficient of performance",
+    )
     return_water: str | None = Field(None, description="return water temperature of the emitters, for the power model")
 
     @property
     def flows(self) -> list[str]:
         """Points that are averaged over a step instead of sampled."""
         return [*self.electric_power, *self.heat, *([self.return_water] if self.return_water else [])]
+
+    @property
+    def heat_factors(self) -> dict[str, float]:
+        """Factor of each heat point: 1 unless given."""
+        return dict(self.heat) if isinstance(self.heat, dict) else dict.fromkeys(self.heat, 1.0)
 
 
 class ForecastPoints(StrictModel):
@@ -87,6 +98,9 @@ class ForecastPoints(StrictModel):
     occupancy: str = "Occupancy[1]"
     lower: str = "LowerSetp[1]"
     upper: str = "UpperSetp[1]"
+    heating_price: dict[Price, str] | None = Field(
+        None, description="price of the carrier of heating where it has one of its own, such as gas; `price` otherwise"
+    )
     price: dict[Price, str] = Field(
         {
             "constant": "PriceElectricPowerConstant",
@@ -119,6 +133,12 @@ class Defaults(StrictModel):
     identification: dict[str, Any] = Field(default_factory=dict, description="identification options")
 
 
+def _kind(actuator: object) -> str:
+    """Tag of an actuator, from its `kind`."""
+    kind = actuator.get("kind") if isinstance(actuator, Mapping) else getattr(actuator, "kind", None)
+    return "room" if kind == "room_setpoints" else "direct"
+
+
 class TestCase(StrictModel):
     """Building: point names, units, floor area (m²), actuator and default control step (s)."""
 
@@ -128,9 +148,13 @@ class TestCase(StrictModel):
     description: str
     floor_area_m2: float = Field(gt=0)
     currency: str = "EUR"
-    mode: Literal["heating", "cooling"] = Field("heating", description="sign of the actuator's effect on the zone")
+    mode: Literal["heating", "cooling", "both"] = Field(
+        "heating", description="sign of the actuator's effect on the zone; both: room set-points for heating and cooling"
+    )
     step_s: float = Field(3600.0, ge=60, le=86400, description="default control step, s")
-    actuator: Actuator
+    actuator: Annotated[
+        Annotated[Actuator, Tag("direct")] | Annotated[RoomSetpoints, Tag("room")], Discriminator(_kind)
+    ]
     measurements: Measurements
     forecast: ForecastPoints = ForecastPoints()
     thermostat_C: float | None = Field(
@@ -139,3 +163,17 @@ class TestCase(StrictModel):
     defaults: Defaults = Defaults()
     energyplus: EnergyPlusZone | None = Field(None, description="EnergyPlus zone of this test case")
     embedded: bool = Field(False, description="whether the embedded emulator implements this test case")
+
+    @property
+    def lowest_level(self) -> float:
+        """Lowest level u: 0, or full cooling where one plant heats and cools."""
+        return self.actuator.lowest if isinstance(self.actuator, RoomSetpoints) else 0.0
+
+    @model_validator(mode="after")
+    def _room_setpoints_heat_and_cool(self) -> TestCase:
+        room = isinstance(self.actuator, RoomSetpoints)
+        if room != (self.mode == "both"):
+            raise ValueError("mode both and an actuator of kind room_setpoints belong together")
+        if room and not self.measurements.heat:
+            raise ValueError("an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat")
+        return self

@@ -6,10 +6,11 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 from thermoforce_mpc.data import Block, Boundary, Measurement, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
-from thermoforce_mpc.protocols import Controller, Plant
+from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 
 # Tolerance on times, s: shorter remainders are rounding errors of the clock.
 _CLOCK_TOLERANCE_S = 1e-6
@@ -120,11 +121,11 @@ def run_closed_loop(
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
         plan, state = replace(plan, state=None), plan.state
-        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s)
+        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, allowed.lowest)
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
         for block in blocks:
-            reported = plant.advance(block.u, block.duration_s)
+            reported = advanced(plant, block)
             measurement, notes = screened(reported, allowed, history)
             parts.append((block.duration_s, _with_level(measurement, block)))
             doubts += notes
@@ -156,16 +157,27 @@ def run_closed_loop(
     return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began, state)
 
 
-def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple[Block, ...], str]:
+def advanced(plant: Plant, block: Block) -> Measurement:
+    """Apply `block` to `plant`; room set-points go only to plants that have them. Raises as `Plant.advance` does."""
+    if block.band_C is None:
+        return plant.advance(block.u, block.duration_s)
+    return cast(RoomSetpointPlant, plant).advance(block.u, block.duration_s, block.band_C)
+
+
+def checked_blocks(
+    plan: Plan, step_s: float, remaining_s: float, lowest: float = 0.0
+) -> tuple[tuple[Block, ...], str]:
     """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
-    Last check before the plant: a level must be None, or finite and in [0, 1]; a duration must be finite and positive;
-    the durations must sum to `step_s`.
+    Last check before the plant: a level must be None, or finite and in [`lowest`, 1], room set-points finite and in
+    order; a duration must be finite and positive; the durations must sum to `step_s`.
     """
     native = (Block(None, min(step_s, remaining_s)),)
     for block in plan.blocks:
-        level_ok = block.u is None or (math.isfinite(block.u) and 0.0 <= block.u <= 1.0)
-        if not level_ok or not (math.isfinite(block.duration_s) and block.duration_s > 0):
+        level_ok = block.u is None or (math.isfinite(block.u) and lowest <= block.u <= 1.0)
+        band = block.band_C
+        band_ok = band is None or (all(map(math.isfinite, band)) and band[0] <= band[1])
+        if not level_ok or not band_ok or not (math.isfinite(block.duration_s) and block.duration_s > 0):
             return native, f"refused {block}: native control instead"
     if not plan.blocks:
         return native, "the plan had no action: native control instead"
@@ -177,14 +189,14 @@ def checked_blocks(plan: Plan, step_s: float, remaining_s: float) -> tuple[tuple
     for block in plan.blocks:
         if left <= _CLOCK_TOLERANCE_S:
             break
-        out.append(Block(block.u, min(block.duration_s, left)))
+        out.append(replace(block, duration_s=min(block.duration_s, left)))
         left -= block.duration_s
     return tuple(out), ""
 
 
 def _with_level(measurement: Measurement, block: Block) -> Measurement:
     """The measurement with the applied level where u was not measured; under native control u stays NaN."""
-    if block.u is None or not math.isnan(measurement.u):
+    if block.u is None or block.band_C is not None or not math.isnan(measurement.u):
         return measurement
     return replace(measurement, u=block.u)
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from pydantic import BaseModel
 
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Period, Record
-from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -87,15 +87,26 @@ def identify_on(
         PlantError: the plant failed.
     """
     from thermoforce_mpc.identification.pipeline import identify
-    from thermoforce_mpc.identification.probing.probe import probe
+    from thermoforce_mpc.identification.probing.probe import probe, probe_room
 
     testcase = testcase or load_testcase("bestest_hydronic_heat_pump")
     start_s = before.start_s - before.warmup_s - days * DAY_S
     if start_s < 0:
         start_s = 365 * DAY_S - days * DAY_S
-    record = probe(
-        plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, identification=config, on_step=on_step
-    )
+    if testcase.mode == "both":
+        record = probe_room(
+            cast(RoomSetpointPlant, plant),
+            start_s,
+            days,
+            seed=seed,
+            lowest=testcase.lowest_level,
+            config=probing,
+            on_step=on_step,
+        )
+    else:
+        record = probe(
+            plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, identification=config, on_step=on_step
+        )
     if on_record:
         on_record(record)
     info = plant.info
@@ -104,6 +115,7 @@ def identify_on(
         [record],
         config=config,
         mode=testcase.mode,
+        lowest=testcase.lowest_level,
         floor_area_m2=testcase.floor_area_m2,
         step_s=step_s or testcase.step_s,
         source=f"{days:g} days of probing (days {first:g} to {first + days:g}) on {info.kind} {info.testcase}, "

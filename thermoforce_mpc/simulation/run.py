@@ -270,7 +270,7 @@ def _follow(
             kept.append(record)
             follower.step(record)
 
-        allowed = limits_of(controller, testcase.floor_area_m2)
+        allowed = limits_of(controller, testcase.floor_area_m2, testcase.lowest_level)
         return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
 
 

@@ -18,7 +18,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
-from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.identification.probing.room import RoomExcitation
+from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Horizon over which the tightest comfort bound is taken, so that the zone can meet the occupied bounds.
@@ -98,6 +99,32 @@ def probe(
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = excitation.next(sign * (centre - measurement.T_zone_C))
         measurement = plant.advance(level, c.step_s)
+        history = history.extended(measurement)
+        if on_step:
+            on_step((done + 1) / n)
+    return history
+
+
+def probe_room(
+    plant: RoomSetpointPlant,
+    start_s: float,
+    days: float,
+    *,
+    seed: int,
+    lowest: float,
+    config: ProbingConfig | None = None,
+    on_step: Callable[[float], None] | None = None,
+) -> Record:
+    """Probe `plant`, whose level of full cooling is `lowest`, by room set-points; otherwise as `probe`."""
+    c = config or ProbingConfig()
+    measurement = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
+    history = Record.beginning(measurement)
+    excitation = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest)
+    n = round(days * DAY_S / c.step_s)
+    for done in range(n):
+        ahead = plant.forecast(c.step_s, c.step_s)
+        block = excitation.next(measurement.T_zone_C, ahead.lower_C, ahead.upper_C, c.step_s)
+        measurement = plant.advance(block.u, block.duration_s, block.band_C)
         history = history.extended(measurement)
         if on_step:
             on_step((done + 1) / n)

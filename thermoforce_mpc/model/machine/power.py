@@ -54,7 +54,8 @@ class LoadFit:
 class PowerModel:
     """Electric power P(u, T_out, T_return) in W with the quality of its fit; `load.coefficients` are (c0 … c3).
 
-    `water`: dependence on the return water temperature; None if that was not measured.
+    `water`: dependence on the return water temperature; None if that was not measured. `cooling`: load over −u at
+    levels below 0, where levels are signed; `load` then holds above 0.
     """
 
     load: MachineLoad
@@ -62,12 +63,15 @@ class PowerModel:
     r2: float = float("nan")
     source: str = "given"
     water: ReturnWater | None = None
+    cooling: MachineLoad | None = None
 
     def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
         """Return the mean electric power over a step for `u` in [0, 1] at `T_out_C` and `T_return_C` °C, W.
 
-        Shapes broadcast. A NaN return temperature is replaced by that of the fit.
+        Shapes broadcast. A NaN return temperature is replaced by that of the fit. With `cooling`, u may be below 0.
         """
+        if self.cooling is not None:
+            return self.load(np.maximum(u, 0.0), T_out_C) + self.cooling(np.maximum(-np.asarray(u), 0.0), T_out_C)
         return np.asarray(self.load(u, T_out_C) * self._factor(T_return_C))
 
     def parts(self, T_out_C: Array, T_return_C: Array | float = float("nan")) -> tuple[Array, Array]:
@@ -117,6 +121,24 @@ def fit_power(
     found = plain if water is None else fit(water.factor(T_return))
     quality = found.quality
     return PowerModel(found.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
+
+
+def fit_signed_power(histories: Sequence[Record]) -> PowerModel:
+    """Fit the power of heating (u > 0) and of cooling (u < 0), each proportional to |u|; errors as `fit_load`.
+
+    Where one side was hardly used, its power is unknown, and the error says so.
+    """
+    u, T_out, power = (
+        np.concatenate([values(h) for h in histories])
+        for values in (lambda h: h.u, lambda h: h.T_out_C[:-1], lambda h: h.power_W)
+    )
+    heating, cooling = (
+        fit_load(side[side >= 0], T_out[side >= 0], power[side >= 0], what=f"power of {what}", lowest_level=1.0, slope=POWER_SLOPE)
+        for side, what in ((u, "heating"), (-u, "cooling"))
+    )
+    quality = heating.quality
+    source = f"fitted to {quality.n_samples} and {cooling.quality.n_samples} steps"
+    return PowerModel(heating.load, quality.rmse_W, quality.r2, source, cooling=cooling.load)
 
 
 def fit_load(

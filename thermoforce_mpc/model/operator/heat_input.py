@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
 
 
@@ -14,11 +15,20 @@ from thermoforce_mpc.model.machine.load import MachineLoad
 class HeatInput:
     """Map v(u, T_out), dimensionless and nondecreasing in u, with v = 1 at full level and `reference_C`.
 
-    Without a `heat` load it is the identity v = u of the paper's operator.
+    Without a `heat` load it is the identity v = u of the paper's operator. `lowest` is the lowest level: 0, or less
+    where the level of one zone's heating and cooling is signed (cooling below 0), which only the identity allows.
+
+    Raises:
+        DataError: `lowest` is not in [−10, 0], or below 0 with a heat load.
     """
 
     heat: MachineLoad | None = None
     reference_C: float = 0.0
+    lowest: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not -10.0 <= self.lowest <= 0.0 or (self.lowest < 0.0 and self.heat is not None):
+            raise DataError(f"lowest level {self.lowest:g}: expected 0, or a level of cooling of an operator driven by u")
 
     @property
     def kind(self) -> str:

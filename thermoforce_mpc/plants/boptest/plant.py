@@ -24,8 +24,9 @@ from boptest_client import (
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_record_step, forecast_times
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
+from thermoforce_mpc.plants.checks import check_level_and_duration, check_record_step, forecast_times, plant_inputs
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, room_level
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
@@ -157,29 +158,29 @@ class BoptestPlant:
             self._client.set_scenario(self._scenario)
         return self._at_rest(points, warmup_s, end_s=math.inf)
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Apply `u` in [0, 1] (None: native control) for `duration_s`.
+    def advance(
+        self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None
+    ) -> Measurement:
+        """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
 
         Raises:
-            InputError: `u` or `duration_s` is out of range.
+            InputError: `u`, `band_C` or `duration_s` is out of range.
             PlantError: the service failed, or its scenario is over.
         """
-        if u is not None and not (math.isfinite(u) and 0.0 <= u <= 1.0):
-            raise InputError(f"level of {u!r}: expected a number from 0 to 1, or None")
-        if not (math.isfinite(duration_s) and duration_s > 0):
-            raise InputError(f"step of {duration_s!r} s: expected a positive number")
+        actuator = self.testcase.actuator
+        check_level_and_duration(u, duration_s, getattr(actuator, "lowest", 0.0))
+        inputs = plant_inputs(actuator, None if u is None else float(u), band_C)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
                 f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
                 f"from day {self._now_s / DAY_S:g} runs past it; score at most 14 days of a named window"
             )
-        actuator = self.testcase.actuator
         before_s = self._now_s
         with _failures():
             if duration_s != self._step_s:
                 self._client.set_step(duration_s)
                 self._step_s = duration_s
-            points = self._client.advance(actuator.inputs(u))
+            points = self._client.advance(inputs)
             if not points:
                 raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
             self._now_s = points["time"]
@@ -188,7 +189,7 @@ class BoptestPlant:
             if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
                 # KPIs are read now, since requests past the end of the scenario may discard the results.
                 self._final_kpis = self._read_kpis()
-            record = self._recorded(before_s, self._now_s, [f"{actuator.point}_u", *self.testcase.measurements.flows])
+            record = self._recorded(before_s, self._now_s, [*self._echoes, *self.testcase.measurements.flows])
         edges = np.array([before_s, self._now_s])
         m = self.testcase.measurements
         return measurement(self._now_s, points, m, acting_means(record, m, self._levels(record, edges), edges))
@@ -203,8 +204,9 @@ class BoptestPlant:
         """
         instants = forecast_times(self._now_s, horizon_s, interval_s)
         f = self.testcase.forecast
-        price = f.price[next(name for name in PRICES if name == self._scenario.electricity_price)]
-        names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, f.emission]
+        tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
+        price, heating_price = f.price[tariff], (f.heating_price or f.price)[tariff]
+        names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, heating_price, f.emission]
         with _failures():
             # A point may occur twice, for example one price for two tariffs.
             data = self._client.forecast(list(dict.fromkeys(names)), horizon_s, interval_s)
@@ -229,6 +231,7 @@ class BoptestPlant:
             upper_C=series[f.upper] - _KELVIN,
             price_per_kWh=series[price],
             emission_kg_per_kWh=series[f.emission],
+            heating_price_per_kWh=series[heating_price],
         )
 
     def past(self, step_s: float) -> Record:
@@ -241,7 +244,7 @@ class BoptestPlant:
         check_record_step(step_s)
         m = self.testcase.measurements
         sampled = [m.zone_temperature, m.outdoor_temperature, m.solar]
-        names = [*sampled, f"{self.testcase.actuator.point}_u", *m.flows]
+        names = [*sampled, *self._echoes, *m.flows]
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, names)
         # Services that do not record the warm-up start the record at the present.
@@ -318,10 +321,19 @@ class BoptestPlant:
             raise PlantError(f"the service recorded nothing between {start_s:g} s and {final_s:g} s")
         return {name: np.array(values) for name, values in data.items()}
 
-    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
-        """Return mean u in [0, 1] between `edges` (n + 1,), shape (n,), under native or external control."""
+    @property
+    def _echoes(self) -> list[str]:
+        """Points from which the level is recorded, besides those of the measurements."""
         actuator = self.testcase.actuator
-        u = actuator.level(record[f"{actuator.point}_u"])
+        return [] if isinstance(actuator, RoomSetpoints) else [f"{actuator.point}_u"]
+
+    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
+        """Return mean u between `edges` (n + 1,), shape (n,), under native or external control."""
+        actuator = self.testcase.actuator
+        if isinstance(actuator, RoomSetpoints):
+            u = room_level(record, self.testcase.measurements, actuator)
+        else:
+            u = actuator.level(record[f"{actuator.point}_u"])
         return interval_means({"time": record["time"], "u": u}, ["u"], edges)
 
     def _read_kpis(self) -> dict[str, float]:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.settings import suggestion
-from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 _KELVIN, _POWER, _IRRADIANCE = "K", "W", "W/m2"
 
@@ -37,8 +38,7 @@ def check_points(
     """
     actuator, m, f = testcase.actuator, testcase.measurements, testcase.forecast
     wanted = [
-        _Wanted("actuator.point", f"{actuator.point}_u", inputs, actuator.unit),
-        _Wanted("actuator.point", f"{actuator.point}_activate", inputs),
+        *_actuator_points(actuator, inputs),
         _Wanted("measurements.zone_temperature", m.zone_temperature, measured, _KELVIN),
         _Wanted("measurements.outdoor_temperature", m.outdoor_temperature, measured, _KELVIN),
         _Wanted("measurements.solar", m.solar, measured, _IRRADIANCE),
@@ -51,19 +51,42 @@ def check_points(
         _Wanted("forecast.lower", f.lower, forecast, _KELVIN),
         _Wanted("forecast.upper", f.upper, forecast, _KELVIN),
         *(_Wanted(f"forecast.price.{key}", name, forecast) for key, name in f.price.items()),
+        *(_Wanted(f"forecast.heating_price.{key}", name, forecast) for key, name in (f.heating_price or {}).items()),
         _Wanted("forecast.emission", f.emission, forecast),
     ]
-    for name in actuator.held:
-        wanted += [_Wanted(f"actuator.held.{name}", f"{name}_{end}", inputs) for end in ("u", "activate")]
     wrong = [problem for item in wanted if (problem := _problem(item, plant))]
-    values = [("minimum", actuator.point, actuator.minimum), ("maximum", actuator.point, actuator.maximum)]
-    values += [(f"held.{name}", name, value) for name, value in actuator.held.items()]
-    for key, name, value in values:
+    for key, name, value in _actuator_values(actuator):
         point = inputs.get(f"{name}_u")
         if point is not None:
             wrong += _clipped(f"actuator.{key}", value, point, plant)
     if wrong:
         raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
+
+
+def _actuator_points(actuator: Actuator | RoomSetpoints, inputs: Mapping[str, Point]) -> list[_Wanted]:
+    """Overwrite points of an actuator, each with its activation; set-points and levels in the actuator's unit."""
+    if isinstance(actuator, RoomSetpoints):
+        main = {"heating": actuator.heating, "cooling": actuator.cooling}
+        held = {f"{side}_held.{n}": n for side in main for n in getattr(actuator, f"{side}_held")}
+    else:
+        main, held = {"point": actuator.point}, {f"held.{name}": name for name in actuator.held}
+    wanted = [_Wanted(f"actuator.{key}", f"{name}_u", inputs, actuator.unit) for key, name in main.items()]
+    wanted += [_Wanted(f"actuator.{key}", f"{name}_u", inputs) for key, name in held.items()]
+    return wanted + [
+        _Wanted(f"actuator.{key}", f"{name}_activate", inputs) for key, name in (main | held).items()
+    ]
+
+
+def _actuator_values(actuator: Actuator | RoomSetpoints) -> list[tuple[str, str, float]]:
+    """Values that the plant must not clip: key, point and value."""
+    if isinstance(actuator, RoomSetpoints):
+        ends = [("minimum", actuator.minimum), ("maximum", actuator.maximum)]
+        values = [(key, point, value) for point in (actuator.heating, actuator.cooling) for key, value in ends]
+        held = {"heating_held": actuator.heating_held, "cooling_held": actuator.cooling_held}
+    else:
+        values = [("minimum", actuator.point, actuator.minimum), ("maximum", actuator.point, actuator.maximum)]
+        held = {"held": actuator.held}
+    return values + [(f"{key}.{name}", name, value) for key, group in held.items() for name, value in group.items()]
 
 
 def _problem(wanted: _Wanted, plant: str) -> str:

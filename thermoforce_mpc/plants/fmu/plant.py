@@ -23,12 +23,14 @@ from thermoforce_mpc.plants.checks import (
     check_start,
     day_period,
     forecast_times,
+    plant_inputs,
 )
 from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, room_level
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _KELVIN = 273.15
@@ -63,12 +65,13 @@ class FmuPlant:
         forecast = {name: Point(name, archive.boundary.unit(name), "", None, None) for name in archive.boundary.series}
         inputs, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
         check_points(testcase, inputs, outputs, forecast, f"the FMU {path}")
-        self._echo = f"{testcase.actuator.point}_y"
-        if self._echo not in archive.outputs:
+        actuator = testcase.actuator
+        self._echo = None if isinstance(actuator, RoomSetpoints) else f"{actuator.point}_y"
+        if self._echo is not None and self._echo not in archive.outputs:
             raise ConfigError(f"the FMU {path} has no output '{self._echo}': the applied level cannot be recorded")
         self._scores = Scores(archive, testcase)
         m = testcase.measurements
-        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, self._echo, *m.flows]
+        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, *([self._echo] if self._echo else []), *m.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
         self._price: Price = "constant"
         self._worker: WorkerProcess | None = None
@@ -138,16 +141,19 @@ class FmuPlant:
             stretch = self._run({}, self._start_s - self._now_s)
         return measurement(self._now_s, stretch.final, self.testcase.measurements)
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Apply `u` in [0, 1] (None: native control) for `duration_s`.
+    def advance(
+        self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None
+    ) -> Measurement:
+        """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
 
         Raises:
-            InputError: `u` or `duration_s` is out of range, or the plant was not reset.
+            InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the FMU failed.
         """
-        check_level_and_duration(u, duration_s)
+        actuator = self.testcase.actuator
+        check_level_and_duration(u, duration_s, getattr(actuator, "lowest", 0.0))
         before_s = self._now_s if self._worker else 0.0
-        stretch = self._run(self.testcase.actuator.inputs(None if u is None else float(u)), float(duration_s))
+        stretch = self._run(plant_inputs(actuator, None if u is None else float(u), band_C), float(duration_s))
         edges = np.array([before_s, self._now_s])
         previous = self._stretches[-2]
         record = self._columns(
@@ -179,6 +185,7 @@ class FmuPlant:
             upper_C=at(f.upper, time_s) - _KELVIN,
             price_per_kWh=at(f.price[self._price], time_s),
             emission_kg_per_kWh=at(f.emission, time_s),
+            heating_price_per_kWh=at((f.heating_price or f.price)[self._price], time_s),
         )
 
     def past(self, step_s: float) -> Record:
@@ -233,4 +240,7 @@ class FmuPlant:
     def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
         """Return recorded signals by name, with 'time' and the applied level 'u' in [0, 1], native or not."""
         record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
-        return record | {"u": self.testcase.actuator.level(record[self._echo])}
+        actuator = self.testcase.actuator
+        if isinstance(actuator, RoomSetpoints):
+            return record | {"u": room_level(record, self.testcase.measurements, actuator)}
+        return record | {"u": actuator.level(record[str(self._echo)])}
