@@ -360,7 +360,17 @@ class ThermoForceMPC:
         """Room set-points of the first step."""
         lower_C, upper_C = (float(bound[0]) for bound in (observation.boundary.lower_C, observation.boundary.upper_C))
         bounds = within_C(lower_C, upper_C, self.config.comfort_margin_K)
-        return room_blocks(u, observation.T_zone_C, T_end_C, bounds, self.step_s, self.config.actuation.block_s)
+        last = observation.history.u[-1:]
+        return room_blocks(
+            u,
+            T_end_C,
+            T_now_C=observation.T_zone_C,
+            u_last=float(last[0]) if last.size else float("nan"),
+            bounds_C=bounds,
+            lowest=self.model.operator.heat_input.lowest,
+            step_s=self.step_s,
+            block_s=self.config.actuation.block_s,
+        )
 
     def _stand_back(self, observation: Observation, now: MPCState, status: PlanStatus, reason: str) -> Plan:
         """A step of native control or of the on/off rule (`fallback.stand_back`); nothing is planned."""

@@ -62,11 +62,11 @@ _AS_PRINTED: dict[str, Any] = {
 
 # Room set-points are kept by the plant's own loops within each step, so plans need no reserve for forecast errors.
 _ROOM_SETPOINTS: dict[str, Any] = {
-    "comfort_margin_K": 0.05,
+    "comfort_margin_K": 0.03,
     "backoff_level": 0.5,
     "backoff_level_other": 0.5,
     "backoff_violation_K": None,
-    "actuation": {"mode": "room_setpoints"},
+    "actuation": {"mode": "room_setpoints", "block_s": 60.0},
 }
 
 REGISTRY: dict[str, Entry] = {

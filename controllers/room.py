@@ -16,38 +16,65 @@ _MOVES_K = 0.3
 _SLOWS = 1.25
 # Levels nearer to 0 than this are no heating and no cooling.
 _OFF = 1e-3
+# A loop that worked at its bound in the last step, at this level or more, is taken to go on within this distance, K.
+_WORKED, _AT_BOUND_K = 0.01, 0.3
 
 
 def room_blocks(
-    u: float, T_now_C: float, T_end_C: float, bounds_C: tuple[float, float], step_s: float, block_s: float
+    u: float,
+    T_end_C: float,
+    *,
+    T_now_C: float,
+    u_last: float,
+    bounds_C: tuple[float, float],
+    lowest: float,
+    step_s: float,
+    block_s: float,
 ) -> tuple[Block, ...]:
-    """Blocks of total length `step_s` for a planned mean level `u` that brings the zone from `T_now_C` to `T_end_C`.
+    """Blocks of total length `step_s` for a planned mean level `u` that brings the zone to `T_end_C`.
 
-    Where the zone is to be moved, the loop starts as late as it can: at full level the move takes |u| of the step,
-    rounded up to blocks of `block_s`.
+    Where the zone is to be moved, the loop starts as late as it can: the move takes the share of the step that `u`
+    exceeds the level that holds the zone, at full level, rounded up to `block_s`. Where nothing is planned, a loop that
+    holds the zone at its bound goes on undisturbed.
 
     Args:
         u: planned mean level, below 0 for cooling.
-        T_now_C: zone temperature now, °C; NaN if it is not known, then the loops act for the whole step.
         T_end_C: planned zone temperature at the end of the step, °C.
+        T_now_C: zone temperature now, °C; NaN if it is not known, then the loops act for the whole step.
+        u_last: measured level of the last step, NaN if it is not known.
         bounds_C: lower and upper bound in force during the step, margins inside, °C.
+        lowest: level of full cooling, below 0.
         step_s: length of the step, s.
         block_s: least time between two set-points, s.
     """
     lower, upper = bounds_C
+    holding = _holding(u_last, T_now_C, bounds_C)
+    hold = math.copysign(max(_OFF, abs(u_last)), holding) if holding else 0.0
     if abs(u) < _OFF:
-        return (Block(0.0, step_s, (lower, upper)),)
+        return (Block(hold, step_s, bounds_C),)
     end = min(max(T_end_C, lower), upper)
     band = (end, upper) if u > 0 else (lower, end)
     to_go = end - T_now_C if u > 0 else T_now_C - end
-    resting = lower <= T_now_C <= upper
-    if not (to_go > _MOVES_K and resting):
+    if not to_go > _MOVES_K:
         return (Block(u, step_s, band),)
-    moving_s = min(math.ceil(_SLOWS * abs(u) * step_s / block_s) * block_s, step_s)
-    moving = Block(math.copysign(min(abs(u) * step_s / moving_s, 1.0), u), moving_s, band)
+    kept = abs(hold) if hold * u > 0 else 0.0
+    full = 1.0 if u > 0 else -lowest
+    share = max(abs(u) - kept, 0.0) / max(full - kept, _OFF)
+    moving_s = min(max(math.ceil(_SLOWS * share * step_s / block_s), 1) * block_s, step_s)
+    level = (abs(u) - kept) * step_s / moving_s + kept
+    moving = Block(math.copysign(min(max(level, _OFF), full), u), moving_s, band)
     if moving_s >= step_s:
         return (moving,)
-    return Block(0.0, step_s - moving_s, (lower, upper)), moving
+    return Block(hold, step_s - moving_s, bounds_C), moving
+
+
+def _holding(u_last: float, T_now_C: float, bounds_C: tuple[float, float]) -> int:
+    """+1 or −1 where the heating or cooling loop held the zone at its bound in the last step, else 0."""
+    if u_last > _WORKED and T_now_C < bounds_C[0] + _AT_BOUND_K:
+        return 1
+    if u_last < -_WORKED and T_now_C > bounds_C[1] - _AT_BOUND_K:
+        return -1
+    return 0
 
 
 def within_C(lower_C: float, upper_C: float, margin_K: float) -> tuple[float, float]:

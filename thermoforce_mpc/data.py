@@ -62,8 +62,8 @@ def _check_clock(time_s: Array, what: str) -> None:
 class Block:
     """One stretch of constant actuation: level `u` in [0, 1], or None for the plant's native control.
 
-    A plant that heats and cools takes levels in [−1, 1]. `band_C` are the heating and the cooling set-point that its own
-    loop is to keep meanwhile, °C; u is then the mean level that the plan expects of that loop.
+    A plant that heats and cools takes levels in [−1, 1]. `band_C` are the heating and the cooling set-point that its
+    own loops are to keep meanwhile, °C; u is then the mean level that the plan expects of them.
     """
 
     u: float | None
@@ -78,8 +78,8 @@ class Boundary:
     Every array has shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m²,
     `occupancy` persons,
     `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg
-    CO2/kWh. Where heating has an energy carrier of its own (gas beside electric cooling), `heating_price_per_kWh` is its
-    price; by default it is `price_per_kWh`.
+    CO2/kWh. Where heating has an energy carrier of its own (gas beside electric cooling), `heating_price_per_kWh` is
+    its price; by default it is `price_per_kWh`.
 
     Raises:
         DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.

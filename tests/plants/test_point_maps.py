@@ -11,7 +11,8 @@ from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
 
-OTHERS = ["bestest_hydronic", "bestest_air", "bestest_air_cooling", "bestest_air_cooling_setpoint"]
+OTHERS = ["bestest_hydronic", "bestest_air"]
+LEVELS = ["bestest_hydronic"]
 
 
 def test_the_maps_ship():
@@ -46,24 +47,31 @@ def test_more_u_is_more_heat_or_more_cold():
     assert effort["bestest_hydronic"].inputs(0.0) == {
         "oveTSetSup_u": 293.15, "oveTSetSup_activate": 1.0, "ovePum_u": 1.0, "ovePum_activate": 1.0,
     }  # fmt: skip
-    assert effort["bestest_air"].inputs(0.3)["fcu_oveTSup_u"] == 313.15
-    assert effort["bestest_air_cooling"].inputs(0.3)["fcu_oveTSup_u"] == 285.15
-    cold = effort["bestest_air_cooling_setpoint"]
-    assert [cold.inputs(u)["con_oveTSetCoo_u"] for u in (0.0, 1.0)] == pytest.approx([303.15, 296.15])
-    assert cold.inputs(1.0)["con_oveTSetHea_u"] == 288.15
-    for name in OTHERS:
-        assert load_testcase(name).mode == ("cooling" if "cooling" in name else "heating")
+    air = effort["bestest_air"]
+    warm, idle, cold = (air.inputs(u, (21.0, 24.0)) for u in (0.3, 0.0, -0.3))
+    assert (warm["con_oveTSetHea_u"], warm["con_oveTSetCoo_u"]) == (294.15, 308.15), (
+        "the cooling loop is out of the way"
+    )
+    assert (idle["con_oveTSetHea_u"], idle["con_oveTSetCoo_u"]) == (294.15, 297.15), "both loops keep the band"
+    assert (cold["con_oveTSetHea_u"], cold["con_oveTSetCoo_u"]) == (278.15, 297.15), (
+        "the heating loop is out of the way"
+    )
+    assert (warm["fcu_oveTSup_u"], cold["fcu_oveTSup_u"]) == (313.15, 285.15)
+    assert (warm["fcu_oveTSup_activate"], idle["fcu_oveTSup_activate"]) == (1.0, 0.0)
+    assert air.inputs(1.0, None)["con_oveTSetHea_u"] == 308.15, "a full level drives the loop to its limit"
+    assert [load_testcase(name).mode for name in OTHERS] == ["heating", "both"]
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_native_control_lets_go_of_everything_that_was_held(name):
     actuator = load_testcase(name).actuator
-    released = actuator.inputs(None)
-    assert {key for key in actuator.inputs(0.5) if key.endswith("_activate")} == set(released)
+    none = (None,) if name == "bestest_air" else ()
+    released = actuator.inputs(None, *none)
+    assert {key for key in actuator.inputs(0.5, *none) if key.endswith("_activate")} == set(released)
     assert set(released.values()) == {0.0}
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", LEVELS)
 def test_u_comes_back_from_the_recorded_value(name):
     actuator = load_testcase(name).actuator
     u = np.linspace(0.0, 1.0, 5)

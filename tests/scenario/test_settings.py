@@ -65,7 +65,6 @@ def test_a_number_is_a_start_day(tmp_path):
     ("testcase", "period"),
     [
         ("energyplus:cooling_phoenix", "peak_cool_day"),
-        ("bestest_air_cooling", "peak_cool_day"),
         ("energyplus:heating_chicago", "peak_heat_day"),
         ("no_such_case", "peak_heat_day"),
     ],
@@ -102,7 +101,6 @@ def test_unknown_names_get_a_suggestion():
 
 @pytest.mark.parametrize("name", sorted(named_configs("testcases")))
 def test_shipped_test_cases_are_valid(name):
-    # A file may be one of several maps of a test case, as bestest_air_cooling is of bestest_air.
     assert name.startswith(load_testcase(name).name)
 
 

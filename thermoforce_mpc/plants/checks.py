@@ -58,9 +58,11 @@ def plant_inputs(
     """
     if isinstance(actuator, RoomSetpoints):
         if band_C is not None and not (all(map(math.isfinite, band_C)) and band_C[0] <= band_C[1]):
-            raise InputError(f"room set-points of {band_C!r}: expected a heating set-point not above the cooling one, °C")
+            raise InputError(
+                f"room set-points of {band_C!r} °C: expected a heating set-point not above the cooling one"
+            )
         if band_C is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
-            raise InputError(f"level of {u:g} without room set-points: a room's own loop can only be driven to its limits")
+            raise InputError(f"level of {u:g} without room set-points: a loop can only be driven to its limits")
         return actuator.inputs(u, band_C)
     if band_C is not None:
         raise InputError(f"room set-points of {band_C!r}: the actuator '{actuator.point}' has none")

@@ -149,7 +149,8 @@ class TestCase(StrictModel):
     floor_area_m2: float = Field(gt=0)
     currency: str = "EUR"
     mode: Literal["heating", "cooling", "both"] = Field(
-        "heating", description="sign of the actuator's effect on the zone; both: room set-points for heating and cooling"
+        "heating",
+        description="sign of the actuator's effect on the zone; both: room set-points for heating and cooling",
     )
     step_s: float = Field(3600.0, ge=60, le=86400, description="default control step, s")
     actuator: Annotated[
@@ -175,5 +176,7 @@ class TestCase(StrictModel):
         if room != (self.mode == "both"):
             raise ValueError("mode both and an actuator of kind room_setpoints belong together")
         if room and not self.measurements.heat:
-            raise ValueError("an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat")
+            raise ValueError(
+                "an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat"
+            )
         return self

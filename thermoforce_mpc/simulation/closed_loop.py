@@ -164,9 +164,7 @@ def advanced(plant: Plant, block: Block) -> Measurement:
     return cast(RoomSetpointPlant, plant).advance(block.u, block.duration_s, block.band_C)
 
 
-def checked_blocks(
-    plan: Plan, step_s: float, remaining_s: float, lowest: float = 0.0
-) -> tuple[tuple[Block, ...], str]:
+def checked_blocks(plan: Plan, step_s: float, remaining_s: float, lowest: float = 0.0) -> tuple[tuple[Block, ...], str]:
     """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
     Last check before the plant: a level must be None, or finite and in [`lowest`, 1], room set-points finite and in

@@ -22,7 +22,7 @@ _HEAT, _COOL = 0.4, 0.4
 
 @dataclass
 class RoomExcitation:
-    """Generator of room set-points; equal seeds and temperatures give equal set-points. `lowest`: level of full cooling."""
+    """Generator of room set-points; equal seeds and temperatures give equal ones. `lowest`: level of full cooling."""
 
     rng: np.random.Generator
     hold_steps: tuple[int, ...]

@@ -133,7 +133,14 @@ def fit_signed_power(histories: Sequence[Record]) -> PowerModel:
         for values in (lambda h: h.u, lambda h: h.T_out_C[:-1], lambda h: h.power_W)
     )
     heating, cooling = (
-        fit_load(side[side >= 0], T_out[side >= 0], power[side >= 0], what=f"power of {what}", lowest_level=1.0, slope=POWER_SLOPE)
+        fit_load(
+            side[side >= 0],
+            T_out[side >= 0],
+            power[side >= 0],
+            what=f"power of {what}",
+            lowest_level=1.0,
+            slope=POWER_SLOPE,
+        )
         for side, what in ((u, "heating"), (-u, "cooling"))
     )
     quality = heating.quality

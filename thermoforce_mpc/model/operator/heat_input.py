@@ -28,7 +28,7 @@ class HeatInput:
 
     def __post_init__(self) -> None:
         if not -10.0 <= self.lowest <= 0.0 or (self.lowest < 0.0 and self.heat is not None):
-            raise DataError(f"lowest level {self.lowest:g}: expected 0, or a level of cooling of an operator driven by u")
+            raise DataError(f"lowest level {self.lowest:g}: expected 0, or that of cooling where u drives the operator")
 
     @property
     def kind(self) -> str:

@@ -158,9 +158,7 @@ class BoptestPlant:
             self._client.set_scenario(self._scenario)
         return self._at_rest(points, warmup_s, end_s=math.inf)
 
-    def advance(
-        self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None
-    ) -> Measurement:
+    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
         """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
 
         Raises:

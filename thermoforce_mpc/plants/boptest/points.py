@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 _KELVIN, _POWER, _IRRADIANCE = "K", "W", "W/m2"
@@ -72,16 +72,15 @@ def _actuator_points(actuator: Actuator | RoomSetpoints, inputs: Mapping[str, Po
         main, held = {"point": actuator.point}, {f"held.{name}": name for name in actuator.held}
     wanted = [_Wanted(f"actuator.{key}", f"{name}_u", inputs, actuator.unit) for key, name in main.items()]
     wanted += [_Wanted(f"actuator.{key}", f"{name}_u", inputs) for key, name in held.items()]
-    return wanted + [
-        _Wanted(f"actuator.{key}", f"{name}_activate", inputs) for key, name in (main | held).items()
-    ]
+    return wanted + [_Wanted(f"actuator.{key}", f"{name}_activate", inputs) for key, name in (main | held).items()]
 
 
 def _actuator_values(actuator: Actuator | RoomSetpoints) -> list[tuple[str, str, float]]:
     """Values that the plant must not clip: key, point and value."""
+    values: list[tuple[str, str, float]]
     if isinstance(actuator, RoomSetpoints):
-        ends = [("minimum", actuator.minimum), ("maximum", actuator.maximum)]
-        values = [(key, point, value) for point in (actuator.heating, actuator.cooling) for key, value in ends]
+        # Set-points that a release limits to less are clipped there: the loop then keeps the nearest it can.
+        values = []
         held = {"heating_held": actuator.heating_held, "cooling_held": actuator.cooling_held}
     else:
         values = [("minimum", actuator.point, actuator.minimum), ("maximum", actuator.point, actuator.maximum)]

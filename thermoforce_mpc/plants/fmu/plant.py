@@ -141,9 +141,7 @@ class FmuPlant:
             stretch = self._run({}, self._start_s - self._now_s)
         return measurement(self._now_s, stretch.final, self.testcase.measurements)
 
-    def advance(
-        self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None
-    ) -> Measurement:
+    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
         """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
 
         Raises:

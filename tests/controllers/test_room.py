@@ -1,0 +1,203 @@
+"""Heating and cooling of one zone: the signed programme, room set-points, and a closed loop on an office."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from light_office import LightOffice
+from mpc_problems import N, random_operator, random_problem
+from scipy.optimize import linprog
+
+from controllers.errors import ControllerConfigError
+from controllers.mpc import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from controllers.problem import Cooling, ProblemShape, Weights, every_step
+from controllers.qp import QPSolver
+from controllers.qp_backends import QPConfig
+from controllers.registry import controller_config
+from controllers.room import room_blocks
+from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.identification.probing.probe import probe_room
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
+
+LOWEST = -0.6
+
+
+def signed(operator: OperatorParameters) -> OperatorParameters:
+    return replace(operator, heat_input=HeatInput(lowest=LOWEST))
+
+
+def both_ways(rng: np.random.Generator, order: int):
+    """A problem that is too cold at first and too warm later, with cooling at a price of its own."""
+    problem = random_problem(rng, order)
+    warm = np.where(np.arange(N) < N // 2, rng.uniform(12, 16, N), rng.uniform(24, 28, N))
+    cooling = Cooling(LOWEST, rng.uniform(0.1, 0.4, N), rng.uniform(500, 1500, N))
+    return replace(problem, forced_state_K=np.zeros(order), T_free_C=warm, cooling=cooling)
+
+
+def test_the_signed_programme_is_solved_to_its_optimum_and_never_heats_and_cools_at_once():
+    rng = np.random.default_rng(3)
+    operator = signed(random_operator(rng, 2))
+    solver = QPSolver(operator, ProblemShape(every_step(N), u_min=LOWEST), QPConfig())
+    directions = set()
+    for _ in range(5):
+        problem = both_ways(rng, 2)
+        at_rest = problem.forced_K(operator, np.zeros(N))
+        effect = np.stack([problem.forced_K(operator, row) - at_rest for row in np.eye(N)], axis=1)
+        both = np.hstack([effect, -effect])
+        T_rest = problem.T_free_C + at_rest
+        heat = problem.price_per_W * problem.power_W(np.ones(N))
+        cost = np.concatenate([heat, problem.cooling_cost_per_u, np.full(N, problem.comfort_price)])
+        A = np.block([[-both, -np.eye(N)], [both, -np.eye(N)]])
+        b = np.concatenate([T_rest - problem.lower_C, problem.upper_C - T_rest])
+        bounds = [(0, 1)] * N + [(0, -LOWEST)] * N + [(0, None)] * N
+        best = linprog(cost, A_ub=A, b_ub=b, bounds=bounds, method="highs").fun
+        found = solver.solve(problem)
+        assert found.ok, found.problem
+        assert float(problem.cost(operator, found.u)) == pytest.approx(best, rel=1e-5)
+        assert found.u.min() >= LOWEST
+        directions |= set(np.sign(found.u[np.abs(found.u) > 0.05]))
+    assert directions == {-1.0, 1.0}
+
+
+def test_peak_power_is_refused_where_there_are_two_directions():
+    operator = signed(random_operator(np.random.default_rng(3), 1))
+    with pytest.raises(ControllerConfigError, match="peak_price_per_kW"):
+        QPSolver(operator, ProblemShape(every_step(N), u_min=LOWEST, peak=True), QPConfig())
+
+
+def blocks(u: float, T_end_C: float, T_now_C: float, *, u_last: float = 0.0, bounds=(15.0, 30.0)) -> tuple[Block, ...]:
+    return room_blocks(
+        u, T_end_C, T_now_C=T_now_C, u_last=u_last, bounds_C=bounds, lowest=LOWEST, step_s=900.0, block_s=60.0
+    )
+
+
+def test_a_move_starts_as_late_as_it_can():
+    idle, moving = blocks(0.3, 21.05, 18.0)
+    assert (idle.u, idle.band_C) == (0.0, (15.0, 30.0))
+    assert moving.band_C == (21.05, 30.0)
+    assert moving.duration_s == 360.0  # 0.3 · 900 s, a quarter more, whole minutes
+    assert moving.u == pytest.approx(0.75)
+    assert idle.duration_s + moving.duration_s == 900.0
+    cooled = blocks(-0.3, 24.0, 27.0)
+    assert cooled[-1].band_C == (15.0, 24.0)
+    assert LOWEST <= cooled[-1].u < 0.0
+
+
+def test_heat_that_holds_the_zone_is_no_part_of_a_move():
+    holding, moving = blocks(0.4, 21.05, 15.03, u_last=0.2, bounds=(15.03, 29.97))
+    assert holding.u == pytest.approx(0.2)
+    assert moving.duration_s == 300.0  # a quarter of the 0.8 that are left, not 0.4 of the step
+
+
+def test_a_loop_at_its_bound_goes_on_where_nothing_is_planned():
+    (block,) = blocks(0.0, 24.1, 23.95, u_last=-0.15, bounds=(21.03, 23.97))
+    assert block.u == pytest.approx(-0.15)
+    assert block.band_C == (21.03, 23.97)
+    (idle,) = blocks(0.0, 22.0, 22.5, u_last=-0.15, bounds=(21.03, 23.97))
+    assert idle.u == 0.0
+
+
+@pytest.mark.parametrize("T_now_C", [math.nan, -5.0, 21.0, 45.0])
+@pytest.mark.parametrize("u", [-0.6, -1e-9, 0.0, 0.2, 1.0])
+def test_set_points_stay_within_the_bounds_in_force_whatever_the_plan_says(u, T_now_C):
+    for T_end_C in (-40.0, 22.0, 90.0):
+        for u_last in (math.nan, -0.5, 0.9):
+            planned = blocks(u, T_end_C, T_now_C, u_last=u_last, bounds=(21.0, 24.0))
+            found, refused = checked_blocks(Plan(planned, PlanStatus.SOLVED, ""), 900.0, 900.0, LOWEST)
+            assert refused == ""
+            for block in found:
+                assert block.band_C is not None
+                assert 21.0 <= block.band_C[0] <= block.band_C[1] <= 24.0
+
+
+def test_a_level_or_band_that_is_not_possible_never_reaches_the_plant():
+    for block in (
+        Block(-0.7, 900.0, (21.0, 24.0)),
+        Block(0.2, 900.0, (24.0, 21.0)),
+        Block(0.2, 900.0, (math.nan, 24.0)),
+    ):
+        found, refused = checked_blocks(Plan((block,), PlanStatus.SOLVED, ""), 900.0, 900.0, LOWEST)
+        assert found[0].u is None
+        assert "refused" in refused
+
+
+@pytest.fixture(scope="module")
+def probed():
+    return probe_room(LightOffice(), 20 * DAY_S, 3.0, seed=1, lowest=LOWEST)
+
+
+@pytest.fixture(scope="module")
+def model(probed) -> ThermalModel:
+    return identify(probed, mode="both", lowest=LOWEST, floor_area_m2=48.0)
+
+
+def test_probing_heats_and_cools_inside_the_band(probed):
+    lower, upper = LightOffice.bounds_C(probed.time_s[1:])
+    assert probed.u.min() < -0.02
+    assert probed.u.max() > 0.02
+    out = np.maximum(lower - probed.T_zone_C[1:], probed.T_zone_C[1:] - upper)
+    assert out.max() < 0.3, "K beyond the band"
+
+
+def test_one_operator_for_both_directions_is_found(model, tmp_path):
+    office = LightOffice()
+    full = np.array([1.0])
+    u = np.zeros(4)
+    u[0] = 1.0
+    step = float(model.operator.impulse(1)[0])
+    assert step == pytest.approx(office.step_response_K(900.0), rel=0.15)
+    assert float(model.power(full, 0.0)[0]) == pytest.approx(11000.0 / 0.9, rel=0.02)
+    assert float(model.power(-full, 0.0)[0]) == pytest.approx(11000.0 / 3.0, rel=0.02)
+    model.save(tmp_path / "office")
+    again = load_model(tmp_path / "office")
+    assert again.operator.heat_input.lowest == LOWEST
+    assert again.power == model.power
+
+
+def test_a_record_without_cooling_cannot_identify_cooling(probed):
+    heated = replace(probed, u=np.maximum(probed.u, 0.0), power_W=np.where(probed.u > 0, probed.power_W, 0.0))
+    with pytest.raises(DataError, match="power of cooling"):
+        identify(heated, mode="both", lowest=LOWEST, floor_area_m2=48.0)
+    with pytest.raises(DataError, match="mode both needs one below 0"):
+        identify(probed, mode="both", floor_area_m2=48.0)
+    with pytest.raises(DataError, match=r"expected \[0, 1\]|not a number between"):
+        identify(probed, mode="heating", floor_area_m2=48.0)
+
+
+def test_closed_loop_is_far_more_comfortable_than_native_control_at_nearly_its_cost(model):
+    testcase = load_testcase("bestest_air")
+    config = controller_config("thermoforce_mpc", {"free_response": {"name": "rc"}, "horizon_h": 24.0}, testcase)
+    assert isinstance(config, MPCConfig)
+    office = LightOffice()
+    period = Period("day 30", 30 * DAY_S, 3 * DAY_S, 2 * DAY_S)
+    ours = run_closed_loop(office, ThermoForceMPC(model, config), period)
+    assert {step.plan.status for step in ours.steps} == {PlanStatus.SOLVED}
+    native = office.native_kpis(period)
+    assert ours.kpis["tdis_tot"] < 0.3 * native["tdis_tot"]
+    assert ours.kpis["cost_tot"] < 1.03 * native["cost_tot"]
+
+
+def test_a_model_of_one_direction_does_not_run_room_setpoints(model):
+    one = replace(model, operator=replace(model.operator, heat_input=HeatInput()))
+    with pytest.raises(ControllerConfigError, match="belong together"):
+        ThermoForceMPC(one, MPCConfig.model_validate({"actuation": {"mode": "room_setpoints"}}))
+    with pytest.raises(ControllerConfigError, match="belong together"):
+        ThermoForceMPC(model, MPCConfig())
+
+
+def test_the_weights_of_a_boundary_price_heating_at_its_own_carrier():
+    n = np.zeros(3)
+    plain = Boundary(np.arange(3.0) * 900, n, n, n, n + 15, n + 30, n + 0.2, n)
+    assert plain.heating_price_per_kWh.tolist() == [0.2] * 3
+    assert replace(plain, heating_price_per_kWh=n + 0.05).head(1).heating_price_per_kWh.tolist() == [0.05] * 2
+    assert Weights(5.0, 0.0).peak == 0.0
