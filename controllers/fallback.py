@@ -47,14 +47,17 @@ class GoodPlan:
 
 
 class FallbackPolicy:
-    """Level to apply when there is no new plan."""
+    """Level to apply when there is no new plan.
+
+    `mode` is heating, cooling, or both: the plant's own loops then keep the comfort bounds, and native control acts.
+    """
 
     def __init__(self, config: FallbackConfig, step_s: float, level: float, mode: str) -> None:
         self.config, self.step_s, self.level, self.mode = config, step_s, level, mode
 
     def level_to_follow(self, good: GoodPlan | None, observation: Observation) -> float | None:
         """Level of the last solved plan for now; None when it is too old or its prediction error exceeds `trust_K`."""
-        if good is None:
+        if good is None or self.mode == "both":
             return None
         age = good.age(observation.time_s, self.step_s)
         if not 1 <= age <= min(self.config.follow_steps, good.u.size - 1):
@@ -65,11 +68,17 @@ class FallbackPolicy:
             return None
         return min(max(float(good.u[age]), 0.0), self.level)
 
+    def standing_back(self, observation: Observation) -> tuple[float | None, str]:
+        """Level, or None for native control, while the model must not act (`stand_back`), and who acts, as text."""
+        return (None, "native control") if self.config.stand_back == "native" else self.rule(observation)
+
     def rule(self, observation: Observation) -> tuple[float | None, str]:
         """Level of an on/off rule on the tightest comfort bound of the next hours, and the reason as text.
 
         The level is None (native control) while the zone temperature or the bounds are missing.
         """
+        if self.mode == "both":
+            return None, "native control"
         ahead = observation.boundary.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
         if self.mode == "heating":
             setpoint = float(np.max(observation.boundary.lower_C[ahead])) + self.config.setpoint_above_bound_K

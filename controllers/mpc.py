@@ -12,6 +12,7 @@ from controllers.actuation import Actuation, ActuationState
 from controllers.backoff import backoff_K
 from controllers.errors import ControllerConfigError
 from controllers.fallback import FallbackPolicy, GoodPlan
+from controllers.gate import shut
 from controllers.guard import guard_level
 from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
@@ -120,7 +121,7 @@ class ThermoForceMPC:
         self._free_response = free_response or _build_free_response(c.free_response, model)
         self._base = self._build_planner(model)
         self._adapted: list[Planner] = []
-        mode = "heating" if model.operator.sign > 0 else "cooling"
+        mode = "both" if self._rooms else "heating" if model.operator.sign > 0 else "cooling"
         self._fallback = FallbackPolicy(c.fallback, step_s, self._actuation.highest, mode)
 
     @property
@@ -166,6 +167,9 @@ class ThermoForceMPC:
             peak_W=self._peak_W(before, observation),
             actuation=self._actuation.now(before.actuation if state is not None else None, history),
         )
+        closed = shut(self.config.gate, self.model.card.competence)
+        if closed is not None:
+            return self._stand_back(observation, now, PlanStatus.GATE, closed)
         return self._guarded(observation, now, self._planned(observation, now))
 
     def _planned(self, observation: Observation, now: MPCState) -> Plan:
@@ -374,10 +378,7 @@ class ThermoForceMPC:
 
     def _stand_back(self, observation: Observation, now: MPCState, status: PlanStatus, reason: str) -> Plan:
         """A step of native control or of the on/off rule (`fallback.stand_back`); nothing is planned."""
-        if self._rooms or self.config.fallback.stand_back == "native":
-            u, who = None, "native control"
-        else:
-            u, who = self._fallback.rule(observation)
+        u, who = self._fallback.standing_back(observation)
         blocks, actuation = self._actuation.realise(u, self.step_s, now.actuation)
         # The plan before was not followed, so it must not be shifted later.
         return Plan(blocks, status, f"{reason}: {who}", state=replace(now, actuation=actuation, good=None))
@@ -385,10 +386,8 @@ class ThermoForceMPC:
     def _fall_back(
         self, observation: Observation, now: MPCState, reason: str, solver_status: str, seconds: Mapping[str, float]
     ) -> Plan:
-        u = None if self._rooms else self._fallback.level_to_follow(now.good, observation)
-        if self._rooms:
-            status, why = PlanStatus.THERMOSTAT, "native control"
-        elif u is not None:
+        u = self._fallback.level_to_follow(now.good, observation)
+        if u is not None:
             status, why = PlanStatus.SHIFTED, f"following the previous plan (u = {u:.2f})"
         else:
             status = PlanStatus.THERMOSTAT

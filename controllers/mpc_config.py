@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from controllers.actuation import ActuationConfig
 from controllers.fallback import FallbackConfig
+from controllers.gate import GateConfig
 from controllers.guard import GuardConfig
 from controllers.ipopt import IpoptConfig
 from controllers.qp_backends import QPConfig
@@ -108,6 +109,7 @@ class MPCConfig(StrictModel):
     adaptation: AdaptationConfig = AdaptationConfig()
     actuation: ActuationConfig = ActuationConfig()
     fallback: FallbackConfig = FallbackConfig()
+    gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()
     qp: QPConfig = QPConfig()
     semi_continuous: SemiContinuousConfig = SemiContinuousConfig()

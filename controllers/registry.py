@@ -25,7 +25,7 @@ class Entry:
     summary: str
     needs_model: bool
     config: Callable[[], type[StrictModel]]
-    build: Callable[[str, Any, TestCase, ThermalModel | None], Controller]
+    build: Callable[[str, Any, TestCase, ThermalModel | str | None], Controller]
     defaults: Mapping[str, Any]
 
 
@@ -35,11 +35,21 @@ def _mpc_config() -> type[StrictModel]:
     return MPCConfig
 
 
-def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | None) -> Controller:
+def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
     from controllers.mpc import ThermoForceMPC
 
     if model is None:
         raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
+    if isinstance(model, str):
+        from controllers.standing_back import StandingBack
+
+        return StandingBack(model, config, testcase.mode, testcase.step_s, name=name)
+    identified_for = "heating" if model.operator.sign > 0 else "cooling"
+    if identified_for != testcase.mode:
+        raise ControllerConfigError(
+            f"the model was identified for {identified_for}, test case '{testcase.name}' is for {testcase.mode}: what "
+            f"the one does says nothing of the other; identify on data of {testcase.mode}"
+        )
     return ThermoForceMPC(model, config, name=name)
 
 
@@ -56,6 +66,7 @@ _AS_PRINTED: dict[str, Any] = {
     "backoff_level_other": 0.5,
     "backoff_violation_K": None,
     "actuation": {"mode": "modulating"},
+    "gate": {"enabled": False},
     "guard": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
@@ -147,8 +158,19 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
 
 
 def build_controller(
-    name: str, options: Mapping[str, Any], testcase: TestCase, model: ThermalModel | None = None
+    name: str, options: Mapping[str, Any], testcase: TestCase, model: ThermalModel | str | None = None
 ) -> Controller:
-    """Build a controller by name; raises `ConfigError` for wrong options or a missing model."""
+    """Build a controller by name.
+
+    Args:
+        name: name in the registry.
+        options: its options.
+        testcase: the building.
+        model: identified model, or the reason why none could be identified: then a controller that needs one stands
+            back for the whole run.
+
+    Raises:
+        ConfigError: wrong options, a missing model, or one of the other mode.
+    """
     config = controller_config(name, options, testcase)
     return find_entry(name).build(name, config, testcase, model)

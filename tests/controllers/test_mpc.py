@@ -38,7 +38,16 @@ def test_in_closed_loop_it_is_comfortable_and_cheaper_than_the_thermostat():
     theirs = run_closed_loop(house, Thermostat(), house.period("x"))
     assert ours.kpis["tdis_tot"] < 0.3
     assert ours.kpis["cost_tot"] < 0.98 * theirs.kpis["cost_tot"]
-    assert ours.fallback_levels() == {"solved": 48, "shifted": 0, "thermostat": 0, "guard": 0, "rule": 0, "refused": 0}
+    assert ours.fallback_levels() == {
+        "solved": 48,
+        "shifted": 0,
+        "thermostat": 0,
+        "guard": 0,
+        "gate": 0,
+        "watch": 0,
+        "rule": 0,
+        "refused": 0,
+    }
 
 
 def test_predictions_of_an_exact_model_come_true():

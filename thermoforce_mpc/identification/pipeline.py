@@ -23,6 +23,7 @@ from thermoforce_mpc.identification.cases import (
     power_model,
     ranges,
 )
+from thermoforce_mpc.identification.competence import judge
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.modes import AIR_SLOPE_K_PER_H, mode_priors, to_operator
@@ -80,11 +81,12 @@ def identify(
         progress: told each stage in a few words, for example `print`.
 
     Returns:
-        Operator, electric power (where measured), linear free model (where there are runs) and model card, whose notes
-        say which readings were rejected and how gaps were bridged or left out (`prepared_runs`).
+        Operator, electric power (where measured), linear free model (where there are runs) and model card. Its notes
+        say which readings were rejected and how gaps were bridged or left out (`prepared_runs`), its `competence`
+        whether the model is good enough to act on; one that is not is returned all the same.
 
     Raises:
-        DataError: there are no data, or they cannot identify; the message has the numbers and what to do.
+        DataError: there are no data, or they cannot be fitted at all; the message has the numbers and what to do.
     """
     config = config or IdentificationConfig()
     runs = (runs,) if isinstance(runs, Record) else tuple(runs)
@@ -116,27 +118,31 @@ def identify(
         model = _joint_model(
             runs, pairs, data, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes, say
         )
-    model = _accepted(model, cases, mode)
+    model = _accepted(model, cases, sign)
     say(f"identified an operator of order {model.operator.order}")
     return model
 
 
-def _accepted(model: ThermalModel, cases: Sequence[Case], mode: str) -> ThermalModel:
+def _accepted(model: ThermalModel, cases: Sequence[Case], sign: int) -> ThermalModel:
     """`model`, with the share that its actions explain on its card.
 
     Raises:
         DataError: they explain too little, or their effect has no proven sign.
     """
     explained = explained_share(cases, model.operator)
-    if explained < _LEAST_EXPLAINED:
-        raise DataError(
-            f"no effect of the actuator with the sign of {mode} was found in the data: it explains "
-            f"{100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; check "
-            "the sign of u, whether the actuator reached the zone, or probe harder"
-        )
+    _check_explained(explained, sign)
     prove(model.operator)
     scores = {**model.card.scores, "explained_by_actuation": explained}
     return replace(model, card=replace(model.card, scores=scores))
+
+
+def _check_explained(explained: float, sign: int) -> None:
+    if explained < _LEAST_EXPLAINED:
+        raise DataError(
+            f"no effect of the actuator with the sign of {'heating' if sign > 0 else 'cooling'} was found in the data: "
+            f"it explains {100 * max(explained, 0.0):.1f} % of what the weather does not, need "
+            f"{100 * _LEAST_EXPLAINED:g} %; check the sign of u, whether the actuator reached the zone, or probe harder"
+        )
 
 
 def _joint_model(
@@ -200,6 +206,9 @@ def _joint_model(
         scores |= neural
     operator = operator.resampled(step_s or base_step)
     certainty = uncertainty(final, operator.step_s)
+    explained = explained_share(cases, operator)
+    _check_explained(explained, sign)
+    verdict = judge(cases, splits, candidates[order].fit, priors, certainty, explained, sign)
     return ThermalModel(
         operator=operator,
         power=power_model(histories, config, signed=heat_input.lowest < 0.0),
@@ -212,6 +221,7 @@ def _joint_model(
             uncertainty=certainty,
             config=config.model_dump(mode="json"),
             notes=(*notes, *_warnings(certainty)),
+            competence=verdict,
         ),
     )
 

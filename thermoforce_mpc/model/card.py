@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from thermoforce_mpc.model.competence import Competence
+
 
 @dataclass(frozen=True)
 class ModelCard:
@@ -13,6 +15,7 @@ class ModelCard:
 
     `data` maps the name of each record to its SHA-256, `ranges` each signal to the (low, high) of the identification
     data, `scores` and `uncertainty` hold numbers by name, `config` is the configuration of the identification.
+    `competence` is the verdict on held-out data; None: not judged (older files, pairs only, two-stage method).
     """
 
     source: str = "given"
@@ -22,3 +25,4 @@ class ModelCard:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    competence: Competence | None = None

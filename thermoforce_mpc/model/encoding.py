@@ -8,6 +8,7 @@ from typing import Any
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -25,6 +26,8 @@ _OPERATOR_ARRAYS = (
     "feature_scale",
     "pole_bounds",
 )
+_HORIZON_NUMBERS = ("hours", "model_K", "persistence_K", "weather_K", "better_t")
+_COMPETENCE_NUMBERS = ("effect_K", "effect_sd_K", "sign_probability", "explained", "held_out_h")
 _FREE_ARRAYS = ("poles", "weights", "process_sd_K")
 
 
@@ -116,6 +119,22 @@ def _card(data: Mapping[str, Any]) -> ModelCard:
         uncertainty={key: _number(value) for key, value in data["uncertainty"].items()},
         config=data["config"],
         notes=tuple(data["notes"]),
+        competence=_competence(data.get("competence")),  # files before the verdict was introduced do not have it
+    )
+
+
+def _competence(data: Mapping[str, Any] | None) -> Competence | None:
+    if data is None:
+        return None
+    return Competence(
+        competent=bool(data["competent"]),
+        reasons=tuple(data["reasons"]),
+        advice=tuple(data["advice"]),
+        horizons=tuple(
+            HorizonScore(blocks=int(one["blocks"]), **{key: _number(one[key]) for key in _HORIZON_NUMBERS})
+            for one in data["horizons"]
+        ),
+        **{key: _number(data[key]) for key in _COMPETENCE_NUMBERS},
     )
 
 

@@ -52,7 +52,7 @@ class ThermalModel:
         return Predictor(self.operator, method).context(Observation(record, weather)).predict(levels)
 
     def summary(self) -> str:
-        """The model in a few lines: source, operator, effect of a day at full level with its uncertainty, notes."""
+        """The model in a few lines: source, operator, effect of a day with its uncertainty, verdict, notes."""
         operator, uncertainty = self.operator, self.card.uncertainty
         hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
         lines = [
@@ -66,6 +66,8 @@ class ThermalModel:
             lines.append("electric power was not measured: the model predicts, but energy cannot be planned")
         else:
             lines.append(f"electric power: RMSE {self.power.rmse_W:.0f} W, R² {self.power.r2:.3f}")
+        verdict = self.card.competence
+        lines.append("competence: not judged" if verdict is None else verdict.in_words())
         return "\n".join([*lines, *(f"note: {note}" for note in self.card.notes)])
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
