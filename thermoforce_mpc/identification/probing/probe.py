@@ -3,21 +3,23 @@
 Levels are drawn at random and held for random times, 15 min to 4 h, to excite fast and slow parts of the response. The
 draws depend on the temperature, so that the zone stays near its comfort band (paper sec:identification: one to three
 probe days). Every `block_h` hours the most informative of several seeded candidates is chosen
-(`identification.probing.design`).
+(`identification.probing.design`). In a light zone, which a full step can bring more than `margin_K` outside the comfort
+band, levels are changed so that the temperature keeps the limits until the step ends (`identification.probing.politeness`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.room import RoomExcitation
 from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -36,6 +38,12 @@ class ProbingConfig(StrictModel):
     above_lower_K: float = Field(0.5, description="centre of the excursions inside the tightest bound ahead, K")
     below_K: float = Field(1.5, gt=0, description="distance below the centre at which the machine is on, K")
     above_K: float = Field(1.5, gt=0, description="distance above the centre at which it is off, K")
+    margin_K: float = Field(
+        1.0,
+        gt=0,
+        description="largest distance from the tightest comfort band ahead that a step may be predicted to reach, K;"
+        " counts in light zones, which a full step can bring there",
+    )
     design: Literal["informative", "random"] = Field(
         "informative", description="informative: choose the most informative draws; random: take the first"
     )
@@ -61,6 +69,7 @@ def probe(
     *,
     seed: int,
     mode: str = "heating",
+    lowest: float = 0.0,
     config: ProbingConfig | None = None,
     identification: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
@@ -69,7 +78,8 @@ def probe(
 
     Args:
         seed: seed of the draws; the same seed on the same plant gives the same record.
-        mode: 'heating' or 'cooling'.
+        mode: 'heating', 'cooling', or 'both' for a plant with room set-points, which are probed instead of levels.
+        lowest: level of full cooling, below 0 with mode 'both'.
         config: options of the probing.
         identification: options of the identification that will use the record; its priors define the information gain.
         on_step: called after every step with the completed fraction.
@@ -80,55 +90,116 @@ def probe(
     Raises:
         PlantError: the plant or service failed.
     """
-    c = config or ProbingConfig()
-    measurement = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-    history = Record.beginning(measurement)
-    n = round(days * DAY_S / c.step_s)
-    sign = 1.0 if mode == "heating" else -1.0
-    law = _law(c, c.hold_steps)
-    excitation = Excitation(law, np.random.default_rng(seed))
-    designer = Designer(identification) if c.design == "informative" else None
-    block = max(1, round(c.block_h * HOUR_S / c.step_s))
-    for done in range(n):
-        centre = _centre_C(plant.forecast(_BAND_AHEAD_S, HOUR_S), mode, c.above_lower_K)
-        if designer and done % block == 0:
-            ahead = plant.forecast(min(block, n - done) * c.step_s, c.step_s)
-            candidates = _candidates(c, seed, done)
-            chosen, _ = designer.choose(history, ahead, excitation, candidates, centre_C=centre, sign=sign)
-            excitation = excitation.resumed(chosen.law, chosen.seed)
+    probing = Probing(
+        plant, start_s, seed=seed, mode=mode, lowest=lowest, config=config, identification=identification
+    )
+    return probing.go_on(days, on_step=on_step)
+
+
+class Probing:
+    """A probing that can be continued; `record` is what was measured so far."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        start_s: float,
+        *,
+        seed: int,
+        mode: str = "heating",
+        lowest: float = 0.0,
+        config: ProbingConfig | None = None,
+        identification: IdentificationConfig | None = None,
+    ) -> None:
+        """Reset `plant` with native warm-up to `start_s`; arguments as for `probe`.
+
+        Raises:
+            PlantError: the plant or service failed.
+        """
+        self._plant, self._seed, self._mode = plant, seed, mode
+        self.config = c = config or ProbingConfig()
+        self.designer = Designer(identification)
+        self._sign = 1.0 if mode == "heating" else -1.0
+        self._now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
+        self._foresight = Foresight(plant.past(c.step_s), self._sign, c.step_s)
+        self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(seed))
+        self._rooms = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest) if mode == "both" else None
+        self.record = Record.beginning(self._now)
+
+    @property
+    def days(self) -> float:
+        """Days probed so far."""
+        return self.record.n_steps * self.config.step_s / DAY_S
+
+    @property
+    def block_steps(self) -> int:
+        """Steps between two choices of the draws."""
+        return max(1, round(self.config.block_h * HOUR_S / self.config.step_s))
+
+    def go_on(
+        self,
+        days: float,
+        *,
+        enough: Callable[[Record], bool] | None = None,
+        on_step: Callable[[float], None] | None = None,
+    ) -> Record:
+        """Probe for `days` more; returns the record from the start of the probing.
+
+        Args:
+            days: days to probe, from where the last call stopped.
+            enough: asked at the end of every block; True ends the probing.
+            on_step: called after every step with the completed fraction of `days`.
+
+        Raises:
+            PlantError: the plant or service failed.
+        """
+        first = self.record.n_steps
+        n = round(days * DAY_S / self.config.step_s)
+        for done in range(first, first + n):
+            if done > first and done % self.block_steps == 0 and enough and enough(self.record):
+                break
+            self._now = self._room_step(self._rooms) if self._rooms else self._level_step(done, first + n)
+            self.record = self.record.extended(self._now)
+            if on_step:
+                on_step((done + 1 - first) / n)
+        return self.record
+
+    def _room_step(self, excitation: RoomExcitation) -> Measurement:
+        """Apply the next room set-points."""
+        step_s, plant = self.config.step_s, cast(RoomSetpointPlant, self._plant)
+        ahead = plant.forecast(step_s, step_s)
+        block = excitation.next(self._now.T_zone_C, ahead.lower_C, ahead.upper_C, step_s)
+        return plant.advance(block.u, block.duration_s, block.band_C)
+
+    def _level_step(self, done: int, end: int) -> Measurement:
+        """Apply the next level; `done` steps of `end` are over."""
+        c, plant = self.config, self._plant
+        self._foresight.learn(self.record)
+        band = plant.forecast(_BAND_AHEAD_S, HOUR_S)
+        centre = _centre_C(band, self._mode, c.above_lower_K)
+        if c.design == "informative" and done % self.block_steps == 0:
+            ahead = plant.forecast(min(self.block_steps, end - done) * c.step_s, c.step_s)
+            candidates = _candidates(c, self._seed, done)
+            chosen, _ = self.designer.choose(
+                self.record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
+            )
+            self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
-        level = excitation.next(sign * (centre - measurement.T_zone_C))
-        measurement = plant.advance(level, c.step_s)
-        history = history.extended(measurement)
-        if on_step:
-            on_step((done + 1) / n)
-    return history
+        level = self._excitation.next(self._sign * (centre - self._now.T_zone_C))
+        return plant.advance(self._polite(level, centre, band), c.step_s)
 
-
-def probe_room(
-    plant: RoomSetpointPlant,
-    start_s: float,
-    days: float,
-    *,
-    seed: int,
-    lowest: float,
-    config: ProbingConfig | None = None,
-    on_step: Callable[[float], None] | None = None,
-) -> Record:
-    """Probe `plant`, whose level of full cooling is `lowest`, by room set-points; otherwise as `probe`."""
-    c = config or ProbingConfig()
-    measurement = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-    history = Record.beginning(measurement)
-    excitation = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest)
-    n = round(days * DAY_S / c.step_s)
-    for done in range(n):
-        ahead = plant.forecast(c.step_s, c.step_s)
-        block = excitation.next(measurement.T_zone_C, ahead.lower_C, ahead.upper_C, c.step_s)
-        measurement = plant.advance(block.u, block.duration_s, block.band_C)
-        history = history.extended(measurement)
-        if on_step:
-            on_step((done + 1) / n)
-    return history
+    def _polite(self, level: float, centre: float, band: Boundary) -> float:
+        """The level to apply, where `level` was drawn: another one only in a light zone."""
+        c, now = self.config, self._now
+        highest = max(c.levels)
+        below, above = (c.below_K, c.above_K) if self._sign > 0 else (c.above_K, c.below_K)
+        low, high = float(band.lower_C.max()) - c.margin_K, float(band.upper_C.min()) + c.margin_K
+        # Levels are drawn up to the limit of the excursions: from there a full step must stay in the band.
+        room_K = high - (centre + above) if self._sign > 0 else (centre - below) - low
+        if not highest * self._foresight.effect_K > max(room_K, c.margin_K):
+            return level
+        # Inside the limits of the excursions, so that levels can be held, and never beyond the margin.
+        low, high = max(centre - below, low), min(centre + above, high)
+        return self._foresight.polite(level, highest, now.T_zone_C, now.T_out_C, now.solar_W_m2, low, high)
 
 
 def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:
