@@ -157,6 +157,12 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
 
 
+def has_gate(name: str, options: Mapping[str, Any], testcase: TestCase) -> bool:
+    """Whether a controller stands back where there is no competent model; raises `ConfigError` for wrong options."""
+    gate = getattr(controller_config(name, options, testcase), "gate", None)
+    return gate is not None and gate.enabled
+
+
 def build_controller(
     name: str, options: Mapping[str, Any], testcase: TestCase, model: ThermalModel | str | None = None
 ) -> Controller:

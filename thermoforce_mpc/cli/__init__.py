@@ -56,14 +56,17 @@ def cli() -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump
 
     \b
-    Exit codes: 0 done, 2 bad input, 3 the plant or its service failed, 130 interrupted.
+    Exit codes: 0 done, 2 bad input, 3 the plant or its service failed, 4 the
+    identified model is below the bar (identify only), 130 interrupted.
     """
 
 
 def main() -> None:
     """Entry point: prints an error of this package as one message and exits with its code."""
     try:
-        cli.main(standalone_mode=False)
+        code = cli.main(standalone_mode=False)
+        if isinstance(code, int):  # a command that exits with a code of its own
+            sys.exit(code)
     except click.ClickException as error:  # usage errors: exit code 2
         error.show()
         sys.exit(error.exit_code)

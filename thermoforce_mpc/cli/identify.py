@@ -18,6 +18,9 @@ from thermoforce_mpc.simulation.composition import build_plant
 from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import identification_task, run_identification
 
+# Exit code of a model that was identified and saved but is below the bar.
+BELOW_THE_BAR = 4
+
 
 @click.command(short_help="Probe a building for a few days, identify and save a model.")
 @scenario_options
@@ -31,7 +34,11 @@ def command(**options: Any) -> None:
     The probing signal is designed for identifiability and keeps the zone near its comfort band. The folder also holds
     a plot of the fit and of the step response with its 90 % band.
 
-    The probing days end where the warm-up of --period begins. Use the model with `tf-mpc run --model FOLDER`.
+    The probing days end where the warm-up of --period begins. If the model is then below the bar (docs/competence.md),
+    probing goes on day by day, up to identification.most_days (10). A model that stays below the bar is saved, but the
+    controllers do not act on it; the exit code is then 4, and the verdict says what to do.
+
+    Use the model with `tf-mpc run --model FOLDER`.
 
     \b
     Example:
@@ -51,11 +58,13 @@ def command(**options: Any) -> None:
     records: list[Record] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
-        with display.working(f"Probing for {task.days:g} days and identifying"):
-            model = run_identification(task, plant, records.append)
+        with display.probing(task.days) as progress:
+            model = run_identification(task, plant, records.append, progress)
     model.save(out, overwrite=options["overwrite"])
     show_model(str(out), model, display.console)
     from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification
 
     plot_identification(out / PLOT_NAME, model, records[0])
     display.say(f"Plot of fit and step response: {out / PLOT_NAME}")
+    if model.card.competence is not None and not model.card.competence.competent:
+        click.get_current_context().exit(BELOW_THE_BAR)

@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
@@ -110,6 +111,35 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         say(f"  data {name}: sha256 {digest[:16]}")
     for note in card.notes:
         say(f"  note: {note}")
+    _show_competence(card.competence, console)
+
+
+def _show_competence(verdict: Competence | None, console: Console) -> None:
+    """Print the verdict: held-out errors by lead time, the effect's certainty, what is missed, and what to do."""
+    if verdict is None:
+        console.print("Competence: not judged")
+        return
+    table = Table(
+        title=f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", title_justify="left"
+    )
+    for heading in ("hours ahead", "model", "unchanged", "weather alone", "better by, t"):
+        table.add_column(heading, justify="right")
+    for score in verdict.horizons:
+        numbers = (f"{value:.2f}" for value in (score.model_K, score.persistence_K, score.weather_K))
+        table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}")
+    console.print(table)
+    console.print(
+        f"Effect of a day at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
+        f"with probability {verdict.sign_probability:.3f}; it explains {100 * verdict.explained:.0f} % of what the "
+        "weather does not"
+    )
+    console.print(
+        "Competence: " + ("COMPETENT" if verdict.competent else "BELOW THE BAR, controllers do not act on it")
+    )
+    for reason in verdict.reasons:
+        console.print(f"  missed: {reason}", soft_wrap=True)
+    for advice in verdict.advice:
+        console.print(f"  advice: {advice}", soft_wrap=True)
 
 
 def _give_or_take(sd: float | None) -> str:

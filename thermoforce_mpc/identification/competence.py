@@ -132,6 +132,11 @@ def judge(
     return replace(verdict, competent=not reasons, reasons=reasons, advice=advice)
 
 
+def is_well_known(verdict: Competence | None) -> bool:
+    """Return whether probing may end before the days asked for."""
+    return verdict is not None and verdict.competent and verdict.relative_sd <= WELL_KNOWN_SD
+
+
 def _innovations(
     regressions: Sequence[RegressionData], effects: Sequence[Array], first: Sequence[int], choices: Sequence[Array]
 ) -> list[tuple[Array, Array]]:

@@ -54,6 +54,10 @@ class ProbingSpec(StrictModel):
 
     model: str | None = Field(None, description="folder of a saved model; probing is skipped")
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
+    most_days: float = Field(
+        10.0, ge=1, le=60, description="days of probing after which it ends though the model is below the bar"
+    )
+    end_early: bool = Field(True, description="end probing before `days` once the effect is known well")
     probing: dict[str, Any] = Field(default_factory=dict, description="probing options: levels, hold_steps, ...")
     options: dict[str, Any] = Field(default_factory=dict, description="identification options: order, gamma, ...")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -82,6 +82,29 @@ class RunResult:
             counts[step.plan.status.value] += 1
         counts["refused"] = sum(bool(step.refused) for step in self.steps)
         return counts
+
+
+@dataclass(frozen=True)
+class GateHeld:
+    """Steps of a run in which the competence gate held: `steps` of `total`, and why, of the first."""
+
+    steps: int
+    total: int
+    why: str
+
+    def in_words(self) -> str:
+        """One sentence for people."""
+        return f"the gate held in {self.steps} of {self.total} steps: {self.why.removeprefix('gate: ')}"
+
+
+def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, GateHeld]:
+    """Return the runs in which the gate held, by controller."""
+    found = {}
+    for name, run in {result.controller: result, **others}.items():
+        plans = [step.plan for step in run.steps if step.plan.status is PlanStatus.GATE]
+        if plans:
+            found[name] = GateHeld(len(plans), len(run.steps), plans[0].why)
+    return found
 
 
 def run_closed_loop(

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import StepRecord
+from thermoforce_mpc.simulation.identifying import ProbingProgress
 
 Kpis = Callable[[], Mapping[str, float]]
 
@@ -38,7 +39,7 @@ class LoopDisplay:
         self._live: Live | None = None
         self._so_far = ""
         self._days_done = 0
-        self._fallbacks = 0
+        self._fallbacks, self._gated = 0, 0
 
     def __enter__(self) -> LoopDisplay:
         if not self._quiet and self._console.is_terminal:
@@ -55,6 +56,7 @@ class LoopDisplay:
         self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT, PlanStatus.GUARD) or bool(
             record.refused
         )
+        self._gated += record.plan.status is PlanStatus.GATE
         if self._quiet:
             return
         last = record.samples[-1]
@@ -78,6 +80,7 @@ class LoopDisplay:
         )
         solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
+        line += f"  gate {self._gated}" if self._gated else ""
         return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")
 
 
@@ -85,6 +88,42 @@ def _so_far(kpis: Mapping[str, float], currency: str) -> str:
     """Cost and discomfort so far as text, where the plant reports them."""
     shown = (("cost_tot", ".4f", f" {currency}/m²"), ("tdis_tot", ".2f", " K·h"))
     return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in shown if key in kpis)
+
+
+class ProbingDisplay:
+    """Progress of a probing: days done, what the record is expected to tell, and the last verdict; a callback."""
+
+    def __init__(self, console: Console, days: float, quiet: bool) -> None:
+        self._console, self._quiet, self._told_days = console, quiet, 0
+        self._live: Live | None = None
+        self._begins = f"Probing for {days:g} days and identifying"
+
+    def __enter__(self) -> ProbingDisplay:
+        if self._quiet:
+            return self
+        if self._console.is_terminal:
+            self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8)
+            self._live.__enter__()
+        else:
+            self._console.print(self._begins, soft_wrap=True, markup=False)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live:
+            self._live.__exit__(None, None, None)
+
+    def __call__(self, progress: ProbingProgress) -> None:
+        """Show `progress`: every hour on a terminal, else once per day."""
+        line = (
+            f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  information {progress.information_nats:.1f} "
+            f"nats, effect of a day expected to ± {100 * progress.expected_sd:.0f} %"
+            + (f"  so far {progress.verdict}" if progress.verdict else "")
+        )
+        if self._live:
+            self._live.update(Text(line))
+        elif not self._quiet and int(progress.days + 1e-9) > self._told_days:
+            self._told_days = int(progress.days + 1e-9)
+            self._console.print(line, soft_wrap=True, markup=False)
 
 
 _FILE_WIDTH = 110
@@ -114,12 +153,25 @@ class RunDisplay:
             return nullcontext()
         return self.console.status(text)
 
+    def probing(self, days: float) -> ProbingDisplay:
+        """Progress display of a probing of `days`, a context and the callback of `identify_on`."""
+        return ProbingDisplay(self.console, days, self.quiet)
+
     def loop(self, controller: str, period: Period, kpis: Kpis, currency: str) -> LoopDisplay:
         """Progress display of one closed loop; `kpis` returns the plant's KPIs so far."""
         return LoopDisplay(self.console, controller, period, kpis, currency, self.quiet)
 
-    def kpi_table(self, everyone: Mapping[str, Mapping[str, float]], title: str, currency: str) -> None:
-        """Print one row of KPIs per controller; an asterisk marks the best of each column."""
+    def kpi_table(
+        self,
+        everyone: Mapping[str, Mapping[str, float]],
+        title: str,
+        currency: str,
+        held: Mapping[str, str] | None = None,
+    ) -> None:
+        """Print one row of KPIs per controller; an asterisk marks the best of each column.
+
+        `held` says by controller that the competence gate held, and why: such a row is marked `gate`.
+        """
         table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column("controller", no_wrap=True)
         best: dict[str, float] = {}
@@ -131,13 +183,15 @@ class RunDisplay:
         for name, kpis in everyone.items():
             values = {key: kpis.get(key) for key in KPI_COLUMNS}
             table.add_row(
-                name,
+                f"{name} (gate)" if held and name in held else name,
                 *(
                     "–" if v is None else _cell(key, v) + ("*" if v == best.get(key) else " ")
                     for key, v in values.items()
                 ),
             )
         self.console.print(table)
+        for name, why in (held or {}).items():
+            self.console.print(f"{name}: {why}", soft_wrap=True, markup=False)
 
 
 def _cell(key: str, value: float) -> str:

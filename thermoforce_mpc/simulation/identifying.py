@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from controllers.registry import controller_config
-from thermoforce_mpc.data import DAY_S, Period, Record
-from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
+from thermoforce_mpc.data import DAY_S, HOUR_S, Period, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -20,16 +21,36 @@ from thermoforce_mpc.simulation.composition import check_window, controller_opti
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
-    from thermoforce_mpc.identification.probing.probe import ProbingConfig
+    from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
     from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Probing does not end early before this many days: a held-out part of 9 h must show the effect.
+_LEAST_DAYS = 1.5
+
+
+@dataclass(frozen=True)
+class ProbingProgress:
+    """Where a probing stands.
+
+    `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
+    the effect of a day at full level that the design expects from it, see `Designer.known`; `verdict`: what was found
+    when the data were last judged, in words.
+    """
+
+    days: float
+    planned_days: float
+    information_nats: float
+    expected_sd: float
+    verdict: str = ""
 
 
 @dataclass(frozen=True)
 class IdentificationTask:
     """All inputs of an identification before a window; `run_identification` uses nothing else.
 
-    `period`: scored window, which is not probed; `days`: days of probing, which end where its warm-up begins;
-    `step_s`: step of the model, s; `seed`: seed of the probing and of the forecast errors in `plant`, which the
+    `period`: scored window, which is not probed; `days`: days of probing, planned to end where its warm-up begins;
+    `most_days`: days after which probing ends in any case, see `identify_on`; `end_early`: whether it may end before
+    `days`; `step_s`: step of the model, s; `seed`: seed of the probing and of the forecast errors in `plant`, which the
     probing design uses.
     """
 
@@ -37,6 +58,8 @@ class IdentificationTask:
     plant: PlantSpec
     period: str
     days: float
+    most_days: float
+    end_early: bool
     step_s: float
     seed: int
     probing: ProbingConfig
@@ -53,10 +76,16 @@ class IdentificationTask:
 
 @dataclass(frozen=True)
 class IdentifiedModel:
-    """A model and its origin, for the manifest."""
+    """A model and its origin, for the manifest; `refused` says why there is none where the data could not be fitted."""
 
-    model: ThermalModel
+    model: ThermalModel | None
     origin: Mapping[str, Any]
+    refused: str = ""
+
+    @property
+    def acts_on(self) -> ThermalModel | str:
+        """What a controller is built with: the model, or the reason why there is none."""
+        return self.refused if self.model is None else self.model
 
 
 def identify_on(
@@ -64,6 +93,8 @@ def identify_on(
     *,
     before: Period,
     days: float,
+    most_days: float | None = None,
+    end_early: bool = False,
     testcase: TestCase | None = None,
     step_s: float | None = None,
     seed: int = 1,
@@ -71,56 +102,121 @@ def identify_on(
     config: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
     on_record: Callable[[Record], None] | None = None,
+    on_progress: Callable[[ProbingProgress], None] | None = None,
 ) -> ThermalModel:
     """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
 
     If they would begin before the start of the year, the last days of the year are probed instead.
 
     Args:
+        most_days: where the model is below the bar after `days`, probing goes on on the same run, day by day, until it
+            is not, this many days are over, or `before` (or a new year) begins; by default it does not.
+        end_early: end before `days`, not before 1.5 days, once a model is competent and its effect known well.
         testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
         step_s: step of the model; by default the test case's.
-        on_step: called with the share of the probing done.
-        on_record: called with the record before identification.
+        on_step: called with the share of the asked days done.
+        on_record: called with the record that the model was identified from.
+        on_progress: called every hour of the probing.
 
     Raises:
         DataError: the record is not sufficient for identification; the message has numbers and advice.
         PlantError: the plant failed.
     """
+    from thermoforce_mpc.identification.competence import is_well_known
+    from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.pipeline import identify
-    from thermoforce_mpc.identification.probing.probe import probe, probe_room
+    from thermoforce_mpc.identification.probing.probe import Probing
 
-    testcase = testcase or load_testcase("bestest_hydronic_heat_pump")
-    start_s = before.start_s - before.warmup_s - days * DAY_S
+    testcase, config = testcase or load_testcase("bestest_hydronic_heat_pump"), config or IdentificationConfig()
+    start_s, end_s = before.start_s - before.warmup_s - days * DAY_S, before.start_s
     if start_s < 0:
-        start_s = 365 * DAY_S - days * DAY_S
-    if testcase.mode == "both":
-        record = probe_room(
-            cast(RoomSetpointPlant, plant),
-            start_s,
-            days,
-            seed=seed,
-            lowest=testcase.lowest_level,
-            config=probing,
-            on_step=on_step,
-        )
-    else:
-        record = probe(
-            plant, start_s, days, seed=seed, mode=testcase.mode, config=probing, identification=config, on_step=on_step
-        )
-    if on_record:
-        on_record(record)
-    info = plant.info
-    first = start_s / DAY_S
-    return identify(
-        [record],
-        config=config,
+        start_s, end_s = 365 * DAY_S - days * DAY_S, 365 * DAY_S
+    run = Probing(
+        plant,
+        start_s,
+        seed=seed,
         mode=testcase.mode,
         lowest=testcase.lowest_level,
-        floor_area_m2=testcase.floor_area_m2,
-        step_s=step_s or testcase.step_s,
-        source=f"{days:g} days of probing (days {first:g} to {first + days:g}) on {info.kind} {info.testcase}, "
-        f"{info.weather}",
+        config=probing,
+        identification=config,
     )
+    told = _Progress(run, days, on_step, on_progress)
+
+    def found(config: IdentificationConfig) -> tuple[ThermalModel | None, str]:
+        """The model of the record so far, or None and why there is none."""
+        first = start_s / DAY_S
+        try:
+            model = identify(
+                [run.record],
+                config=config,
+                mode=testcase.mode,
+                lowest=testcase.lowest_level,
+                floor_area_m2=testcase.floor_area_m2,
+                step_s=step_s or testcase.step_s,
+                source=f"{run.days:g} days of probing (days {first:g} to {first + run.days:g}) on "
+                f"{plant.info.kind} {plant.info.testcase}, {plant.info.weather}",
+            )
+        except DataError as error:
+            told.verdict = "not to be fitted"
+            return None, str(error)
+        verdict = model.card.competence
+        told.verdict = verdict.in_words().split("; ")[0] if verdict else ""  # one reason is enough on the way
+        return model, ""
+
+    def enough(record: Record) -> bool:
+        if run.days < _LEAST_DAYS:
+            return False
+        model, _ = found(config.model_copy(update={"modulation": "linear"}))
+        return model is not None and is_well_known(model.card.competence)
+
+    run.go_on(days, enough=enough if end_early else None, on_step=told)
+    model, refused = found(config)
+    latest = min(most_days or days, (end_s - start_s) / DAY_S)
+    while _below_the_bar(model) and run.days + 1.0 <= latest + 1e-9:
+        told.planned_days = run.days + 1.0
+        run.go_on(1.0, on_step=told)
+        model, refused = found(config)
+    if on_record:
+        on_record(run.record)
+    if model is None:
+        raise DataError(f"{refused} (after {run.days:g} days of probing)" if run.days > days else refused)
+    if abs(run.days - days) < 1e-6:
+        return model
+    note = (
+        f"probing went on from {days:g} to {run.days:g} days, since the model was below the bar"
+        if run.days > days
+        else f"probing ended after {run.days:g} of {days:g} days, since the effect was known well"
+    )
+    return replace(model, card=replace(model.card, notes=(*model.card.notes, note)))
+
+
+def _below_the_bar(model: ThermalModel | None) -> bool:
+    if model is None:
+        return True
+    return model.card.competence is not None and not model.card.competence.competent
+
+
+class _Progress:
+    """Tells the callbacks of `identify_on` how far the probing is: share of the days every step, the rest hourly."""
+
+    def __init__(
+        self,
+        run: Probing,
+        days: float,
+        on_step: Callable[[float], None] | None,
+        on_progress: Callable[[ProbingProgress], None] | None,
+    ) -> None:
+        self.planned_days, self.verdict = days, ""
+        self._run, self._days, self._on_step, self._on_progress = run, days, on_step, on_progress
+
+    def __call__(self, share: float) -> None:
+        run = self._run
+        if self._on_step:
+            self._on_step(min(run.days / self._days, 1.0))
+        hourly = max(1, round(HOUR_S / run.config.step_s))
+        if self._on_progress and run.record.n_steps % hourly == 0:
+            known = run.designer.known(run.record)
+            self._on_progress(ProbingProgress(run.days, self.planned_days, *known, self.verdict))
 
 
 def identification_settings(
@@ -160,6 +256,8 @@ def identification_task(scenario: Scenario, testcase: TestCase, controller: str 
         plant=scenario.plant,
         period=scenario.period,
         days=scenario.identification.days,
+        most_days=max(scenario.identification.days, scenario.identification.most_days),
+        end_early=scenario.identification.end_early,
         step_s=scenario.step_s or testcase.step_s,
         seed=scenario.seed,
         probing=probing,
@@ -168,12 +266,16 @@ def identification_task(scenario: Scenario, testcase: TestCase, controller: str 
 
 
 def run_identification(
-    task: IdentificationTask, plant: Plant, on_record: Callable[[Record], None] | None = None
+    task: IdentificationTask,
+    plant: Plant,
+    on_record: Callable[[Record], None] | None = None,
+    on_progress: Callable[[ProbingProgress], None] | None = None,
 ) -> ThermalModel:
     """Probe `plant`, which must be that of `task`, and identify a model.
 
     Args:
-        on_record: called with the record before identification.
+        on_record: called with the record that the model was identified from.
+        on_progress: called every hour of the probing.
 
     Raises:
         DataError: the record is not sufficient for identification.
@@ -184,16 +286,25 @@ def run_identification(
         plant,
         before=plant.period(task.period),
         days=task.days,
+        most_days=task.most_days,
+        end_early=task.end_early,
         testcase=task.testcase,
         step_s=task.step_s,
         seed=task.seed,
         probing=task.probing,
         config=task.identification,
         on_record=on_record,
+        on_progress=on_progress,
     )
 
 
-def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:
+def model_for(
+    scenario: Scenario,
+    testcase: TestCase,
+    plant: Plant,
+    controller: str | None = None,
+    on_progress: Callable[[ProbingProgress], None] | None = None,
+) -> ThermalModel:
     """Model of `controller`: the saved one named in the scenario, resampled to its step, or a newly identified one.
 
     Raises:
@@ -205,7 +316,7 @@ def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: 
 
     spec = scenario.identification
     if spec.model is None:
-        return run_identification(identification_task(scenario, testcase, controller), plant)
+        return run_identification(identification_task(scenario, testcase, controller), plant, on_progress=on_progress)
     step_s = scenario.step_s or testcase.step_s
     model = load_model(Path(spec.model))
     if model.operator.step_s != step_s:

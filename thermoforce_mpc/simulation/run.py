@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from controllers.registry import build_controller, find_entry
+from controllers.registry import build_controller, find_entry, has_gate
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError, DataError, PlantError
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import IdentificationTask, IdentifiedModel, identification_task, model_for
@@ -55,15 +55,25 @@ def _identify_all(
 def _identify(
     scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay
 ) -> IdentifiedModel:
-    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it."""
+    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
+
+    Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
+    it has its gate turned off.
+    """
     spec = scenario.identification
-    if spec.model is not None:
-        model = model_for(scenario, testcase, plant, controller)
-        display.say(f"Model: {spec.model} ({model.card.source})")
-    else:
-        with display.working(f"Probing for {spec.days:g} days and identifying"):
+    try:
+        if spec.model is not None:
             model = model_for(scenario, testcase, plant, controller)
-        display.say(f"Identified from {model.card.source}")
+            display.say(f"Model: {spec.model} ({model.card.source})")
+        else:
+            with display.probing(spec.days) as progress:
+                model = model_for(scenario, testcase, plant, controller, progress)
+            display.say(f"Identified from {model.card.source}")
+    except DataError as error:
+        if not has_gate(controller, controller_options(scenario, controller), testcase):
+            raise
+        display.say(f"No model could be identified: {error}")
+        return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
     operator = model.operator
     hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
     display.say(
@@ -71,6 +81,9 @@ def _identify(
         f"steady gain {operator.steady_gains_K.sum():.1f} K"
     )
     card = model.card
+    verdict = card.competence
+    if verdict is not None:
+        display.say("\n".join([f"The model is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]))
     return IdentifiedModel(
         model,
         {
@@ -82,6 +95,7 @@ def _identify(
             "time_constants_h": operator.time_constants_h.tolist(),
             "steady_gains_K": operator.steady_gains_K.tolist(),
             "scores": dict(card.scores),
+            "competence": None if verdict is None else asdict(verdict),
             "data_sha256": dict(card.data),
             "config": dict(card.config),
             "notes": list(card.notes),
@@ -189,9 +203,10 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
 
         write_report(folder, currency=testcase.currency, kpis=kpis, result=done.result, baselines=done.baselines)
     title = f"{done.plant.kind} plant, {done.plant.weather}\n{_window(done.result.period)}, {scenario.price} tariff"
-    display.kpi_table(done.kpis, title, testcase.currency)
+    held = {name: gate.in_words() for name, gate in gates_held(done.result, done.baselines).items()}
+    display.kpi_table(done.kpis, title, testcase.currency, held)
     levels = done.result.fallback_levels()
-    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule")}
+    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     return folder
@@ -211,7 +226,7 @@ def _execute(
         display.say(_headline(plant, period, scenario))
         if model is None:
             identified = _identify_all(scenario, testcase, plant, display)
-            models = {who: found.model for who, found in identified.items()}
+            models: dict[str, ThermalModel | str] = {who: found.acts_on for who, found in identified.items()}
         else:
             identified = {}
             models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
@@ -227,7 +242,8 @@ def _execute(
         result = follow(controller)
         forecaster = _frozen(controller, before)
         baselines = {other: follow(built(other)) for other in scenario.baselines if other != name}
-        return ScenarioResult(scenario, plant.info, result, baselines, models, _origins(identified, name), forecaster)
+        usable = {who: model for who, model in models.items() if not isinstance(model, str)}
+        return ScenarioResult(scenario, plant.info, result, baselines, usable, _origins(identified, name), forecaster)
 
 
 def _origins(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import yaml
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.version import VERSION
 
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
@@ -130,6 +130,7 @@ def write_results(
         "controller": result.controller,
         "kpis": result.kpis,
         "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
     }
     write_json(folder / "kpis.json", kpis)
     manifest = {

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.modes import ModePriors, mode_priors, unit_responses
@@ -97,6 +97,22 @@ class Designer:
         """Return the criterion of a record, nats."""
         whitener, rows = self._whitener(history, history.step_s)
         return self._criterion(history.u, history.step_s, whitener, rows)
+
+    def known(self, history: Record) -> tuple[float, float]:
+        """Return what is expected to be known after a record: its criterion, nats, and a relative standard deviation.
+
+        The latter is that of the effect of a day at full level, for a building as the priors expect it and disturbances
+        of the assumed size; actual ones are mostly smaller.
+        """
+        whitener, rows = self._whitener(history, history.step_s)
+        S = solve_triangular(whitener, self._sensitivities(history.u, history.step_s)[rows], lower=True)
+        precision = np.eye(S.shape[1]) + S.T @ S
+        day = np.ones(round(DAY_S / history.step_s))
+        slope = self._sensitivities(day, history.step_s)[-1]
+        p = self._priors
+        effect_K = float((unit_responses(p.log_tau, history.step_s, day) @ p.gains_at(p.log_tau)[0])[-1])
+        sd_K = float(np.sqrt(slope @ np.linalg.solve(precision, slope)))
+        return float(np.linalg.slogdet(precision)[1]), sd_K / effect_K
 
     def _whitener(self, history: Record, step_s: float) -> tuple[Array, Array]:
         """Return the lower Cholesky factor of C over hourly rows, and those rows; C does not depend on the levels."""

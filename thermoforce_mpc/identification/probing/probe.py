@@ -4,7 +4,7 @@ Levels are drawn at random and held for random times, 15 min to 4 h, to excite f
 draws depend on the temperature, so that the zone stays near its comfort band (paper sec:identification: one to three
 probe days). Every `block_h` hours the most informative of several seeded candidates is chosen
 (`identification.probing.design`). In a light zone, which a full step can bring more than `margin_K` outside the comfort
-band, levels are changed so that the temperature keeps the limits until the step ends (`identification.probing.politeness`).
+band, levels are changed so that the temperature keeps the limits until the step ends (`politeness`).
 """
 
 from __future__ import annotations
@@ -159,6 +159,8 @@ class Probing:
                 break
             self._now = self._room_step(self._rooms) if self._rooms else self._level_step(done, first + n)
             self.record = self.record.extended(self._now)
+            if not self._rooms:
+                self._foresight.learn(self.record)
             if on_step:
                 on_step((done + 1 - first) / n)
         return self.record
@@ -173,7 +175,6 @@ class Probing:
     def _level_step(self, done: int, end: int) -> Measurement:
         """Apply the next level; `done` steps of `end` are over."""
         c, plant = self.config, self._plant
-        self._foresight.learn(self.record)
         band = plant.forecast(_BAND_AHEAD_S, HOUR_S)
         centre = _centre_C(band, self._mode, c.above_lower_K)
         if c.design == "informative" and done % self.block_steps == 0:

@@ -12,11 +12,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from controllers.registry import build_controller, find_entry
+from controllers.registry import build_controller, find_entry, has_gate
 from thermoforce_mpc.data import DAY_S, PlantInfo
-from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, source_fingerprint
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Store
@@ -59,13 +62,20 @@ def _answer(channel: Connection, work: Callable[[], None]) -> None:
 
 
 def _identify(cell: Cell, store: Store) -> None:
-    """Identify and save the model of `cell`; uses only `cell.task`, whose hash is the model's key."""
+    """Identify and save the model of `cell`; uses only `cell.task`, whose hash is the model's key.
+
+    Where the data cannot be fitted, a file with the reason takes the model's place: controllers with a gate stand back.
+    """
     task = cell.task
     assert task is not None
     assert cell.identification_key is not None
-    with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
-        model = run_identification(task, plant)
     path = store.model_path(cell.identification_key)
+    try:
+        with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
+            model = run_identification(task, plant)
+    except DataError as error:
+        path.write_text(str(error), encoding="utf-8")
+        return
     model.save(path, overwrite=path.exists())
 
 
@@ -80,7 +90,7 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
         scenario = scenario.model_copy(update={"identification": identified})
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
-        model = model_for(scenario, testcase, plant) if find_entry(name).needs_model else None
+        model = _model(scenario, testcase, plant) if find_entry(name).needs_model else None
         controller = build_controller(name, controller_options(scenario, name), testcase, model)
         told = time.monotonic()
 
@@ -94,6 +104,18 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
         allowed = limits_of(controller, testcase.floor_area_m2, testcase.lowest_level)
         result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
         store.write(cell, _record(cell, result, plant.info))
+
+
+def _model(scenario: Scenario, testcase: TestCase, plant: Plant) -> ThermalModel | str:
+    """The model of the scenario's controller, or why there is none; raises `DataError` where it has no gate."""
+    saved = scenario.identification.model
+    if saved is None or not Path(saved).is_file():
+        return model_for(scenario, testcase, plant)
+    refused = Path(saved).read_text(encoding="utf-8")
+    name = scenario.controller.name
+    if not has_gate(name, controller_options(scenario, name), testcase):
+        raise DataError(refused)
+    return refused
 
 
 def _head(cell: Cell) -> dict[str, Any]:

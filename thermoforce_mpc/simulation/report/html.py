@@ -12,7 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.simulation.closed_loop import RunResult
+from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
 from thermoforce_mpc.simulation.report.plots import actuation_plot, kpi_plot, temperature_plot
 from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
@@ -42,6 +42,7 @@ def write_report(
         manifest=manifest,
         table=_kpi_rows(everyone, currency),
         controllers=list(everyone),
+        gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
         temperature=Markup(temperature_plot(trajectory, steps, others)),
         actuation=Markup(actuation_plot(trajectory, currency)),
         comparison=Markup(kpi_plot(everyone, currency)),
