@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,9 +15,19 @@ from click.testing import CliRunner
 from simple_house import SimpleHouse
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.simulation import run as simulation_run
 
 TESTCASE = "bestest_hydronic_heat_pump"
+# Nothing is known of the building but that its heater heats.
+WEAK_PRIORS = (
+    "--set",
+    "identification.options.heat_input=identity",
+    "--set",
+    "identification.options.modulation=linear",
+)
+
+cli_identify = importlib.import_module("thermoforce_mpc.cli.identify")
 
 
 def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -102,7 +114,8 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     }  # fmt: skip
     kpis = json.loads((folder / "kpis.json").read_text())
     assert set(kpis) == {
-        "testcase", "plant", "weather", "period", "start_day", "scored_days", "price", "controller", "kpis", "baselines"
+        "testcase", "plant", "weather", "period", "start_day", "scored_days", "price", "controller", "kpis",
+        "baselines", "gate",
     }  # fmt: skip
     assert kpis["kpis"]["ener_tot"] > 0
     assert kpis["baselines"]["native"]["ener_tot"] > 0
@@ -116,6 +129,43 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     assert set(manifest["sha256"]) == names - {"manifest.json", "report.html"}
     resolved = yaml.safe_load((folder / "scenario.yaml").read_text())
     assert resolved["controller"]["name"] == "thermostat"
+
+
+def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple, tmp_path, monkeypatch):
+    """A day of probing by constant draws does not tell this house's effect well enough."""
+    monkeypatch.setattr(cli_identify, "build_plant", lambda spec, testcase, seed: SimpleHouse())
+    quick = ("--set", "identification.most_days=1", "--set", "identification.probing.design=random")
+    words = ["identify", "--testcase", TESTCASE, "--probe-days", "1", "--out", "m", *quick]
+    done = CliRunner().invoke(cli, [*words, *WEAK_PRIORS])
+    assert done.exit_code == cli_identify.BELOW_THE_BAR == 4, done.output
+    assert "BELOW THE BAR" in done.output
+    assert "missed: the effect of a day at full level is known to" in done.output
+    assert "advice: " in done.output
+    done = simple("--model", "m", "--baselines", "native", "--days", "1", "--out", "r")
+    assert done.exit_code == 0, done.output
+    assert "thermoforce_mpc (gate)" in done.output
+    assert "the gate held in 96 of 96 steps: the model is not competent" in done.output
+    kpis = json.loads((tmp_path / "r" / "kpis.json").read_text())
+    assert kpis["gate"]["thermoforce_mpc"]["steps"] == 96
+    assert kpis["kpis"]["ener_tot"] == pytest.approx(kpis["baselines"]["native"]["ener_tot"], rel=0.05)
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "the gate held in 96 of 96 steps" in page
+    assert "What to do:" in page
+
+
+def test_a_run_goes_on_under_native_control_where_nothing_can_be_identified(simple, tmp_path):
+    simple.house._measure = lambda u=float("nan"): replace(type(simple.house)._measure(simple.house, u), T_zone_C=21.0)
+    done = simple(
+        "--set", "identification.days=1", "--set", "identification.most_days=1", "--baselines", "", "--days", "1",
+        "--out", "r",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "No model could be identified" in done.output
+    assert "the gate held in 96 of 96 steps" in done.output
+    assert {u for u, _ in simple.house.applied} == {None}
+    assert "no model could be identified" in (tmp_path / "r" / "report.html").read_text()
+    paper = simple("--controller", "thermoforce_paper", "--set", "identification.days=1", "--baselines", "")
+    assert isinstance(paper.exception, DataError), "without the gate there is nothing to act on"
 
 
 def test_a_second_run_never_overwrites(simple, tmp_path):

@@ -57,6 +57,12 @@ def identified_heat_input(
                 "name the heat points in the test case, or use heat_input: identity"
             )
         return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
+    if float(np.nansum(heat)) < 0.0:
+        found, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
+        raise DataError(
+            f"the measured heat is that of {found}, but the mode is {mode}: {found} says nothing of what {mode} does; "
+            f"record while the building is in use for {mode}, or check the sign of the heat"
+        )
     fit = fit_heat(
         np.concatenate([h.u for h in histories]),
         np.concatenate([h.T_out_C[:-1] for h in histories]),

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import (
@@ -130,19 +132,22 @@ def _accepted(model: ThermalModel, cases: Sequence[Case], sign: int) -> ThermalM
         DataError: they explain too little, or their effect has no proven sign.
     """
     explained = explained_share(cases, model.operator)
-    _check_explained(explained, sign)
+    _check_explained(explained, cases, sign)
     prove(model.operator)
     scores = {**model.card.scores, "explained_by_actuation": explained}
     return replace(model, card=replace(model.card, scores=scores))
 
 
-def _check_explained(explained: float, sign: int) -> None:
-    if explained < _LEAST_EXPLAINED:
-        raise DataError(
-            f"no effect of the actuator with the sign of {'heating' if sign > 0 else 'cooling'} was found in the data: "
-            f"it explains {100 * max(explained, 0.0):.1f} % of what the weather does not, need "
-            f"{100 * _LEAST_EXPLAINED:g} %; check the sign of u, whether the actuator reached the zone, or probe harder"
-        )
+def _check_explained(explained: float, cases: Sequence[Case], sign: int) -> None:
+    if explained >= _LEAST_EXPLAINED:
+        return
+    dark = not any(np.any(h.solar_W_m2) for case in cases for h in case.histories)
+    raise DataError(
+        f"no effect of the actuator with the sign of {'heating' if sign > 0 else 'cooling'} was found in the data: it "
+        f"explains {100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; "
+        "check the sign of u, whether the actuator reached the zone, and that the zone sensor is in the room that it "
+        f"serves, or probe harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
+    )
 
 
 def _joint_model(
@@ -207,7 +212,7 @@ def _joint_model(
     operator = operator.resampled(step_s or base_step)
     certainty = uncertainty(final, operator.step_s)
     explained = explained_share(cases, operator)
-    _check_explained(explained, sign)
+    _check_explained(explained, cases, sign)
     verdict = judge(cases, splits, candidates[order].fit, priors, certainty, explained, sign)
     return ThermalModel(
         operator=operator,

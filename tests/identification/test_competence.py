@@ -1,0 +1,128 @@
+"""A model says of itself whether it is good enough to act on; records that cannot identify are told apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, record, weather
+
+from thermoforce_mpc.data import Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.competence import MOST_ERROR_K, MOST_RELATIVE_SD, is_well_known
+from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
+
+HOUSE = House()
+LINEAR = IdentificationConfig(modulation="linear")
+
+
+def _verdict(run: Record, **options) -> Competence:
+    model = identify([run], config=LINEAR, floor_area_m2=190.0, **options)
+    assert model.card.competence is not None
+    return model.card.competence
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_good_record_passes_with_margin(seed):
+    verdict = _verdict(record(HOUSE, 3.0, seed=seed, noise_K=0.01))
+    assert verdict.competent, verdict.reasons
+    assert not verdict.advice
+    assert verdict.sign_probability > 0.999
+    assert verdict.relative_sd < 0.5 * MOST_RELATIVE_SD
+    one, six, _ = verdict.horizons
+    assert one.model_K < 0.5 * MOST_ERROR_K[1.0]
+    assert six.model_K < 0.5 * MOST_ERROR_K[6.0]
+    assert six.model_K < 0.5 * min(six.persistence_K, six.weather_K)
+
+
+def test_the_verdict_is_saved_and_said(tmp_path):
+    model = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0)
+    assert load_model(model.save(tmp_path / "m")).card.competence == model.card.competence
+    assert "competent: the effect of a day" in model.summary()
+    unjudged = replace(model, card=replace(model.card, competence=None))
+    assert load_model(unjudged.save(tmp_path / "old")).card.competence is None
+    assert "not judged" in unjudged.summary()
+
+
+def test_a_file_from_before_the_verdict_is_read_as_not_judged(tmp_path):
+    folder = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0).save(tmp_path / "m")
+    import json
+
+    content = json.loads((folder / "model.json").read_text())
+    del content["card"]["competence"]
+    (folder / "model.json").write_text(json.dumps(content))
+    assert load_model(folder).card.competence is None
+
+
+def test_held_out_errors_are_those_of_the_predictor():
+    """The shortcut over one Cholesky factor gives what predicting from every start would: checked on persistence."""
+    run = record(HOUSE, 3.0, noise_K=0.01)
+    verdict = _verdict(run)
+    first = round(0.75 * run.T_zone_C.size)
+    for score in verdict.horizons:
+        steps = round(score.hours * 4)
+        change = run.T_zone_C[first:] - run.T_zone_C[first - steps : -steps]
+        assert score.persistence_K == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-9)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_sensor_of_another_room_is_not_acted_on(seed, measured):
+    """Its temperature wanders and has nothing to do with the actuator."""
+    run = record(HOUSE, 3.0, seed=seed, heat_measured=measured)
+    walk = 21.0 + np.cumsum(np.random.default_rng(seed).normal(size=run.n_steps + 1)) * 0.12
+    with pytest.raises(DataError, match="zone sensor is in the room that it serves"):
+        identify([replace(run, T_zone_C=walk)], config=LINEAR, floor_area_m2=190.0)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_sun_that_swamps_everything_is_named(seed):
+    sunny = record(House(solar_K=(15.0, 40.0)), 3.0, seed=seed, noise_K=0.01)
+    elsewhere = weather(3.0, 900.0, seed + 77)[2]
+    verdict = _verdict(replace(sunny, solar_W_m2=elsewhere))
+    assert not verdict.competent
+    assert any("6 h ahead it errs by" in reason for reason in verdict.reasons)
+    assert any("sun" in advice or "signal" in advice for advice in verdict.advice)
+    with pytest.raises(DataError, match="no irradiance: name a signal for the sun"):
+        identify([replace(sunny, solar_W_m2=np.zeros(sunny.solar_W_m2.size))], config=LINEAR, floor_area_m2=190.0)
+
+
+@pytest.mark.parametrize(
+    ("measured", "words"), [(True, "the measured heat is that of heating"), (False, "sign of cooling")]
+)
+def test_heating_says_nothing_of_cooling(measured, words):
+    with pytest.raises(DataError, match=words):
+        identify([record(HOUSE, 3.0, heat_measured=measured)], config=LINEAR, mode="cooling", floor_area_m2=190.0)
+
+
+def test_little_excitation_is_condemned_with_levels_and_hours():
+    """An hour at a fifth of full level, now and then."""
+    u = np.zeros(192)
+    for start in range(0, 192, 12):
+        u[start : start + 4] = 0.2
+    model = identify([record(HOUSE, 2.0, u=u, noise_K=0.02, heat_measured=False)], config=LINEAR)
+    verdict = model.card.competence
+    assert not verdict.competent
+    assert "known to" in verdict.reasons[0]
+    advice = " | ".join(verdict.advice)
+    assert "the highest level was 0.2: probe full level too" in advice
+    assert "hours more" in advice
+
+
+def test_what_cannot_be_judged_is_not_judged():
+    from test_identify import make_pair
+
+    pairs_only = identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=LINEAR, floor_area_m2=190.0)
+    assert pairs_only.card.competence is None
+    assert ThermalModel(pairs_only.operator).card.competence is None
+
+
+def test_well_known_is_more_than_competent():
+    known = Competence(True, effect_K=10.0, effect_sd_K=0.5)
+    assert is_well_known(known)
+    assert not is_well_known(replace(known, effect_sd_K=1.3))
+    assert not is_well_known(replace(known, competent=False))
+    assert not is_well_known(None)
