@@ -22,7 +22,7 @@ from controllers.room import room_blocks
 from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
-from thermoforce_mpc.identification.probing.probe import probe_room
+from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -133,7 +133,7 @@ def test_a_level_or_band_that_is_not_possible_never_reaches_the_plant():
 
 @pytest.fixture(scope="module")
 def probed():
-    return probe_room(LightOffice(), 20 * DAY_S, 3.0, seed=1, lowest=LOWEST)
+    return probe(LightOffice(), 20 * DAY_S, 3.0, seed=1, mode="both", lowest=LOWEST)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ factor: with C = L Lᵀ and w = L⁻¹ r, the part of r_j that the rows before i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -86,6 +86,8 @@ def judge(
     uncertainty: dict[str, float],
     explained: float,
     sign: int,
+    *,
+    own_loops: bool = False,
 ) -> Competence | None:
     """Return the verdict on a model, None where there is no run to judge it on (pairs only).
 
@@ -97,6 +99,7 @@ def judge(
         uncertainty: standard deviations of the final fit, see `identification.uncertainty`.
         explained: share that the action explains, see `explained_share`.
         sign: +1 heating, −1 cooling.
+        own_loops: whether the plant's own loops keep the comfort band, so that a wrong prediction costs energy only.
     """
     runs = [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
     if not runs:
@@ -128,7 +131,8 @@ def judge(
         explained=explained,
         held_out_h=held_out_h,
     )
-    reasons, advice = _missed(verdict, found, [case.histories[0] for case, _ in runs])
+    most_K = dict.fromkeys(JUDGED_H, math.inf) if own_loops else MOST_ERROR_K
+    reasons, advice = _missed(verdict, found, [case.histories[0] for case, _ in runs], most_K)
     return replace(verdict, competent=not reasons, reasons=reasons, advice=advice)
 
 
@@ -200,7 +204,7 @@ def _score(hours: float, errors: _Errors) -> HorizonScore:
 
 
 def _missed(
-    verdict: Competence, found: dict[float, _Errors], records: Sequence[Record]
+    verdict: Competence, found: dict[float, _Errors], records: Sequence[Record], most_K: Mapping[float, float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the criteria that are missed, and what to do about them."""
     reasons, advice = [], []
@@ -215,8 +219,8 @@ def _missed(
         advice.append(_levels(records))
     for score in judged:
         off = f"{score.hours:g} h ahead it errs by {score.model_K:.2f} K"
-        if not score.model_K <= MOST_ERROR_K[score.hours]:
-            reasons.append(f"{off}, need {MOST_ERROR_K[score.hours]:g} K")
+        if not score.model_K <= most_K[score.hours]:
+            reasons.append(f"{off}, need {most_K[score.hours]:g} K")
             advice.append(_signals(found[score.hours], records))
         if not score.model_K <= MOST_OVER_PERSISTENCE * score.persistence_K:
             reasons.append(f"{off}, an unchanged temperature by {score.persistence_K:.2f} K")

@@ -213,7 +213,9 @@ def _joint_model(
     certainty = uncertainty(final, operator.step_s)
     explained = explained_share(cases, operator)
     _check_explained(explained, cases, sign)
-    verdict = judge(cases, splits, candidates[order].fit, priors, certainty, explained, sign)
+    verdict = judge(
+        cases, splits, candidates[order].fit, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0
+    )
     return ThermalModel(
         operator=operator,
         power=power_model(histories, config, signed=heat_input.lowest < 0.0),

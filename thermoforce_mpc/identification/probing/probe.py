@@ -90,9 +90,7 @@ def probe(
     Raises:
         PlantError: the plant or service failed.
     """
-    probing = Probing(
-        plant, start_s, seed=seed, mode=mode, lowest=lowest, config=config, identification=identification
-    )
+    probing = Probing(plant, start_s, seed=seed, mode=mode, lowest=lowest, config=config, identification=identification)
     return probing.go_on(days, on_step=on_step)
 
 
