@@ -21,21 +21,26 @@ _STEFAN_BOLTZMANN = 5.670374419e-8
 _UNLIMITED_CEILING_M = 22_000.0
 
 
-def synthetic_weather(seed: int = 0) -> Weather:
-    """Return the synthetic year of `seed`; the same seed gives the same bytes."""
+def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 0.0) -> Weather:
+    """Return the synthetic year of `seed`; the same arguments give the same bytes.
+
+    Args:
+        warmer_K: shift of the outdoor temperature over the whole year, K.
+        clearer: shift of the cloud process towards a clear sky, in standard deviations; 0: a maritime sky.
+    """
     rng = np.random.default_rng(seed)
     hour = np.arange(float(_HOURS))
     day = hour / 24.0
     # Weather systems of about 90 h and fronts of 14 h.
     systems = 3.1 * _periodic_noise(rng, 90.0) + 1.2 * _periodic_noise(rng, 14.0)
-    cover = _cover(rng)
+    cover = _cover(rng, clearer)
     clear = 1.0 - cover
     season = -np.cos(2.0 * np.pi * (day - 20.0) / 365.0)  # coldest around 20 January
     # The daily amplitude rises in summer and falls with cloud cover.
     swing = (1.2 + 3.2 * (season + 1.0) / 2.0) * (0.35 + 1.1 * clear)
     cycle = np.cos(2.0 * np.pi * (hour % 24 - 15.0) / 24.0)
     # Clear winter weather is cold, clear summer weather warm.
-    T_dry = 10.3 + 7.0 * season + systems + swing * cycle + 4.0 * (clear - 0.35) * season
+    T_dry = 10.3 + warmer_K + 7.0 * season + systems + swing * cycle + 4.0 * (clear - 0.35) * season
     depression = np.clip(1.2 + 3.0 * clear + 2.5 * np.maximum(cycle, 0) * (season + 1.2) / 2.2, 0.3, 12.0)
     wind = np.clip(3.9 - 0.7 * season + 1.9 * _periodic_noise(rng, 16.0) + 0.5 * cycle, 0.0, 20.0)
     wind_from = np.mod(np.deg2rad(235.0) + 1.0 * _periodic_noise(rng, 40.0), 2.0 * np.pi)
@@ -43,7 +48,7 @@ def synthetic_weather(seed: int = 0) -> Weather:
     global_, normal, diffuse = _radiation(hour, cover)
     T_dry, T_dew, cover = np.round(T_dry, 1), np.round(T_dry - depression, 1), np.round(cover, 1)
     return Weather(
-        name=f"synthetic temperate-maritime year (seed {seed})",
+        name=f"synthetic temperate-maritime year (seed {seed}{_shifts(warmer_K, clearer)})",
         latitude_deg=_LATITUDE,
         longitude_deg=_LONGITUDE,
         timezone_h=_ZONE,
@@ -63,6 +68,11 @@ def synthetic_weather(seed: int = 0) -> Weather:
     )
 
 
+def _shifts(warmer_K: float, clearer: float) -> str:
+    """Return the shifts of the climate in words, empty without one."""
+    return (f", {warmer_K:+.1f} K" if warmer_K else "") + (f", {clearer:+.2f} clearer" if clearer else "")
+
+
 def _vapour_pressure_Pa(T_C: Array) -> Array:
     """Return saturation pressure over water, supercooled below 0 °C (Magnus formula, Alduchov 1996)."""
     return np.asarray(610.94 * np.exp(17.625 * T_C / (T_C + 243.04)))
@@ -79,9 +89,9 @@ def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:
     return np.asarray(noise / noise.std())
 
 
-def _cover(rng: np.random.Generator) -> Array:
+def _cover(rng: np.random.Generator, clearer: float) -> Array:
     """Return opaque cover, 0 to 1: often overcast, sometimes clear, rarely in between."""
-    state = 0.85 * _periodic_noise(rng, 18.0) + 0.5 * _periodic_noise(rng, 4.0) + 0.55
+    state = 0.85 * _periodic_noise(rng, 18.0) + 0.5 * _periodic_noise(rng, 4.0) + 0.55 - clearer
     return np.asarray(np.clip(0.5 + 0.55 * np.tanh(1.3 * state), 0.0, 1.0))
 
 

@@ -1,0 +1,313 @@
+"""Seeded draw of a single-zone house. Distributions and sources are listed in docs/houses.md and at each draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Mass = Literal["very light", "light", "medium", "heavy", "very heavy"]
+Pattern = Literal["away", "home", "workers", "always"]
+Emitter = Literal["floor", "radiator", "air"]
+Machine = Literal["heat pump with fixed loss", "heat pump", "boiler", "electric"]
+Facade = Literal["south", "west", "north", "east"]
+
+FACADES: tuple[Facade, ...] = ("south", "west", "north", "east")
+# EN ISO 13790:2008, table 12: effective mass area, m² per m² of floor, and heat capacity, J/K per m² of floor.
+MASSES: dict[Mass, tuple[float, float]] = {
+    "very light": (2.5, 80e3),
+    "light": (2.5, 110e3),
+    "medium": (2.5, 165e3),
+    "heavy": (3.0, 260e3),
+    "very heavy": (3.5, 370e3),
+}
+PATTERNS: tuple[Pattern, ...] = ("away", "home", "workers", "always")
+MACHINES: tuple[Machine, ...] = ("heat pump with fixed loss", "heat pump", "boiler", "electric")
+# Probabilities of `MACHINES` by emitter: floors and fan coils mostly with heat pumps, radiators mostly with boilers.
+_MACHINE_WEIGHTS: dict[Emitter, tuple[float, ...]] = {
+    "floor": (0.35, 0.30, 0.25, 0.10),
+    "radiator": (0.20, 0.20, 0.45, 0.15),
+    "air": (0.30, 0.25, 0.15, 0.30),
+}
+# Output of floor heating at a surface of 29 °C in a room of 20 °C, with some margin (EN 1264-2: 100 W/m²).
+_FLOOR_LIMIT_W_M2 = 70.0
+# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and room, °C.
+_DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
+_HEIGHT_M = 2.5
+_AIR_WH_M3_K = 0.34
+WATER_J_KG_K = 4186.0
+
+
+@dataclass(frozen=True)
+class House:
+    """Parameters of one house. Powers in W, temperatures in °C, areas in m², times in s.
+
+    Envelope: `floor_area_m2`; `opaque_W_K` and `windows_W_K` transmission; `windows_m2` glazing by `FACADES`, `g_value`
+    at normal incidence, `unshaded` share of the irradiance that reaches the glass after frame and shading;
+    `air_changes_1_h` mean infiltration; `mass` class of EN ISO 13790.
+
+    Occupants: `pattern` of presence; comfort bounds `lower_C`, `upper_C` while at home, `empty_lower_C`,
+    `empty_upper_C` otherwise; `people`; other heat gains `gains_home_W_m2` and `gains_empty_W_m2`, with a relative
+    standard deviation `gains_sd`.
+
+    Climate: `weather_seed`, `warmer_K`, `clearer` of `synthetic_weather`.
+
+    Emitter: water and metal of `emitter_J_K`; it delivers `emitter_W_Kn` · ΔT^`emitter_exponent` W, of that
+    `convective` to the air and the rest to the surfaces, or for floor heating all to a slab of `slab_J_K`, which is
+    coupled to the room by `slab_room_W_K` and to the ground by `slab_ground_W_K`. The machine throttles within 10 K
+    of `water_limit_C`.
+
+    Machine: `capacity_W` at the design outdoor temperature; below `lowest_level` it cycles. Heat pump: capacity rises
+    by `capacity_per_K` per K outdoors, efficiency is `carnot` times Carnot's, `fixed_W` of electric power while on.
+    Boiler: `efficiency` on the gross calorific value above the dew point. `spread_K` supply over return at full level.
+
+    Sensor: noise `noise_sd_K`, resolution `resolution_K` (0: none), time constant `lag_s`, `sun_bias_K` at 800 W/m²
+    on `sun_facade`. `heat_metered`: whether delivered heat and return temperature are measured.
+    """
+
+    seed: int
+    index: int
+    floor_area_m2: float
+    opaque_W_K: float
+    windows_W_K: float
+    windows_m2: tuple[float, float, float, float]
+    g_value: float
+    unshaded: float
+    air_changes_1_h: float
+    mass: Mass
+    pattern: Pattern
+    lower_C: float
+    upper_C: float
+    empty_lower_C: float
+    empty_upper_C: float
+    people: int
+    gains_home_W_m2: float
+    gains_empty_W_m2: float
+    gains_sd: float
+    weather_seed: int
+    warmer_K: float
+    clearer: float
+    emitter: Emitter
+    emitter_J_K: float
+    emitter_W_Kn: float
+    emitter_exponent: float
+    convective: float
+    slab_J_K: float
+    slab_room_W_K: float
+    slab_ground_W_K: float
+    water_limit_C: float
+    machine: Machine
+    sizing: float
+    capacity_W: float
+    capacity_per_K: float
+    lowest_level: float
+    carnot: float
+    fixed_W: float
+    efficiency: float
+    spread_K: float
+    noise_sd_K: float
+    resolution_K: float
+    lag_s: float
+    sun_bias_K: float
+    sun_facade: Facade
+    heat_metered: bool
+
+    @property
+    def name(self) -> str:
+        """Name of the house, from which it can be drawn again."""
+        return f"house_{self.seed}_{self.index}"
+
+    @property
+    def ventilation_W_K(self) -> float:
+        """Heat loss by the mean infiltration, W/K."""
+        return _AIR_WH_M3_K * _HEIGHT_M * self.floor_area_m2 * self.air_changes_1_h
+
+    @property
+    def loss_W_K(self) -> float:
+        """Heat loss coefficient to outdoors, ground excluded, W/K."""
+        return self.opaque_W_K + self.windows_W_K + self.ventilation_W_K
+
+    @property
+    def design_out_C(self) -> float:
+        """Design outdoor temperature, °C."""
+        return _DESIGN_OUT_C + self.warmer_K
+
+    @property
+    def design_load_W(self) -> float:
+        """Heat load at the design outdoor temperature without gains, W (EN 12831)."""
+        ground_W = self.slab_ground_W_K * (27.0 - ground_C(self.warmer_K))
+        return self.loss_W_K * (DESIGN_ROOM_C - self.design_out_C) + ground_W
+
+    @property
+    def mass_J_K(self) -> float:
+        """Heat capacity of the structure, J/K."""
+        return MASSES[self.mass][1] * self.floor_area_m2
+
+    @property
+    def mass_area_m2(self) -> float:
+        """Effective area of the structure, m²."""
+        return MASSES[self.mass][0] * self.floor_area_m2
+
+    @property
+    def words(self) -> str:
+        """The house in one line."""
+        watts = self.loss_W_K / self.floor_area_m2
+        glass = sum(self.windows_m2)
+        flaws = [f"{self.noise_sd_K:g} K noise"] if self.noise_sd_K else []
+        flaws += [f"{self.resolution_K:g} K steps"] if self.resolution_K else []
+        flaws += [f"{self.lag_s / 60:.0f} min lag"] if self.lag_s >= 30 else []
+        flaws += [f"{self.sun_bias_K:.1f} K in the {self.sun_facade} sun"] if self.sun_bias_K else []
+        return (
+            f"{self.floor_area_m2:.0f} m2 {self.mass}, {watts:.1f} W/m2K, {glass:.0f} m2 glass, {self.emitter}, "
+            f"{self.machine} x{self.sizing:.1f}, {self.pattern} {self.lower_C:g}-{self.upper_C:g}; "
+            f"sensor {', '.join(flaws) or 'exact'}"
+        )
+
+
+def ground_C(warmer_K: float) -> float:
+    """Ground temperature below a slab, °C: the annual mean outdoor temperature (EN ISO 13370) of the shifted year."""
+    return 10.3 + warmer_K
+
+
+def draw_house(seed: int, index: int) -> House:
+    """Draw house `index` of the population `seed`; the same arguments give the same house.
+
+    Houses are independent. Every distribution is given here; sources in docs/houses.md.
+    """
+    rng = np.random.default_rng([seed, index])
+    # Envelope. Areas and U-values span TABULA's single-family and terraced houses, from not refurbished to passive.
+    area = _log_uniform(rng, 50.0, 220.0)
+    mass = list(MASSES)[rng.integers(len(MASSES))]
+    age = rng.uniform()  # 0: passive house, 1: not refurbished
+    U_opaque = 0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0))
+    opaque = area * rng.uniform(1.2, 2.0) * U_opaque
+    share = rng.uniform(0.10, 0.30)  # glazing per floor area
+    facing = rng.dirichlet([2.0, 1.0, 0.6, 1.0])  # south more than north
+    windows = share * area * facing
+    U_window, g_value = 0.8 + 2.0 * age, 0.5 + 0.25 * age  # triple to double glazing, EN 673 and EN 410
+    unshaded = rng.uniform(0.45, 0.70)  # frame 0.7 to 0.8, external shading 0.6 to 0.9 (EN ISO 13790)
+    air_changes = rng.uniform(0.15, 0.35) + 0.45 * age * rng.uniform(0.5, 1.0)
+    warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
+
+    # Occupants: gains after EN ISO 13790 annex G (80 W a person; appliances 1 to 7 W/m²).
+    pattern = PATTERNS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
+    lower = float(rng.choice([20.0, 21.0, 21.5]))
+    always = pattern == "always"
+    upper = lower + float(rng.choice([3.0, 4.0]))
+    people = max(1, round(area / rng.uniform(30.0, 55.0)))
+    gains_home, gains_empty = rng.uniform(2.0, 5.0), rng.uniform(0.7, 1.5)
+
+    # Emitter and machine; floor heating only where the load is low enough.
+    ground = 0.85 * area * rng.uniform(0.15, 0.30)
+    loss = opaque + share * area * U_window + _AIR_WH_M3_K * _HEIGHT_M * area * air_changes
+    design_out = _DESIGN_OUT_C + warmer
+    load = loss * (DESIGN_ROOM_C - design_out)
+    emitter: Emitter = ("floor", "radiator", "air")[rng.integers(3)]  # type: ignore[assignment]
+    if emitter == "floor" and load > _FLOOR_LIMIT_W_M2 * area:
+        emitter = "radiator"
+    if emitter == "floor":
+        load += ground * (27.0 - ground_C(warmer))
+    machine = MACHINES[rng.choice(4, p=_MACHINE_WEIGHTS[emitter])]
+    low, high = ((0.8, 0.95), (1.0, 1.3), (1.3, 2.5))[rng.choice(3, p=[0.2, 0.45, 0.35])]
+    sizing = rng.uniform(low, high)
+    emitter_W = load * rng.uniform(1.0, 1.3)
+    pump = machine in ("heat pump", "heat pump with fixed loss")
+    slab_J_K = slab_room = slab_ground = 0.0
+    if emitter == "floor":
+        # Screed of 45 to 75 mm, 1.2 l of water per m²; water to screed 0.1 m²K/W (Koschenz and Lehmann 2000);
+        # surface 10.8 W/m²K (EN 1264-5) below a covering of 0.01 to 0.10 m²K/W.
+        covered = 0.85 * area
+        slab_J_K = covered * rng.uniform(0.045, 0.075) * 2000.0 * 1000.0
+        slab_room = covered / (1.0 / 10.8 + rng.uniform(0.01, 0.10))
+        slab_ground = ground
+        water_kg = 0.2 * covered if machine == "electric" else 1.2 * covered + 20.0
+        capacity_J_K, exponent, convective = water_kg * WATER_J_KG_K, 1.0, 0.0
+        strength = covered / 0.10
+        limit, spread, excess = 45.0, 5.0, 12.0
+    elif emitter == "radiator":
+        # EN 442: exponent 1.3; type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
+        excess = {"boiler": rng.uniform(38.0, 50.0), "electric": 50.0}.get(machine, rng.uniform(24.0, 32.0))
+        per_kW = 6.0 * WATER_J_KG_K + 28.0 * 460.0 + (0.0 if machine == "electric" else 5.0 * WATER_J_KG_K)
+        capacity_J_K = per_kW * emitter_W / 1e3 * (50.0 / excess) ** 1.3
+        exponent, convective = 1.3, 0.7
+        strength = emitter_W / excess**1.3
+        limit, spread = (60.0, 7.0) if pump else (85.0, 15.0)
+    else:
+        # Fan coil, split unit or convector: no exponent, heat capacity of 3 to 6 min.
+        excess = {"boiler": 40.0, "electric": 60.0}.get(machine, rng.uniform(20.0, 28.0))
+        exponent, convective = 1.0, 1.0
+        strength = emitter_W / excess
+        capacity_J_K = strength * rng.uniform(180.0, 360.0)
+        limit = {"boiler": 80.0, "electric": 120.0}.get(machine, 60.0)
+        spread = 0.0 if machine == "electric" else 5.0
+
+    carnot = rng.uniform(0.40, 0.50)  # of Carnot's efficiency; EN 14511 data sheets: COP 3.3 to 4.5 at A2/W35
+    capacity = sizing * load
+    fixed = 0.0
+    if machine == "heat pump with fixed loss":  # 12 to 30 % of the electric power at full level, 2 °C outdoors
+        water = DESIGN_ROOM_C + excess
+        full_W = capacity * (1.0 + 0.02 * (2.0 - design_out)) / heat_pump_cop(carnot, 2.0, water)
+        fixed = rng.uniform(0.12, 0.30) * full_W
+    lowest = {"boiler": rng.uniform(0.15, 0.40), "electric": 0.0}.get(machine, rng.uniform(0.20, 0.35))
+    return House(
+        seed=seed,
+        index=index,
+        floor_area_m2=area,
+        opaque_W_K=float(opaque),
+        windows_W_K=float(share * area * U_window),
+        windows_m2=tuple(float(value) for value in windows),  # type: ignore[arg-type]
+        g_value=float(g_value),
+        unshaded=float(unshaded),
+        air_changes_1_h=float(air_changes),
+        mass=mass,
+        pattern=pattern,
+        lower_C=lower,
+        upper_C=upper,
+        empty_lower_C=lower if always else 15.0,
+        empty_upper_C=upper if always else 30.0,
+        people=int(people),
+        gains_home_W_m2=float(gains_home),
+        gains_empty_W_m2=float(gains_empty),
+        gains_sd=0.5,
+        weather_seed=int(rng.integers(1, 2**31)),
+        warmer_K=float(warmer),
+        clearer=float(clearer),
+        emitter=emitter,
+        emitter_J_K=float(capacity_J_K),
+        emitter_W_Kn=float(strength),
+        emitter_exponent=exponent,
+        convective=convective,
+        slab_J_K=float(slab_J_K),
+        slab_room_W_K=float(slab_room),
+        slab_ground_W_K=float(slab_ground),
+        water_limit_C=limit,
+        machine=machine,
+        sizing=float(sizing),
+        capacity_W=float(capacity),
+        capacity_per_K=0.02 if pump else 0.0,  # of the capacity at design, air-source data sheets
+        lowest_level=float(lowest),
+        carnot=float(carnot),
+        fixed_W=float(fixed),
+        efficiency=float(rng.uniform(0.84, 0.90)),
+        spread_K=spread,
+        noise_sd_K=float(rng.choice([0.0, 0.02, 0.05])),
+        resolution_K=float(rng.choice([0.0, 0.1, 0.5], p=[0.3, 0.45, 0.25])),
+        lag_s=float(rng.uniform(0.0, 900.0)),
+        sun_bias_K=float(rng.uniform(1.0, 4.0)) if rng.uniform() < 0.2 else 0.0,
+        sun_facade=FACADES[rng.choice(4, p=[0.5, 0.25, 0.0, 0.25])],
+        heat_metered=bool(rng.uniform() < 0.4) and emitter != "air" and machine != "electric",
+    )
+
+
+def heat_pump_cop(carnot: float, T_out_C: float, water_C: float) -> float:
+    """Return the COP without the fixed loss: `carnot` times Carnot's, 8 K below outdoors to 5 K above the water.
+
+    The temperature lift counts as at least 15 K, so that the COP stays below 10 (data sheets end there).
+    """
+    warm_K = water_C + 5.0 + 273.15
+    return carnot * warm_K / max(warm_K - (T_out_C - 8.0 + 273.15), 15.0)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

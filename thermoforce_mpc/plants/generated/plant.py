@@ -1,0 +1,296 @@
+"""Plant of a generated house, see `draw.House` and docs/houses.md."""
+
+from __future__ import annotations
+
+import math
+from types import TracebackType
+
+import numpy as np
+from pvlib import iam
+
+from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
+from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
+from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.checks import (
+    check_level_and_duration,
+    check_record_step,
+    check_start,
+    day_period,
+    forecast_times,
+)
+from thermoforce_mpc.plants.generated import physics, schedule
+from thermoforce_mpc.plants.generated.draw import FACADES, House
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
+from thermoforce_mpc.scenario.testcase import Actuator, Measurements, TestCase
+from thermoforce_mpc.version import VERSION
+
+WEEKS = ("cold_week", "sunny_week")
+# The baseline thermostat's set-point above the tightest lower bound, K, as in the shipped test case (21.3 for 21 °C).
+THERMOSTAT_ABOVE_K = 0.3
+# BOPTEST's prices and emissions of `bestest_hydronic_heat_pump` (electricity) and of gas in Belgium.
+GAS_EUR_PER_KWH, GAS_KG_PER_KWH = 0.07, 0.181
+
+_KELVIN = 273.15
+_CLOCK_S = 1e-6
+_COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
+_AZIMUTH_DEG = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
+# Transmittance of diffuse relative to normal light, and ASHRAE's incidence factor of double glazing (EN ISO 13790: 0.9).
+_DIFFUSE_FACTOR, _ASHRAE_B = 0.87, 0.10
+# Full sun on the sensor, W/m² on its facade.
+_FULL_SUN_W_M2 = 800.0
+# Share of the air change that is driven by the wind, at the mean wind of the synthetic year, m/s.
+_WIND_SHARE, _MEAN_WIND_M_S = 0.3, 3.9
+# First days of the weeks a window is chosen from, and least heat load of the sunny week relative to the design load.
+_COLD_DAYS, _SUNNY_DAYS, _LEAST_LOAD = range(17, 53), range(60, 111), 0.12
+
+
+def house_testcase(house: House) -> TestCase:
+    """Return the test case of a house: point names, floor area and the baseline thermostat's set-point; no defaults."""
+    return TestCase(
+        name=house.name,
+        description=house.words,
+        floor_area_m2=house.floor_area_m2,
+        mode="heating",
+        actuator=Actuator(point="level"),
+        measurements=Measurements(
+            zone_temperature="T_measured",
+            outdoor_temperature="T_out",
+            solar="solar",
+            electric_power=("P_billed",),
+            heat=("Q_machine",) if house.heat_metered else (),
+            return_water="T_return" if house.heat_metered else None,
+        ),
+        thermostat_C=house.lower_C + THERMOSTAT_ABOVE_K,
+    )
+
+
+class GeneratedHousePlant:
+    """A generated house behind the `Plant` protocol. Deterministic: same house and inputs, same bytes.
+
+    Comfort is judged by the true operative temperature; records and measurements hold what the sensor reads.
+    """
+
+    def __init__(self, house: House) -> None:
+        self.house = house
+        self.testcase = house_testcase(house)
+        self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
+        self._grid = build_grid(house, self.weather)
+        rng = np.random.default_rng([house.seed, house.index, 2])
+        self._noise = rng.standard_normal(round(YEAR_S / physics.STEP_S))
+        self._parameters = physics.parameters(house)
+        self.reset(0.0, 0.0)
+
+    @property
+    def info(self) -> PlantInfo:
+        """Plant, weather and version."""
+        return PlantInfo(
+            kind="generated",
+            testcase=self.house.name,
+            description=self.house.words,
+            weather=self.weather.name,
+            version=VERSION,
+        )
+
+    def period(self, name: str) -> Period:
+        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day.
+
+        cold_week: lowest mean outdoor temperature of the weeks that start on day 17 to 52. sunny_week: most global
+        radiation of those that start on day 60 to 110 and in which heat losses at 20 °C less gains and sun are 12 % of
+        the design load or more; without such a week the one with the highest heat demand.
+
+        Raises:
+            InputError: `name` is neither of these nor a day of the year.
+        """
+        if name not in WEEKS:
+            return day_period(name, WEEKS)
+        week = round(7 * DAY_S / physics.GRID_S)
+
+        def means(values: Array, days: range) -> Array:
+            firsts = [round(day * DAY_S / physics.GRID_S) for day in days]
+            return np.array([values[first : first + week].mean() for first in firsts])
+
+        grid, house = self._grid, self.house
+        if name == "cold_week":
+            day = _COLD_DAYS[int(np.argmin(means(grid[:, physics.T_OUT], _COLD_DAYS)))]
+        else:
+            load_W = house.loss_W_K * (20.0 - grid[:, physics.T_OUT])
+            load_W -= grid[:, physics.GAINS] + grid[:, physics.SUN_IN]
+            load, sun = means(load_W, _SUNNY_DAYS), means(grid[:, physics.GLOBAL], _SUNNY_DAYS)
+            cold = load >= _LEAST_LOAD * house.design_load_W
+            day = _SUNNY_DAYS[int(np.argmax(np.where(cold, sun, -np.inf) if cold.any() else load))]
+        return Period(name, day * DAY_S, scored_s=7 * DAY_S)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
+
+        Raises:
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is not constant.
+        """
+        check_start(start_s, warmup_s)
+        if price != "constant":
+            raise InputError(f"tariff '{price}': generated houses have the tariff 'constant' only")
+        self._state = np.zeros(physics.N_STATES)
+        self._state[: physics.INTEGRAL] = self.house.lower_C
+        self._start_s = float(start_s)
+        self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
+        self._n = 1
+        self._rows, self._times = np.zeros((1, len(physics.RECORD))), np.array([self._begin_s])
+        self._rows[0] = self._first_row()
+        if self._start_s > self._now_s:
+            self._advance(math.nan, self._start_s - self._now_s)
+        return measurement(self._now_s, self._points(), self.testcase.measurements)
+
+    def advance(self, u: float | None, duration_s: float) -> Measurement:
+        """Apply the level `u` in [0, 1] (None: the house's own control) for `duration_s`.
+
+        Raises:
+            InputError: `u` or `duration_s` is out of range.
+        """
+        check_level_and_duration(u, duration_s)
+        before_s = self._now_s
+        self._advance(math.nan if u is None else float(u), float(duration_s))
+        edges = np.array([before_s, self._now_s])
+        record = self.recorded(before_s, self._now_s)
+        m = self.testcase.measurements
+        acting = acting_means(record, m, interval_means(record, ["level"], edges), edges)
+        return measurement(self._now_s, self._points(), m, acting)
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`: a perfect weather forecast.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+        """
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+        lower, upper = schedule.bounds_C(self.house, time_s)
+        price, emission = self._prices
+        return Boundary(
+            time_s=time_s,
+            T_out_C=self.weather.at("T_dry_C", time_s),
+            solar_W_m2=self.weather.at("global_W_m2", time_s),
+            occupancy=self.house.people * schedule.at_home(self.house, time_s).astype(np.float64),
+            lower_C=lower,
+            upper_C=upper,
+            price_per_kWh=np.full(time_s.shape, price),
+            emission_kg_per_kWh=np.full(time_s.shape, emission),
+        )
+
+    def past(self, step_s: float) -> Record:
+        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
+
+        Raises:
+            InputError: `step_s` is not positive.
+        """
+        check_record_step(step_s)
+        record = self.recorded(self._begin_s, self._now_s)
+
+        def levels(edges: Array) -> Array:
+            return interval_means(record, ["level"], edges)
+
+        return past_record(record, self.testcase.measurements, levels, self._now_s, step_s)
+
+    def kpis(self) -> dict[str, float]:
+        """Return BOPTEST's KPIs since the end of the warm-up; discomfort of the true temperature, one energy carrier."""
+        if self._now_s - self._start_s < _CLOCK_S:
+            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot"), 0.0)
+        record = self.recorded(self._start_s, self._now_s)
+        time_s = record["time"]
+        lower, upper = schedule.bounds_C(self.house, time_s)
+        price, emission = self._prices
+        carrier = "GasPower" if self.house.machine == "boiler" else "ElectricPower"
+        power_W = record["P_billed"]
+        supply = Supply(carrier, power_W, np.full(time_s.shape, price), np.full(time_s.shape, emission))
+        return building_kpis(
+            time_s,
+            supplies=[supply],
+            thermal=[Violation("1", excess(record["T_operative"] - _KELVIN, lower, upper))],
+            air_quality=[],
+            area_m2=self.house.floor_area_m2,
+        )
+
+    def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
+        """Return the samples between two times, both included: 'time' s and the columns of `physics.RECORD`."""
+        times = self._times[: self._n]
+        first, last = np.searchsorted(times, [start_s - _CLOCK_S, final_s + _CLOCK_S])
+        rows = self._rows[first:last]
+        return {"time": times[first:last]} | {name: rows[:, i] for name, i in _COLUMN.items()}
+
+    def close(self) -> None:
+        """Do nothing: the plant holds no resources."""
+
+    def __enter__(self) -> GeneratedHousePlant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def _prices(self) -> tuple[float, float]:
+        """Price per kWh and emissions, kg/kWh, of the billed energy."""
+        if self.house.machine == "boiler":
+            return GAS_EUR_PER_KWH, GAS_KG_PER_KWH
+        return tariffs.CONSTANT, tariffs.EMISSION_KG_PER_KWH
+
+    def _advance(self, forced: float, duration_s: float) -> None:
+        n = max(math.floor(duration_s / physics.STEP_S + 1e-9), 1)
+        rows = np.empty((n, len(physics.RECORD)))
+        dt = duration_s / n
+        physics.advance(self._state, self._now_s, n, dt, forced, self._grid, self._noise, self._parameters, rows)
+        time_s = self._now_s + dt * np.arange(1.0, n + 1)
+        self._now_s += duration_s
+        time_s[-1] = self._now_s  # exact, without rounding
+        if self._n + n > self._times.size:  # grow by doubling: steps are many and short
+            room = max(2 * self._times.size, self._n + n) - self._times.size
+            self._rows = np.concatenate([self._rows, np.empty((room, rows.shape[1]))])
+            self._times = np.concatenate([self._times, np.empty(room)])
+        self._rows[self._n : self._n + n], self._times[self._n : self._n + n] = rows, time_s
+        self._n += n
+
+    def _points(self) -> dict[str, float]:
+        """Measured points of the latest sample by name, K and W."""
+        m = self.testcase.measurements
+        names = (m.zone_temperature, m.outdoor_temperature, m.solar, *m.flows)
+        return {name: float(self._rows[self._n - 1, _COLUMN[name]]) for name in names}
+
+    def _first_row(self) -> Array:
+        """Sample at the beginning, with the machine off, shape (12,)."""
+        row = np.zeros(len(physics.RECORD))
+        now = np.array([self._now_s])
+        T = self.house.lower_C
+        reading = physics.measured_C(self._parameters, T, self._noise[int(self._now_s / physics.STEP_S)])
+        row[_COLUMN["T_operative"]], row[_COLUMN["T_measured"]] = T + _KELVIN, reading + _KELVIN
+        row[_COLUMN["T_return"]] = row[_COLUMN["T_supply"]] = T + _KELVIN
+        row[_COLUMN["T_out"]] = float(self.weather.at("T_dry_C", now)[0]) + _KELVIN
+        row[_COLUMN["solar"]] = float(self.weather.at("global_W_m2", now)[0])
+        row[_COLUMN["stored_J"]] = physics.stored_J(self._parameters, self._state)
+        return row
+
+
+def build_grid(house: House, weather: Weather) -> Array:
+    """Return weather, sun through the windows and schedules of a year every 15 min, shape (35041, 7), see `physics`.
+
+    Takes about 0.5 s.
+    """
+    time_s = np.arange(0.0, YEAR_S + physics.GRID_S, physics.GRID_S)
+    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    grid = np.zeros((time_s.size, physics.N_COLUMNS))
+    grid[:, physics.T_OUT] = weather.at("T_dry_C", time_s)
+    grid[:, physics.GLOBAL] = weather.at("global_W_m2", time_s)
+    for facade, area_m2 in zip(FACADES, house.windows_m2, strict=True):
+        light = on_plane(weather, sun, time_s, 90.0, _AZIMUTH_DEG[facade])
+        transmitted = light.beam * iam.ashrae(light.incidence_deg, b=_ASHRAE_B) + light.diffuse * _DIFFUSE_FACTOR
+        grid[:, physics.SUN_IN] += house.unshaded * house.g_value * area_m2 * transmitted
+        if facade == house.sun_facade:
+            grid[:, physics.SUN_ON_SENSOR] = np.minimum((light.beam + light.diffuse) / _FULL_SUN_W_M2, 1.0)
+    wind = weather.at("wind_m_s", time_s) / _MEAN_WIND_M_S
+    grid[:, physics.VENTILATION] = house.ventilation_W_K * (1.0 - _WIND_SHARE + _WIND_SHARE * wind)
+    grid[:, physics.GAINS] = schedule.gains_W(house, time_s)
+    grid[:, physics.SETPOINT] = schedule.native_setpoint_C(house, time_s)
+    grid.setflags(write=False)
+    return grid
