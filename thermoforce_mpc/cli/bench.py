@@ -69,6 +69,28 @@ def controller_command(quick: bool, json_file: Path | None) -> None:
     show(run_controller_bench(quick=quick, progress=_progress), json_file)
 
 
+@command.command("buildings")
+@click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Number of generated houses.")
+@click.option("--seed", type=click.IntRange(0), default=2026, show_default=True, help="Seed of the population.")
+@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for a plot of each window and outcomes.json with every figure.",
+)
+@_QUICK
+@_JSON
+def buildings_command(houses: int, seed: int, jobs: int, out: Path | None, quick: bool, json_file: Path | None) -> None:
+    """Run the default configuration on generated houses, against a thermostat and the houses' own control.
+
+    Two weeks a house: the coldest and a sunny one in spring. Costs in EUR/m² and discomfort in K·h of the week.
+    """
+    from thermoforce_mpc.research.bench.buildings import run_buildings_bench
+
+    result = run_buildings_bench(houses=houses, seed=seed, jobs=jobs, quick=quick, out=out, progress=_progress)
+    show(result, json_file)
+
+
 @command.command("free-response")
 @click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=_FOLDER, help="Folder with measured houses.")

@@ -59,7 +59,7 @@ class House:
     of `water_limit_C`.
 
     Machine: `capacity_W` at the design outdoor temperature; below `lowest_level` it cycles. Heat pump: capacity rises
-    by `capacity_per_K` per K outdoors, efficiency is `carnot` times Carnot's, `fixed_W` of electric power while on.
+    by `capacity_per_K` per K outdoors, COP is `carnot` times Carnot's, `fixed_W` of electric power while on.
     Boiler: `efficiency` on the gross calorific value above the dew point. `spread_K` supply over return at full level.
 
     Sensor: noise `noise_sd_K`, resolution `resolution_K` (0: none), time constant `lag_s`, `sun_bias_K` at 800 W/m²
@@ -203,7 +203,7 @@ def draw_house(seed: int, index: int) -> House:
     loss = opaque + share * area * U_window + _AIR_WH_M3_K * _HEIGHT_M * area * air_changes
     design_out = _DESIGN_OUT_C + warmer
     load = loss * (DESIGN_ROOM_C - design_out)
-    emitter: Emitter = ("floor", "radiator", "air")[rng.integers(3)]  # type: ignore[assignment]
+    emitter: Emitter = ("floor", "radiator", "air")[rng.integers(3)]
     if emitter == "floor" and load > _FLOOR_LIMIT_W_M2 * area:
         emitter = "radiator"
     if emitter == "floor":
@@ -242,7 +242,7 @@ def draw_house(seed: int, index: int) -> House:
         limit = {"boiler": 80.0, "electric": 120.0}.get(machine, 60.0)
         spread = 0.0 if machine == "electric" else 5.0
 
-    carnot = rng.uniform(0.40, 0.50)  # of Carnot's efficiency; EN 14511 data sheets: COP 3.3 to 4.5 at A2/W35
+    carnot = rng.uniform(0.48, 0.62)  # between the refrigerant's temperatures; EN 14511 data sheets: A2/W35 3.3 to 4.2
     capacity = sizing * load
     fixed = 0.0
     if machine == "heat pump with fixed loss":  # 12 to 30 % of the electric power at full level, 2 °C outdoors
@@ -303,7 +303,7 @@ def draw_house(seed: int, index: int) -> House:
 def heat_pump_cop(carnot: float, T_out_C: float, water_C: float) -> float:
     """Return the COP without the fixed loss: `carnot` times Carnot's, 8 K below outdoors to 5 K above the water.
 
-    The temperature lift counts as at least 15 K, so that the COP stays below 10 (data sheets end there).
+    The temperature lift counts as at least 15 K, as at the end of data sheets, which bounds the COP.
     """
     warm_K = water_C + 5.0 + 273.15
     return carnot * warm_K / max(warm_K - (T_out_C - 8.0 + 273.15), 15.0)

@@ -138,12 +138,7 @@ def measured_C(p: np.ndarray, sensor_C: float, noise: float) -> float:
 @njit(cache=True)
 def stored_J(p: np.ndarray, state: np.ndarray) -> float:
     """Return the heat stored in all nodes above 0 °C, J."""
-    return (
-        p[P_AIR_J] * state[AIR]
-        + p[P_MASS_J] * state[MASS]
-        + p[P_SLAB_J] * state[SLAB]
-        + p[P_WATER_J] * state[WATER]
-    )
+    return p[P_AIR_J] * state[AIR] + p[P_MASS_J] * state[MASS] + p[P_SLAB_J] * state[SLAB] + p[P_WATER_J] * state[WATER]
 
 
 @njit(cache=True)

@@ -38,7 +38,7 @@ _KELVIN = 273.15
 _CLOCK_S = 1e-6
 _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
 _AZIMUTH_DEG = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
-# Transmittance of diffuse relative to normal light, and ASHRAE's incidence factor of double glazing (EN ISO 13790: 0.9).
+# Transmittance of diffuse relative to normal light, and ASHRAE's incidence factor, of double glazing.
 _DIFFUSE_FACTOR, _ASHRAE_B = 0.87, 0.10
 # Full sun on the sensor, W/m² on its facade.
 _FULL_SUN_W_M2 = 800.0
@@ -194,7 +194,7 @@ class GeneratedHousePlant:
         return past_record(record, self.testcase.measurements, levels, self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs since the end of the warm-up; discomfort of the true temperature, one energy carrier."""
+        """Return BOPTEST's KPIs since the end of the warm-up; discomfort is that of the true temperature."""
         if self._now_s - self._start_s < _CLOCK_S:
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot"), 0.0)
         record = self.recorded(self._start_s, self._now_s)

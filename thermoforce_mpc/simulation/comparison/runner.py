@@ -108,7 +108,7 @@ def run_cells(cells: Sequence[Cell], store: Store, jobs: int, watcher: Watcher) 
 
     running: list[_Running] = []
     try:
-        with _one_thread_each():
+        with one_thread_each():
             while ready or running:
                 while ready and len(running) < jobs:
                     task = ready.popleft()
@@ -171,7 +171,7 @@ def _end(running: Sequence[_Running]) -> None:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Set the variables that limit processes started inside to one thread (read when libraries are loaded)."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))

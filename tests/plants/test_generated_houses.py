@@ -1,0 +1,389 @@
+"""Generated houses: the draw, the physics against hand calculations, and the plant behind the `Plant` protocol."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house, house_testcase, physics
+from thermoforce_mpc.plants.generated.draw import MACHINES, MASSES, PATTERNS, heat_pump_cop
+from thermoforce_mpc.plants.generated.schedule import at_home, bounds_C, native_setpoint_C
+from thermoforce_mpc.protocols import Plant
+
+SEED = 7
+
+
+def house_with(index: int = 0, **wanted):
+    """The first drawn house with these values."""
+    for i in range(index, 500):
+        house = draw_house(SEED, i)
+        if all(getattr(house, name) == value for name, value in wanted.items()):
+            return house
+    raise AssertionError(f"no house with {wanted}")
+
+
+def still_grid(T_out: float = 0.0, gains: float = 0.0, ventilation: float = 50.0) -> np.ndarray:
+    """A year without sun and schedules: the only forcing is the outdoor temperature."""
+    grid = np.zeros((35041, physics.N_COLUMNS))
+    grid[:, physics.T_OUT], grid[:, physics.GAINS], grid[:, physics.VENTILATION] = T_out, gains, ventilation
+    return grid
+
+
+def run(house, u: float, hours: float, grid: np.ndarray, state: np.ndarray | None = None) -> np.ndarray:
+    """Record of a constant level from 20 °C throughout, or from `state`, which is advanced."""
+    if state is None:
+        state = np.full(physics.N_STATES, 20.0)
+        state[physics.INTEGRAL :] = 0.0
+    rows = np.empty((round(hours * 120), len(physics.RECORD)))
+    p = physics.parameters(house)
+    physics.advance(state, 0.0, rows.shape[0], physics.STEP_S, u, grid, np.zeros(10), p, rows)
+    return rows
+
+
+def column(rows: np.ndarray, name: str) -> np.ndarray:
+    return rows[:, physics.RECORD.index(name)]
+
+
+# --- draw -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_house_is_drawn_again_and_differs_by_seed_and_index():
+    assert draw_house(3, 5) == draw_house(3, 5)
+    assert len({draw_house(3, i).floor_area_m2 for i in range(5)} | {draw_house(4, 0).floor_area_m2}) == 6
+
+
+def test_forty_houses_cover_every_class():
+    houses = [draw_house(SEED, i) for i in range(40)]
+    assert {h.mass for h in houses} == set(MASSES)
+    assert {h.pattern for h in houses} == set(PATTERNS)
+    assert {h.machine for h in houses} == set(MACHINES)
+    assert {h.emitter for h in houses} == {"floor", "radiator", "air"}
+    assert {h.resolution_K for h in houses} == {0.0, 0.1, 0.5}
+    assert {h.heat_metered for h in houses} == {True, False}
+    assert any(h.sizing < 0.95 for h in houses)
+    assert any(h.sizing > 2.0 for h in houses)
+    assert any(h.sun_bias_K for h in houses)
+    assert not all(h.sun_bias_K for h in houses)
+
+
+def test_loads_lie_where_tabula_has_them_and_floors_only_where_they_can_heat():
+    houses = [draw_house(SEED, i) for i in range(200)]
+    loss = np.array([h.loss_W_K / h.floor_area_m2 for h in houses])
+    assert loss.min() > 0.35
+    assert loss.max() < 4.0
+    assert loss.min() < 0.8
+    assert loss.max() > 2.2
+    for h in houses:
+        if h.emitter == "floor":
+            assert h.loss_W_K * (20.0 - h.design_out_C) <= 70.0 * h.floor_area_m2
+        assert h.capacity_W == pytest.approx(h.sizing * h.design_load_W)
+
+
+# --- physics --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("emitter", ["floor", "radiator", "air"])
+def test_the_energy_balance_closes(emitter):
+    plant = GeneratedHousePlant(house_with(emitter=emitter))
+    plant.reset(40 * DAY_S, 0.0)
+    rng = np.random.default_rng(0)
+    for _ in range(48):
+        plant.advance(None if rng.uniform() < 0.3 else rng.uniform(), HOUR_S)
+    r = plant.recorded(40 * DAY_S, 42 * DAY_S)
+    stored = r["stored_J"][-1] - r["stored_J"][0]
+    into = physics.STEP_S * (r["Q_machine"] + r["gain_W"] - r["loss_W"])[1:].sum()
+    exchanged = physics.STEP_S * r["loss_W"][1:].sum()
+    assert r["Q_machine"].max() > 0
+    assert stored == pytest.approx(into, abs=1e-9 * exchanged)
+
+
+def test_steady_state_is_that_of_the_hand_calculation():
+    # Convector: all heat to the air. Ventilation, and windows and structure in parallel behind the surface film.
+    house = house_with(emitter="air", machine="electric")
+    u, T_out, ventilation = 0.4, -3.0, 60.0
+    rows = run(house, u, 24 * 60, still_grid(T_out, ventilation=ventilation))
+    heat = u * house.capacity_W
+    film = 3.45 * 4.5 * house.floor_area_m2
+    fabric = house.windows_W_K + house.opaque_W_K
+    air = T_out + heat / (ventilation + film * fabric / (film + fabric))
+    surface = T_out + film / (film + fabric) * (air - T_out)
+    assert column(rows, "T_operative")[-1] - 273.15 == pytest.approx(0.3 * air + 0.7 * surface, abs=1e-3)
+    assert column(rows, "loss_W")[-1] == pytest.approx(heat, rel=1e-5)
+
+
+def test_radiator_output_follows_en_442():
+    house = house_with(emitter="radiator")
+    p = physics.parameters(house)
+    state = np.full(physics.N_STATES, 20.0)
+    state[physics.INTEGRAL :], state[physics.WATER] = 0.0, 60.0
+    # Within a step the water cools by its output: W ΔT^1.3 with ΔT of 40 K at the start, less what the surfaces warm.
+    rows = np.empty((1, len(physics.RECORD)))
+    physics.advance(state, 0.0, 1, 0.1, 0.0, still_grid(20.0), np.zeros(10), p, rows)
+    given = house.emitter_J_K * (60.0 - state[physics.WATER]) / 0.1
+    assert given == pytest.approx(house.emitter_W_Kn * 40.0**1.3, rel=0.01)
+
+
+def test_slow_time_constant_is_capacity_over_loss():
+    house = house_with(emitter="air", mass="medium")
+    rows = run(house, 0.0, 96, still_grid(0.0, ventilation=house.ventilation_W_K))
+    T = column(rows, "T_operative") - 273.15
+    tau_h = 48.0 / np.log(T[48 * 120 - 1] / T[-1])
+    capacity = house.mass_J_K + 10e3 * house.floor_area_m2
+    # The structure stands behind its film and the air runs ahead of it: 15 %.
+    assert tau_h == pytest.approx(capacity / house.loss_W_K / 3600.0, rel=0.15)
+
+
+def test_air_leads_and_a_slab_lags():
+    """After full level for 15 min an air-heated house is far ahead of a floor-heated one of the same load."""
+    heated = {}
+    for emitter in ("air", "floor"):
+        house = house_with(emitter=emitter, mass="very light")
+        rows = run(house, 1.0, 0.25, still_grid(0.0, ventilation=house.ventilation_W_K))
+        idle = run(house, 0.0, 0.25, still_grid(0.0, ventilation=house.ventilation_W_K))
+        heated[emitter] = column(rows, "T_operative")[-1] - column(idle, "T_operative")[-1]
+    assert heated["air"] > 0.5
+    assert 0.0 < heated["floor"] < 0.05
+
+
+@pytest.mark.parametrize("emitter", ["floor", "radiator", "air"])
+@pytest.mark.parametrize("machine", MACHINES)
+def test_more_level_never_cools(emitter, machine):
+    try:
+        house = house_with(emitter=emitter, machine=machine)
+    except AssertionError:
+        pytest.skip("no such combination in the first 500 draws")
+    grid = still_grid(2.0, ventilation=house.ventilation_W_K)
+    rng = np.random.default_rng(1)
+    states = [np.r_[np.full(6, 20.0), 0.0, 0.0] for _ in range(2)]
+    least = np.inf
+    for _ in range(48):
+        low = rng.uniform(0.0, 1.0)
+        high = rng.uniform(low, 1.0)
+        lower, higher = (run(house, u, 0.5, grid, state) for u, state in zip((low, high), states, strict=True))
+        least = min(least, float((column(higher, "T_operative") - column(lower, "T_operative")).min()))
+    assert least >= -1e-9
+    assert column(higher, "T_operative")[-1] > column(lower, "T_operative")[-1]
+
+
+def test_heat_pump_power_depends_on_lift_level_and_fixed_loss():
+    fixed = house_with(machine="heat pump with fixed loss")
+    p = physics.parameters(fixed)
+    heat, power, _ = physics.machine(p, 1.0, 2.0, 35.0)
+    assert power == pytest.approx(fixed.fixed_W + heat / heat_pump_cop(fixed.carnot, 2.0, 35.0 + fixed.spread_K / 2))
+    # A colder outdoor or a warmer water costs more per heat, and colder air gives less heat.
+    colder, warmer = physics.machine(p, 1.0, -8.0, 35.0), physics.machine(p, 1.0, 2.0, 45.0)
+    assert colder[0] < heat
+    assert colder[1] / colder[0] > power / heat
+    assert warmer[0] == pytest.approx(heat)  # below the limit of the water temperature less 10 K
+    assert warmer[1] > power
+    # Half level costs more than half with a fixed loss; without one, less: the water is colder.
+    assert physics.machine(p, 0.5, 2.0, 35.0)[1] > 0.5 * power + 0.4 * fixed.fixed_W
+    plain = physics.parameters(replace(fixed, machine="heat pump", fixed_W=0.0))
+    assert physics.machine(plain, 0.5, 2.0, 35.0)[1] < 0.5 * physics.machine(plain, 1.0, 2.0, 35.0)[1]
+
+
+def test_the_cop_lies_where_data_sheets_have_it():
+    assert 3.2 < heat_pump_cop(0.48, 2.0, 35.0) < heat_pump_cop(0.62, 2.0, 35.0) < 4.4
+    assert 1.8 < heat_pump_cop(0.55, -7.0, 55.0) < 2.5
+    assert heat_pump_cop(0.55, 30.0, 20.0) < 11.0
+
+
+def test_below_its_lowest_level_a_machine_cycles():
+    house = house_with(machine="boiler")
+    p = physics.parameters(house)
+    at_lowest = np.array(physics.machine(p, house.lowest_level, 5.0, 40.0))
+    np.testing.assert_allclose(physics.machine(p, 0.5 * house.lowest_level, 5.0, 40.0), 0.5 * at_lowest)
+
+
+def test_a_boiler_condenses_with_cold_return_water():
+    house = house_with(machine="boiler", emitter="radiator")
+    p = physics.parameters(house)
+    (cold_heat, cold_gas, _), (hot_heat, hot_gas, _) = (physics.machine(p, 0.5, 5.0, water) for water in (30.0, 70.0))
+    assert hot_heat / hot_gas == pytest.approx(house.efficiency)
+    assert cold_heat / cold_gas > house.efficiency + 0.08
+
+
+def test_the_machine_throttles_at_the_water_limit():
+    house = house_with(machine="boiler", emitter="radiator")
+    rows = run(replace(house, capacity_W=6 * house.capacity_W), 1.0, 24.0, still_grid(0.0))
+    assert column(rows, "T_supply").max() - 273.15 < house.water_limit_C + house.spread_K
+    assert column(rows, "Q_machine")[-1] < house.capacity_W * 6
+
+
+# --- sensor and records ---------------------------------------------------------------------------------------------
+
+
+def measured_K(house, hours: float = 12.0, u: float = 0.5) -> tuple[GeneratedHousePlant, dict[str, np.ndarray]]:
+    plant = GeneratedHousePlant(house)
+    plant.reset(100 * DAY_S, 0.0)
+    for _ in range(round(4 * hours)):
+        plant.advance(u, 900.0)
+    return plant, plant.recorded(100 * DAY_S, 100 * DAY_S + hours * HOUR_S)
+
+
+def test_the_sensor_changes_what_is_measured_and_not_what_is_judged():
+    house = replace(draw_house(SEED, 0), noise_sd_K=0.0, resolution_K=0.0, lag_s=0.0, sun_bias_K=0.0)
+    exact, truth = measured_K(house)
+    np.testing.assert_allclose(truth["T_measured"], truth["T_operative"], atol=1e-9)
+    for flaw, check in (
+        ({"resolution_K": 0.5}, lambda T: np.abs((T - 273.15) % 0.5).max() < 1e-6),
+        ({"noise_sd_K": 0.05}, lambda T: 0.04 < np.std(T - truth["T_measured"]) < 0.06),
+        ({"sun_bias_K": 3.0, "sun_facade": "south"}, lambda T: 0.5 < (T - truth["T_measured"]).max() <= 3.0),
+    ):
+        plant, record = measured_K(replace(house, **flaw))
+        assert check(record["T_measured"]), flaw
+        assert record["T_operative"].tobytes() == truth["T_operative"].tobytes()
+        assert plant.kpis() == exact.kpis()
+        assert not np.array_equal(plant.past(900.0).T_zone_C, exact.past(900.0).T_zone_C)
+
+
+def test_a_slow_sensor_lags_by_its_time_constant():
+    house = replace(draw_house(SEED, 0), noise_sd_K=0.0, resolution_K=0.0, lag_s=600.0, sun_bias_K=0.0)
+    _, record = measured_K(house, u=1.0)
+    measured, true = record["T_measured"], record["T_operative"]
+    approached = (1.0 - np.exp(-30.0 / 600.0)) * (true[1:] - measured[:-1])
+    np.testing.assert_allclose(np.diff(measured), approached, atol=1e-9)
+    assert abs(true - measured).max() > 0.05
+
+
+@pytest.mark.parametrize("metered", [True, False])
+def test_power_is_always_measured_and_heat_only_with_a_meter(metered):
+    plant = GeneratedHousePlant(replace(draw_house(SEED, 0), heat_metered=metered))
+    plant.reset(10 * DAY_S, DAY_S)
+    m = plant.advance(1.0, 900.0)
+    past = plant.past(900.0)
+    assert m.power_W > 0
+    assert m.u == 1.0
+    assert np.isfinite(past.power_W).all()
+    for value in (m.heat_W, m.T_return_C, past.heat_W, past.T_return_C):
+        assert np.isfinite(value).all() == metered
+
+
+# --- plant ----------------------------------------------------------------------------------------------------------
+
+
+def test_it_is_a_plant_and_the_same_inputs_give_the_same_bytes():
+    house = draw_house(SEED, 1)
+    records = []
+    for _ in range(2):
+        plant = GeneratedHousePlant(house)
+        assert isinstance(plant, Plant)
+        start = plant.reset(20 * DAY_S, 2 * DAY_S)
+        assert start.time_s == 20 * DAY_S
+        for u in (None, 0.3, 1.0):
+            plant.advance(u, 900.0)
+        past = plant.past(900.0)
+        assert past.n_steps == 2 * 96 + 3
+        assert past.time_s[-1] == 20 * DAY_S + 2700.0
+        np.testing.assert_allclose(past.u[-2:], [0.3, 1.0])
+        records.append(past.T_zone_C.tobytes() + past.power_W.tobytes())
+    assert records[0] == records[1]
+
+
+def test_steps_may_be_split():
+    ends = []
+    for parts in (1, 3):
+        plant = GeneratedHousePlant(draw_house(SEED, 2))
+        plant.reset(20 * DAY_S, 0.0)
+        for _ in range(parts):
+            plant.advance(0.5, 2700.0 / parts)
+        ends.append(plant.recorded(0.0, 30 * DAY_S)["T_operative"])
+    np.testing.assert_array_equal(*ends)
+
+
+def test_kpis_are_those_of_the_record():
+    house = draw_house(SEED, 3)
+    plant = GeneratedHousePlant(house)
+    assert plant.kpis()["cost_tot"] == 0.0
+    plant.reset(20 * DAY_S, 5 * DAY_S)
+    plant.advance(0.0, 1.5 * DAY_S)
+    plant.advance(1.0, 0.5 * DAY_S)
+    kpis, r = plant.kpis(), plant.recorded(20 * DAY_S, 22 * DAY_S)
+    lower, _ = bounds_C(house, r["time"])
+    cold = np.maximum(lower - (r["T_operative"] - 273.15), 0.0)
+    assert kpis["tdis_tot"] == pytest.approx(np.trapezoid(cold, r["time"]) / 3600.0, rel=1e-6)
+    assert kpis["tdis_tot"] > 1.0
+    price = 0.07 if house.machine == "boiler" else 0.2535
+    assert kpis["cost_tot"] == pytest.approx(kpis["ener_tot"] * price)
+    assert plant.forecast(HOUR_S, 900.0).price_per_kWh.tolist() == [price] * 5
+
+
+def test_weeks_are_the_coldest_and_a_sunny_one_with_heating():
+    plant = GeneratedHousePlant(draw_house(SEED, 4))
+    cold, sunny = plant.period("cold_week"), plant.period("sunny_week")
+    assert cold.scored_s == sunny.scored_s == 7 * DAY_S
+
+    def mean(period, name):
+        days = period.start_s + np.arange(0, 7 * DAY_S, 900.0)
+        return plant.weather.at(name, days).mean()
+
+    assert mean(cold, "T_dry_C") < mean(sunny, "T_dry_C")
+    assert mean(cold, "global_W_m2") < mean(sunny, "global_W_m2")
+    assert plant.period("44").start_s == 44 * DAY_S
+    with pytest.raises(InputError, match="cold_week"):
+        plant.period("warm_week")
+
+
+def test_wrong_inputs_are_refused():
+    plant = GeneratedHousePlant(draw_house(SEED, 0))
+    with pytest.raises(InputError, match="tariff 'dynamic'"):
+        plant.reset(0.0, 0.0, "dynamic")
+    with pytest.raises(InputError, match="level"):
+        plant.advance(1.2, 900.0)
+
+
+@pytest.mark.parametrize("machine", ["boiler", "electric"])
+def test_native_control_holds_comfort_and_modulates_where_the_machine_does(machine):
+    for i in range(500):
+        house = draw_house(SEED, i)
+        if house.machine == machine and house.sizing >= 1.0 and house.resolution_K < 0.5 and not house.sun_bias_K:
+            break
+    plant = GeneratedHousePlant(house)
+    period = plant.period("cold_week")
+    plant.reset(period.start_s, period.warmup_s)
+    plant.advance(None, period.scored_s)
+    level = plant.recorded(period.start_s, period.start_s + period.scored_s)["level"]
+    assert plant.kpis()["tdis_tot"] < 2.0
+    assert level.max() > 0
+    between = (level > 0.02) & (level < 0.98)
+    assert between.any() == (machine == "boiler")
+
+
+def test_schedules():
+    away = house_with(pattern="away")
+    tuesday, saturday = 0.0, 4 * DAY_S
+    hours = np.array([6.9, 7.0, 12.0, 20.0])
+    assert at_home(away, tuesday + hours * HOUR_S).tolist() == [True, False, False, True]
+    assert at_home(away, saturday + hours * HOUR_S).all()
+    lower, upper = bounds_C(away, tuesday + hours * HOUR_S)
+    assert (lower[1], upper[1]) == (15.0, 30.0)
+    always = house_with(pattern="always")
+    lower, upper = bounds_C(always, np.arange(0, 7 * DAY_S, 900.0))
+    assert set(lower) == {always.lower_C}
+    # The native set-point is up before people are home, and not set back where the machine could not recover.
+    setpoint = native_setpoint_C(replace(away, sizing=2.0), tuesday + np.array([12.0, 19.9, 20.0]) * HOUR_S)
+    assert setpoint[0] < setpoint[1] == setpoint[2]
+    weak = native_setpoint_C(replace(away, sizing=0.8), tuesday + np.array([12.0, 20.0]) * HOUR_S)
+    assert weak[0] == weak[1]
+
+
+def test_the_test_case_has_no_defaults_and_the_house_s_own_thermostat():
+    house = draw_house(SEED, 5)
+    testcase = house_testcase(house)
+    assert testcase.thermostat_C == pytest.approx(house.lower_C + 0.3)
+    assert testcase.floor_area_m2 == house.floor_area_m2
+    assert testcase.mode == "heating"
+    assert not any((testcase.defaults.actuation, testcase.defaults.probing, testcase.defaults.identification))
+
+
+def test_the_synthetic_year_can_be_warmer_and_clearer():
+    plain, other = synthetic_weather(3), synthetic_weather(3, warmer_K=2.0, clearer=0.6)
+    assert other.global_W_m2.mean() > 1.1 * plain.global_W_m2.mean()
+    assert 1.5 < other.T_dry_C.mean() - plain.T_dry_C.mean() < 2.6
+    assert synthetic_weather(3, warmer_K=0.0, clearer=0.0).fingerprint == plain.fingerprint
+    assert other.name != plain.name

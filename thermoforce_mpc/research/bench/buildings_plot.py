@@ -1,0 +1,42 @@
+"""Plot of one window of `tf-mpc bench buildings`: temperatures, level and outdoor conditions of all controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.plants.generated import House
+from thermoforce_mpc.plants.generated.schedule import bounds_C
+
+_KELVIN = 273.15
+
+
+def plot_case(path: Path, house: House, traces: Mapping[str, Mapping[str, Array]]) -> None:
+    """Write the samples of each controller in `traces` (see `GeneratedHousePlant.recorded`) as a PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 8), layout="constrained")
+    FigureCanvasAgg(figure)
+    rooms, levels, weather = figure.subplots(3, 1, sharex=True, height_ratios=[3, 1.5, 1])
+    any_trace = next(iter(traces.values()))
+    lower, upper = bounds_C(house, any_trace["time"])
+    day = any_trace["time"] / DAY_S
+    rooms.plot(day, lower, "k-", lw=0.8)
+    rooms.plot(day, upper, "k-", lw=0.8)
+    for name, trace in traces.items():
+        rooms.plot(trace["time"] / DAY_S, trace["T_operative"] - _KELVIN, lw=1, label=name)
+        levels.plot(trace["time"] / DAY_S, trace["level"], lw=0.6, label=name)
+    rooms.set_ylim(house.lower_C - 4.0, house.upper_C + 3.0)
+    rooms.set_ylabel("operative temperature, °C")
+    rooms.legend(loc="upper right")
+    levels.set_ylabel("level")
+    weather.plot(day, any_trace["T_out"] - _KELVIN, "C0", lw=1)
+    weather.set_ylabel("outdoors, °C")
+    sun = weather.twinx()
+    sun.plot(day, any_trace["solar"], "C1", lw=0.7)
+    sun.set_ylabel("sun, W/m²")
+    weather.set_xlabel("day of the year")
+    figure.suptitle(f"{house.name}: {house.words}", fontsize=9)
+    figure.savefig(path, dpi=80)
