@@ -45,6 +45,8 @@ def test_one_short_window_for_real(tmp_path):
     assert first.failed == ""
     assert first.refused == ""
     assert set(first.kpis) == {"thermoforce_mpc", "thermostat", "native"}
+    for kpis in first.kpis.values():
+        assert kpis["too_cold"] + kpis["too_warm"] == pytest.approx(kpis["tdis_tot"])
     assert sum(first.statuses.values()) == 12  # plans of 15 min in 3 h
     assert "held_out_rollout_rmse_K" in first.model
     assert (tmp_path / "house_7_3_cold_week.png").stat().st_size > 10_000

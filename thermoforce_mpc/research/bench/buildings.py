@@ -11,7 +11,7 @@ import multiprocessing
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 
 from controllers.registry import build_controller
-from thermoforce_mpc.data import DAY_S, Period, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.generated import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.generated.plant import WEEKS
+from thermoforce_mpc.plants.generated.schedule import bounds_C
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
@@ -43,6 +44,8 @@ _LEAST_HEATING_KWH_M2 = 0.05
 # Targets: discomfort above the thermostat's, K·h a week; share of windows that are cheaper; median saving.
 _MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING = 0.5, 0.90, 0.05
 _QUICK_HOUSES = 4
+
+_KELVIN = 273.15
 
 Row = dict[str, Any]
 
@@ -171,8 +174,9 @@ def run_case(case: Case) -> Outcome:
             controller = build_controller(name, options, plant.testcase, model)
             allowed = limits_of(controller, house.floor_area_m2)
             result = run_closed_loop(plant, controller, period, allowed=allowed)
-            kpis[name] = {key: value for key, value in result.kpis.items() if key != "time_rat"}
             traces[name] = plant.recorded(period.start_s, period.start_s + period.scored_s)
+            kpis[name] = {key: value for key, value in result.kpis.items() if key != "time_rat"}
+            kpis[name] |= _too_cold_and_too_warm(house, traces[name])
             return result
 
         try:
@@ -193,6 +197,16 @@ def run_case(case: Case) -> Outcome:
     except Exception as error:  # recorded as failure of this case; the others continue
         failed, kpis = f"{type(error).__name__}: {error}", {}
     return Outcome(case, house.words, kpis, statuses, scores, refused, failed, time.perf_counter() - began)
+
+
+def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str, float]:
+    """Return the discomfort below the lower and above the upper bound, K·h; their sum is `tdis_tot`."""
+    T, hours = trace["T_operative"] - _KELVIN, trace["time"] / HOUR_S
+    lower, upper = bounds_C(house, trace["time"])
+    return {
+        "too_cold": float(np.trapezoid(np.maximum(lower - T, 0.0), hours)),
+        "too_warm": float(np.trapezoid(np.maximum(T - upper, 0.0), hours)),
+    }
 
 
 def _identified(plant: GeneratedHousePlant, period: Period, days: float) -> Any:
