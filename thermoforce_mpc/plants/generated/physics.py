@@ -1,7 +1,8 @@
 """Equations of a generated house: envelope of EN ISO 13790 with an air node, emitter, machine, sensor; one step 30 s.
 
-Nodes: room air, room surfaces (no heat capacity), structure, slab, emitter water. All couplings are implicit (backward
-Euler) and every heat flow leaves one node and enters another, or crosses the boundary and is recorded: the energy
+Nodes: room air, room surfaces, structure, slab, emitter water. Unlike in the hourly method of the standard, the surfaces
+have the heat capacity of their first centimetre, taken from that of the structure: without it a heater's swings of some
+minutes would show fully in the operative temperature. All couplings are implicit (backward Euler) and every heat flow leaves one node and enters another, or crosses the boundary and is recorded: the energy
 balance closes to rounding. The machine's heat is that of the water temperature at the start of the step.
 """
 
@@ -17,7 +18,7 @@ from thermoforce_mpc.plants.generated.draw import House, ground_C, heat_pump_cop
 STEP_S = 30.0
 GRID_S = 900.0
 
-# States, °C; the surface node holds its last value. PI integral in K, on/off flag of the native thermostat.
+# States, °C. PI integral in levels, on/off flag of the native thermostat.
 AIR, SURFACE, MASS, SLAB, WATER, SENSOR, INTEGRAL, ON = range(8)
 N_STATES = 8
 # Columns of the weather and schedule grid: °C, W/m², W, W/K, W, share 0 to 1, °C. The last two columns are held for
@@ -35,6 +36,8 @@ _KELVIN = 273.15
 # surface per floor area (EN ISO 13790).
 _AIR_J_M2_K = 10e3
 _SURFACE_AIR_W_M2_K, _SURFACE_MASS_W_M2_K, _SURFACE_PER_FLOOR = 3.45, 9.1, 4.5
+# First centimetre of plaster or board, J/K per m² of surface.
+_SURFACE_J_M2_K = 10e3
 # Operative temperature: share of the air (EN ISO 13790, C.12).
 _AIR_SHARE = 0.3
 # Width of the throttling range below the water limit, K.
@@ -52,19 +55,20 @@ _INTEGRAL_S = {"floor": 4 * 3600.0, "radiator": 1.5 * 3600.0, "air": 0.75 * 3600
 (P_AIR_J, P_MASS_J, P_SLAB_J, P_WATER_J, P_IS, P_WINDOWS, P_MS, P_EM, P_SLAB_ROOM, P_SLAB_GROUND, P_GROUND_C,
  P_STRENGTH, P_EXPONENT, P_CONVECTIVE, P_FLOOR, P_MASS_SHARE, P_MACHINE, P_CAPACITY, P_CAPACITY_K, P_DESIGN_C,
  P_LOWEST, P_CARNOT, P_FIXED, P_EFFICIENCY, P_SPREAD, P_LIMIT, P_LAG, P_BIAS, P_NOISE, P_RESOLUTION, P_TI,
- P_MODULATES) = range(32)  # fmt: skip
-N_PARAMETERS = 32
+ P_MODULATES, P_SURFACE_J) = range(33)  # fmt: skip
+N_PARAMETERS = 33
 _HEAT_PUMP, _BOILER, _ELECTRIC = 0.0, 1.0, 2.0
 
 _cop = njit(cache=True)(heat_pump_cop)
 
 
 def parameters(house: House) -> np.ndarray:
-    """Return the parameter vector of a house for `advance`, shape (32,), SI units and °C."""
+    """Return the parameter vector of a house for `advance`, shape (33,), SI units and °C."""
     p = np.zeros(N_PARAMETERS)
     area = house.floor_area_m2
     surface_m2 = _SURFACE_PER_FLOOR * area
-    p[P_AIR_J], p[P_MASS_J] = _AIR_J_M2_K * area, house.mass_J_K
+    p[P_AIR_J], p[P_SURFACE_J] = _AIR_J_M2_K * area, _SURFACE_J_M2_K * surface_m2
+    p[P_MASS_J] = house.mass_J_K - p[P_SURFACE_J]
     p[P_SLAB_J], p[P_WATER_J] = house.slab_J_K or 1.0, house.emitter_J_K
     p[P_IS], p[P_WINDOWS] = _SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
     p[P_MS] = _SURFACE_MASS_W_M2_K * house.mass_area_m2
@@ -138,7 +142,13 @@ def measured_C(p: np.ndarray, sensor_C: float, noise: float) -> float:
 @njit(cache=True)
 def stored_J(p: np.ndarray, state: np.ndarray) -> float:
     """Return the heat stored in all nodes above 0 °C, J."""
-    return p[P_AIR_J] * state[AIR] + p[P_MASS_J] * state[MASS] + p[P_SLAB_J] * state[SLAB] + p[P_WATER_J] * state[WATER]
+    return (
+        p[P_AIR_J] * state[AIR]
+        + p[P_SURFACE_J] * state[SURFACE]
+        + p[P_MASS_J] * state[MASS]
+        + p[P_SLAB_J] * state[SLAB]
+        + p[P_WATER_J] * state[WATER]
+    )
 
 
 @njit(cache=True)
@@ -216,9 +226,9 @@ def advance(
         a[0, 0] = p[P_AIR_J] / dt + ventilation + p[P_IS] + to_air
         a[0, 1], a[0, 4] = -p[P_IS], -to_air
         b[0] = p[P_AIR_J] / dt * state[AIR] + ventilation * T_out + 0.5 * gains
-        a[1, 1] = p[P_IS] + p[P_WINDOWS] + p[P_MS] + p[P_SLAB_ROOM] + to_surface
+        a[1, 1] = p[P_SURFACE_J] / dt + p[P_IS] + p[P_WINDOWS] + p[P_MS] + p[P_SLAB_ROOM] + to_surface
         a[1, 0], a[1, 2], a[1, 3], a[1, 4] = -p[P_IS], -p[P_MS], -p[P_SLAB_ROOM], -to_surface
-        b[1] = p[P_WINDOWS] * T_out + (1.0 - p[P_MASS_SHARE]) * radiant
+        b[1] = p[P_SURFACE_J] / dt * state[SURFACE] + p[P_WINDOWS] * T_out + (1.0 - p[P_MASS_SHARE]) * radiant
         a[2, 2] = p[P_MASS_J] / dt + p[P_MS] + p[P_EM]
         a[2, 1] = -p[P_MS]
         b[2] = p[P_MASS_J] / dt * state[MASS] + p[P_EM] * T_out + p[P_MASS_SHARE] * radiant
