@@ -138,6 +138,18 @@ def test_slow_time_constant_is_capacity_over_loss():
     assert tau_h == pytest.approx(capacity / house.loss_W_K / 3600.0, rel=0.15)
 
 
+def test_the_surfaces_take_time_to_follow_the_air():
+    """Air 5 K above all else warms the surfaces by film over their first centimetre, taken from the structure."""
+    house = house_with(emitter="air")
+    p = physics.parameters(house)
+    assert p[physics.P_SURFACE_J] + p[physics.P_MASS_J] == pytest.approx(house.mass_J_K)
+    state = np.full(physics.N_STATES, 20.0)
+    state[physics.INTEGRAL :], state[physics.AIR] = 0.0, 25.0
+    rows = np.empty((1, len(physics.RECORD)))
+    physics.advance(state, 0.0, 1, 1.0, 0.0, still_grid(20.0), np.zeros(10), p, rows)
+    assert state[physics.SURFACE] - 20.0 == pytest.approx(3.45 * 5.0 / 10e3, rel=0.01)
+
+
 def test_air_leads_and_a_slab_lags():
     """After full level for 15 min an air-heated house is far ahead of a floor-heated one of the same load."""
     heated = {}
