@@ -1,9 +1,12 @@
 """Equations of a generated house: envelope of EN ISO 13790 with an air node, emitter, machine, sensor; one step 30 s.
 
-Nodes: room air, room surfaces, structure, slab, emitter water. Unlike in the hourly method of the standard, the surfaces
-have the heat capacity of their first centimetre, taken from that of the structure: without it a heater's swings of some
-minutes would show fully in the operative temperature. All couplings are implicit (backward Euler) and every heat flow leaves one node and enters another, or crosses the boundary and is recorded: the energy
-balance closes to rounding. The machine's heat is that of the water temperature at the start of the step.
+Nodes: room air, room surfaces, structure, slab, emitter water. Unlike in the hourly method of the standard, the
+surfaces have the heat capacity of their first centimetre, taken from that of the structure: without it a heater's
+swings of some minutes would show fully in the operative temperature.
+
+All couplings are implicit (backward Euler) and every heat flow leaves one node and enters another, or crosses the
+boundary and is recorded: the energy balance closes to rounding. The machine's heat is that of the water temperature at
+the start of the step.
 """
 
 from __future__ import annotations
