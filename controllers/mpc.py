@@ -121,8 +121,7 @@ class ThermoForceMPC:
         self._free_response = free_response or _build_free_response(c.free_response, model)
         self._base = self._build_planner(model)
         self._adapted: list[Planner] = []
-        mode = "both" if self._rooms else "heating" if model.operator.sign > 0 else "cooling"
-        self._fallback = FallbackPolicy(c.fallback, step_s, self._actuation.highest, mode)
+        self._fallback = FallbackPolicy(c.fallback, step_s, self._actuation.highest, model.operator.mode)
 
     @property
     def model(self) -> ThermalModel:

@@ -44,10 +44,9 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
         from controllers.standing_back import StandingBack
 
         return StandingBack(model, config, testcase.mode, testcase.step_s, name=name)
-    identified_for = "heating" if model.operator.sign > 0 else "cooling"
-    if identified_for != testcase.mode:
+    if model.operator.mode != testcase.mode:
         raise ControllerConfigError(
-            f"the model was identified for {identified_for}, test case '{testcase.name}' is for {testcase.mode}: what "
+            f"the model was identified for {model.operator.mode}, test case '{testcase.name}' is for {testcase.mode}: what "
             f"the one does says nothing of the other; identify on data of {testcase.mode}"
         )
     return ThermoForceMPC(model, config, name=name)

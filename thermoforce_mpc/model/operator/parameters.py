@@ -126,6 +126,13 @@ class OperatorParameters:
         return int(self.poles.size)
 
     @property
+    def mode(self) -> str:
+        """'heating', 'cooling', or 'both' where levels below 0 cool."""
+        if self.heat_input.lowest < 0.0:
+            return "both"
+        return "heating" if self.sign > 0 else "cooling"
+
+    @property
     def n_trained(self) -> int:
         """Number of trained parameters: 195 at order 1 with 32 hidden units."""
         return int(self.poles.size + self.gains.size + self.hidden_weight.size + self.hidden_bias.size) + int(
