@@ -46,8 +46,8 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
         return StandingBack(model, config, testcase.mode, testcase.step_s, name=name)
     if model.operator.mode != testcase.mode:
         raise ControllerConfigError(
-            f"the model was identified for {model.operator.mode}, test case '{testcase.name}' is for {testcase.mode}: what "
-            f"the one does says nothing of the other; identify on data of {testcase.mode}"
+            f"the model was identified for {model.operator.mode}, test case '{testcase.name}' is for {testcase.mode}: "
+            f"what the one does says nothing of the other; identify on data of {testcase.mode}"
         )
     return ThermoForceMPC(model, config, name=name)
 

@@ -91,6 +91,28 @@ def buildings_command(houses: int, seed: int, jobs: int, out: Path | None, quick
     show(result, json_file)
 
 
+@command.command("boptest")
+@click.option("--fmus", required=True, type=_FOLDER, help="Folder with FMUs of test cases, NAME.fmu.")
+@click.option(
+    "--price",
+    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
+    default="constant",
+    show_default=True,
+    help="Tariff.",
+)
+@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@_QUICK
+@_JSON
+def boptest_command(fmus: Path, price: str, jobs: int, quick: bool, json_file: Path | None) -> None:
+    """Run the default configuration on test cases from their FMUs, over all their scenarios, beside native control.
+
+    Cost per m² in the test case's currency and discomfort in K·h of two weeks (extra [fmu]).
+    """
+    from thermoforce_mpc.research.bench.boptest import run_boptest_bench
+
+    show(run_boptest_bench(fmus, price=price, jobs=jobs, quick=quick, progress=_progress), json_file)
+
+
 @command.command("free-response")
 @click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=_FOLDER, help="Folder with measured houses.")
