@@ -40,7 +40,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """KPIs by controller, plans of the MPC by status, verdict on its model, wall time s; `failed`: why there are none."""
+    """KPIs by controller, plans of the MPC by status, verdict on its model, wall time s; `failed`: the reason."""
 
     case: Case
     kpis: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
