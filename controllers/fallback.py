@@ -12,6 +12,9 @@ from pydantic import Field
 from thermoforce_mpc.data import HOUR_S, Array, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
+# A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K.
+_TRUSTED_BANDS, _LEAST_TRUST_K = 3.0, 0.1
+
 
 class FallbackConfig(StrictModel):
     """Options of the fallback policy."""
@@ -23,7 +26,8 @@ class FallbackConfig(StrictModel):
     )
     follow_steps: int = Field(3, ge=0, description="largest number of steps for which the previous plan is followed")
     trust_K: float = Field(
-        1.0, gt=0, description="the previous plan is dropped when its predicted zone temperature is off by more, K"
+        1.0, gt=0, description="the previous plan is dropped when its predicted zone temperature is off by more, K, or by three times the"
+        " half-width of its own 80 % band"
     )
     setpoint_above_bound_K: float = Field(
         0.3, description="on/off rule: set-point above the lower bound (cooling: below the upper), K"
@@ -35,11 +39,15 @@ class FallbackConfig(StrictModel):
 
 @dataclass(frozen=True)
 class GoodPlan:
-    """The last solved plan: its time, s, levels `u` (N,) and predicted zone temperatures `T_zone_C` (N,), °C."""
+    """The last solved plan: its time, s, levels `u` (N,), and predicted zone temperatures `T_zone_C` (N,), °C.
+
+    `band_K` (N,): half-width of the 80 % band of its forecast.
+    """
 
     time_s: float
     u: Array
     T_zone_C: Array
+    band_K: Array
 
     def age(self, time_s: float, step_s: float) -> int:
         """Age of the plan in steps of `step_s` seconds."""
@@ -56,7 +64,10 @@ class FallbackPolicy:
         self.config, self.step_s, self.level, self.mode = config, step_s, level, mode
 
     def level_to_follow(self, good: GoodPlan | None, observation: Observation) -> float | None:
-        """Level of the last solved plan for now; None when it is too old or its prediction error exceeds `trust_K`."""
+        """Level of the last solved plan for now; None when it is too old or its prediction did not come true.
+
+        The error may be three times the half-width of the plan's own band, at least 0.1 K and at most `trust_K`.
+        """
         if good is None or self.mode == "both":
             return None
         age = good.age(observation.time_s, self.step_s)
@@ -64,7 +75,8 @@ class FallbackPolicy:
             return None
         # A missing reading does not invalidate the plan; a prediction error does.
         off_by = abs(observation.T_zone_C - good.T_zone_C[age - 1])
-        if math.isfinite(off_by) and off_by > self.config.trust_K:
+        promised_K = max(_TRUSTED_BANDS * float(good.band_K[age - 1]), _LEAST_TRUST_K)
+        if math.isfinite(off_by) and off_by > min(self.config.trust_K, promised_K):
             return None
         return min(max(float(good.u[age]), 0.0), self.level)
 

@@ -19,6 +19,7 @@ from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.problem import Cooling, MPCProblem, Solution, Weights
 from controllers.room import room_blocks, within_C
 from controllers.solvers import Solver, build_solver
+from controllers.watch import Track, Watch, WatchState
 from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
@@ -41,7 +42,8 @@ class MPCState:
     """Controller state passed from one plan to the next.
 
     `first_s`: time of the first plan, s; `peak_W`: highest mean power of a step since, W; `actuation`: state of the
-    machine; `good`: last solved plan; `predictor`, `adaptation`: states of predictor and online adaptation.
+    machine; `good`: last solved plan; `predictor`, `adaptation`: states of predictor and online adaptation; `watch`:
+    what the watch knows of the predictions.
     """
 
     first_s: float
@@ -50,6 +52,7 @@ class MPCState:
     good: GoodPlan | None = None
     predictor: PredictorState | None = None
     adaptation: AdaptationState | None = None
+    watch: WatchState = field(default_factory=WatchState)
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ class ThermoForceMPC:
                 "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
             )
         self._adaptation = OnlineAdaptation(model, c.adaptation)
+        self._watch = Watch(c.watch, model, self._n_steps, self._expected_power_W)
         self._free_response = free_response or _build_free_response(c.free_response, model)
         self._base = self._build_planner(model)
         self._adapted: list[Planner] = []
@@ -169,7 +173,50 @@ class ThermoForceMPC:
         closed = shut(self.config.gate, self.model.card.competence)
         if closed is not None:
             return self._stand_back(observation, now, PlanStatus.GATE, closed)
-        return self._guarded(observation, now, self._planned(observation, now))
+        now = self._watched(now, history)
+        if now.watch.alarm:
+            reason = f"watch: {now.watch.alarm} (since {(observation.time_s - now.watch.since_s) / HOUR_S:.1f} h)"
+            return self._asked(
+                observation, self._stand_back(observation, self._shadowed(observation, now), PlanStatus.WATCH, reason)
+            )
+        return self._asked(observation, self._guarded(observation, now, self._planned(observation, now)))
+
+    def _watched(self, now: MPCState, history: Record) -> MPCState:
+        """The state with the predictions that came due judged; where control returns, with the model that held."""
+        watch = self._watch.judged(now.watch, history, now.adaptation, now.predictor)
+        if now.watch.alarm and not watch.alarm:
+            now = replace(now, adaptation=watch.tracks[0].adaptation, predictor=watch.tracks[0].predictor)
+        return replace(now, watch=watch)
+
+    def _shadowed(self, observation: Observation, now: MPCState) -> MPCState:
+        """The state with new predictions of the models that are judged while another controller acts."""
+        if not self._watch.due(observation.time_s):
+            return now
+        ahead = Observation(observation.history, observation.boundary.head(self._n_steps))
+
+        def predicted(track: Track) -> Track:
+            assert track.adaptation is not None
+            planner = self._planner(track.adaptation.model)
+            try:
+                context = planner.predictor.context(ahead, track.predictor)
+            except Exception:  # as in `_planned`; without predictions a model does not get control back
+                return track
+            return replace(self._watch.issued(track, context, planner.operator), predictor=context.state)
+
+        return replace(now, watch=replace(now.watch, tracks=tuple(map(predicted, now.watch.tracks))))
+
+    def _asked(self, observation: Observation, plan: Plan) -> Plan:
+        """The plan, its state with the level asked for."""
+        assert isinstance(plan.state, MPCState)
+        # What room set-points ask for is a temperature; its level is expected, not asked.
+        levels = [float("nan") if block.u is None or block.band_C else block.u * block.duration_s for block in plan.blocks]
+        watch = self._watch.asked(plan.state.watch, observation.time_s, sum(levels) / self.step_s)
+        news = f"watch: {watch.news}; " if watch.news else ""
+        return replace(plan, why=news + plan.why, state=replace(plan.state, watch=watch))
+
+    def _expected_power_W(self, record: Record) -> Array:
+        """Electric power (n,), W, for the levels of a record."""
+        return self._power(np.clip(record.u, self.model.operator.heat_input.lowest, 1.0), record.T_out_C[:-1], record.T_return_C)
 
     def _planned(self, observation: Observation, now: MPCState) -> Plan:
         """Predict, solve and check; the fallback policy acts where one of them fails."""
@@ -187,6 +234,9 @@ class ThermoForceMPC:
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return self._fall_back(observation, now, f"no prediction ({_said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
+        if self._watch.due(observation.time_s):
+            judged = self._watch.issued(now.watch.tracks[0], context, planner.operator)
+            now = replace(now, watch=replace(now.watch, tracks=(judged,)))
         began = time.perf_counter()
         try:
             solution = planner.solver.solve(problem, self._guess(now.good, observation))
@@ -335,6 +385,7 @@ class ThermoForceMPC:
         forced_K = problem.forced_K(operator, u)
         T_zone_C = problem.T_free_C + forced_K
         slack_K = problem.slack_K(T_zone_C)
+        band_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
         if self._rooms:
             blocks, actuation = self._room_blocks(observation, float(u[0]), float(T_zone_C[0])), now.actuation
         else:
@@ -356,7 +407,7 @@ class ThermoForceMPC:
             solver_status=solution.status,
             iterations=solution.iterations,
             seconds=seconds,
-            state=replace(now, actuation=actuation, good=GoodPlan(observation.time_s, u, T_zone_C)),
+            state=replace(now, actuation=actuation, good=GoodPlan(observation.time_s, u, T_zone_C, band_K)),
         )
 
     def _room_blocks(self, observation: Observation, u: float, T_end_C: float) -> tuple[Block, ...]:
@@ -385,7 +436,8 @@ class ThermoForceMPC:
     def _fall_back(
         self, observation: Observation, now: MPCState, reason: str, solver_status: str, seconds: Mapping[str, float]
     ) -> Plan:
-        u = self._fallback.level_to_follow(now.good, observation)
+        good = None if self._watch.doubtful(now.watch) else now.good
+        u = self._fallback.level_to_follow(good, observation)
         if u is not None:
             status, why = PlanStatus.SHIFTED, f"following the previous plan (u = {u:.2f})"
         else:

@@ -14,6 +14,7 @@ from controllers.ipopt import IpoptConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
 from controllers.semi_continuous import SemiContinuousConfig
+from controllers.watch import WatchConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
@@ -111,6 +112,7 @@ class MPCConfig(StrictModel):
     fallback: FallbackConfig = FallbackConfig()
     gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()
+    watch: WatchConfig = WatchConfig()
     qp: QPConfig = QPConfig()
     semi_continuous: SemiContinuousConfig = SemiContinuousConfig()
     ipopt: IpoptConfig = IpoptConfig()

@@ -67,6 +67,7 @@ _AS_PRINTED: dict[str, Any] = {
     "actuation": {"mode": "modulating"},
     "gate": {"enabled": False},
     "guard": {"enabled": False},
+    "watch": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
 

@@ -113,6 +113,19 @@ def boptest_command(fmus: Path, price: str, jobs: int, quick: bool, json_file: P
     show(run_boptest_bench(fmus, price=price, jobs=jobs, quick=quick, progress=_progress), json_file)
 
 
+@command.command("faults")
+@click.option(
+    "--stand-back", type=click.Choice(["native", "rule"]), default="native", help="Who acts after an alarm of the watch."
+)
+@_QUICK
+@_JSON
+def faults_command(stand_back: str, quick: bool, json_file: Path | None) -> None:
+    """Measure how soon the watch notices faults of the embedded plant that last a day, and what they cost."""
+    from thermoforce_mpc.research.bench.faults import run_faults_bench
+
+    show(run_faults_bench(quick=quick, progress=_progress, stand_back=stand_back), json_file)
+
+
 @command.command("free-response")
 @click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=_FOLDER, help="Folder with measured houses.")

@@ -161,8 +161,7 @@ class OnlineAdaptation:
             DataError: the weather was never measured, see `thermoforce_mpc.model.gaps`.
         """
         if state is None:
-            variance = self.config.gain_sd**2
-            state = AdaptationState(self._identified, np.zeros(2), self._least.copy(), 0.0, variance)
+            state = self.restarted(None, None)
         if not self.config.enabled or history.n_steps == 0:
             return state
         n = max(2, round(self.config.block_h * HOUR_S / history.step_s))
@@ -173,6 +172,13 @@ class OnlineAdaptation:
                 return replace(state, done_s=done_s)
             state = self._taken(state, history, first, first + n)
             done_s = float(history.time_s[first + n])
+
+    def restarted(self, state: AdaptationState | None, done_s: float | None) -> AdaptationState:
+        """Return the factors of `state` (None: as identified) as uncertain as at the start; blocks begin at `done_s`, s."""
+        variance = self.config.gain_sd**2
+        if state is None:
+            return AdaptationState(self._identified, np.zeros(2), self._least.copy(), 0.0, variance, done_s)
+        return replace(state, covariance=self._least.copy(), heat_variance=variance, done_s=done_s)
 
     def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
         """Return the state after one block: steps `start` … `stop` − 1."""

@@ -24,6 +24,7 @@ from thermoforce_mpc.simulation.composition import build_plant, controller_optio
 from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import IdentificationTask, IdentifiedModel, identification_task, model_for
 from thermoforce_mpc.simulation.run_folder import create_run_folder, trajectory_frame, write_partial, write_results
+from thermoforce_mpc.simulation.watching import watch_spells
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -209,6 +210,8 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
+    for spell in watch_spells(done.result):
+        display.say(f"Watch: {spell.in_words()}")
     return folder
 
 

@@ -16,6 +16,7 @@ from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
 from thermoforce_mpc.simulation.report.plots import actuation_plot, kpi_plot, temperature_plot
 from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.watching import watch_spells
 
 KPI_LABELS = {
     "cost_tot": ("Cost", "{currency}/m²"),
@@ -35,7 +36,7 @@ def write_report(
     trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
-    events = steps[(steps.status.isin(["shifted", "thermostat"])) | (steps.refused != "") | (steps.notes != "")]
+    events = steps[(steps.status.isin(["shifted", "thermostat", "guard"])) | (steps.refused != "") | (steps.notes != "")]
     template = page_environment().get_template("report.html.j2")
     page = template.render(
         kpis=kpis,
@@ -48,6 +49,7 @@ def write_report(
         comparison=Markup(kpi_plot(everyone, currency)),
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
+        watch=[spell.in_words() for spell in watch_spells(result)],
         events=events.to_dict("records"),
         fallback_levels=result.fallback_levels(),
         sentences=_sentences(steps),

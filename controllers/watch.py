@@ -1,0 +1,380 @@
+"""Watch over the model while it runs: are its predictions 1 h and 6 h ahead as good as it promises?
+
+Every hour a prediction is put down: free forecast, forced state and features. When it comes due it is judged for the
+levels that were applied since, since a plan is replaced many times in 6 h. The error is divided by what was promised:
+the 80 % band of the free forecast together with the uncertainty of the gain on the model's card. The band counts with
+at most `widest` times the median band of the last week, because calibration widens it after errors and would excuse
+them.
+
+The promise that is tested: given the past, an error beyond z promised half-widths on one side is not more probable than
+for a Student t distribution with 2 degrees of freedom and the same 80 % band (tails heavier than any seen in healthy
+runs). With p that probability, 1 / (2 √p) is an e-value (Vovk and Wang 2021). For each lead time, side and set of
+predictions that do not overlap, the e-values enter a Shiryaev-Roberts e-detector M ← (M + 1) e (Shin, Ramdas and
+Rinaldo 2022). Under the promise M minus the number of predictions is a supermartingale, so M reaches A within n
+predictions with probability n / A at most, whatever the dependence between the detectors; A follows from `false_alarm`
+by summing over all of them.
+
+Two direct checks are faster: levels measured against levels asked for, and heat or power against the machine's model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydantic import Field
+
+from controllers.watch_checks import applied_levels, level_fault, machine_ratio
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import forced_rollout
+from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.scenario.settings import StrictModel
+
+LEADS_H = (1.0, 6.0)
+_MONTH_S = 30 * DAY_S
+# 0.9 quantile of Student's t with 2 degrees of freedom, and of the normal distribution.
+_T2_90, _NORMAL_90 = 1.8856, 1.2816
+# Smallest probability that counts: one error alone has an e-value of at most 16.
+_LEAST_P = 1e-3
+# Days of bands whose median is the usual promise, and hours of errors that are kept.
+_USUAL_DAYS, _KEPT_H = 7, 72.0
+# Hourly comparisons of meters before a change can be told.
+_LEAST_RATIOS = 12
+# Share of predictions inside their band, and share of those expected that were judged, to hand control back.
+_INSIDE, _JUDGED = 0.7, 0.75
+# A second alarm within this time after a return doubles the wait, up to the limit; h.
+_RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
+# Adaptation while standing back: any change of the gain by up to a factor of three, from the last days alone.
+_FAST = AdaptationConfig(
+    enabled=True, block_h=6.0, forgetting_days=2.0, gain_sd=0.5, time_constant_sd=0.1, gain_bounds=(0.3, 3.0)
+)
+_BEFORE_H = 12.0  # adaptation begins this long before the alarm
+
+
+class WatchConfig(StrictModel):
+    """Options of the watch."""
+
+    enabled: bool = Field(True, description="hand control back while predictions are worse than promised, or actuator or machine do something else")
+    false_alarm: float = Field(
+        0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
+    )
+    least_K: float = Field(
+        0.1, gt=0, description="promises of errors below this at 1 h, and 2.4 times this at 6 h, are not held to, K"
+    )
+    widest: float = Field(
+        1.25, ge=1, description="a band counts with at most this many times the median band of the last week"
+    )
+    machine_factor: float = Field(
+        1.35, gt=1, description="heat or power this many times more or less than modelled and than before is a fault"
+    )
+    return_h: float = Field(
+        12.0, ge=3, le=168, description="control returns after predictions were as promised for this long, h"
+    )
+
+
+@dataclass(frozen=True)
+class Issued:
+    """A prediction put down at `time_s`: state and inputs of the forced response, and the promise at each lead.
+
+    `operator` at the control step; `forced_K` (r,) K; `features` (n, 4); `median_C`, `below_K`, `above_K` (L,): free
+    response and distances to the ends of its 80 % band at the leads.
+    """
+
+    time_s: float
+    operator: OperatorParameters
+    forced_K: Array
+    features: Array
+    median_C: Array
+    below_K: Array
+    above_K: Array
+    judged: int = 0
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A prediction that came due at `time_s`: index of its `lead`, error (measured − predicted) and promise, K."""
+
+    time_s: float
+    lead: int
+    error_K: float
+    promise_K: float
+
+
+@dataclass(frozen=True)
+class Track:
+    """A model under judgement: predictions pending and judged, and the evidence against it.
+
+    `bands` (time s, half-width at each lead K) of the last week; `evidence` maps (lead, phase, side) to the detector's
+    M. While standing back `adaptation` holds the model, `predictor` the state of its predictor.
+    """
+
+    name: str = "the model in use"
+    adaptation: AdaptationState | None = None
+    predictor: PredictorState | None = None
+    pending: tuple[Issued, ...] = ()
+    judged: tuple[Judged, ...] = ()
+    bands: tuple[tuple[float, Array], ...] = ()
+    evidence: dict[tuple[int, int, int], float] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> tuple[float, int, int]:
+        """Largest evidence against the model, the index of its lead, and the side (+1: warmer than predicted)."""
+        if not self.evidence:
+            return 0.0, 0, 1
+        (lead, _, side), M = max(self.evidence.items(), key=lambda item: item[1])
+        return M, lead, side
+
+    def cleared(self) -> Track:
+        """This track without evidence."""
+        return replace(self, evidence={})
+
+
+@dataclass(frozen=True)
+class WatchState:
+    """What the watch knows of a run.
+
+    `tracks`: the model in use; while standing back also its candidates for return. `asked`: (start s, mean level) of
+    the last plans. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control was handed back at
+    `since_s`, empty while the model is in use. `wait_h`: shortest time of standing back; `returned_s`: last return, and
+    `news` what to say of it in this step's plan.
+    """
+
+    tracks: tuple[Track, ...] = (Track(),)
+    asked: tuple[tuple[float, float], ...] = ()
+    ratios: tuple[tuple[float, float], ...] = ()
+    alarm: str = ""
+    since_s: float = -math.inf
+    wait_h: float = 0.0
+    returned_s: float = -math.inf
+    news: str = ""
+
+
+class Watch:
+    """Judges predictions and decides when control is handed back and when it returns; all state is in `WatchState`."""
+
+    def __init__(
+        self, config: WatchConfig, model: ThermalModel, n_steps: int, power: Callable[[Record], Array]
+    ) -> None:
+        """Watch predictions of `n_steps` steps at the step of `model`.
+
+        Args:
+            power: electric power (n,) W expected for the levels of a record (n steps).
+        """
+        self.config, self._model, self._power = config, model, power
+        self.step_s = model.operator.step_s
+        leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
+        self.leads = tuple(n for n in dict.fromkeys(leads) if n <= n_steps)
+        self.every = max(1, round(HOUR_S / self.step_s))
+        per_month = _MONTH_S / (self.every * self.step_s)
+        # Two sides for each lead; the phases of a lead share its predictions.
+        self.threshold = 2 * len(self.leads) * per_month / config.false_alarm
+        self._least_K = config.least_K * np.sqrt(np.array(self.leads) * self.step_s / HOUR_S)
+        self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
+        self._adaptation = OnlineAdaptation(model, _FAST)
+
+    def due(self, time_s: float) -> bool:
+        """Whether a prediction is to be put down at `time_s`."""
+        return self.config.enabled and round(time_s / self.step_s) % self.every == 0
+
+    def issued(self, track: Track, context: PredictionContext, operator: OperatorParameters) -> Track:
+        """The track with the prediction of `context` put down, made with `operator`."""
+        at = np.array(self.leads) - 1
+        free, now = context.free, float(context.boundary.time_s[0])
+        median = free.median_C[at]
+        below, above = median - free.quantile_C(0.1)[at], free.quantile_C(0.9)[at] - median
+        new = Issued(now, operator, context.forced_K, context.features[: self.leads[-1]], median, below, above)
+        bands = [*track.bands, (now, 0.5 * (below + above))]
+        kept = tuple(item for item in bands if now - item[0] <= _USUAL_DAYS * DAY_S)
+        return replace(track, pending=(*track.pending, new), bands=kept)
+
+    def judged(
+        self, state: WatchState | None, history: Record, adaptation: AdaptationState | None, predictor: object
+    ) -> WatchState:
+        """The state after the predictions that came due; it says whether the model may be used in this step.
+
+        Args:
+            state: state after the last step; None at the start of a run.
+            history: record until now.
+            adaptation, predictor: states of adaptation and predictor of the model in use.
+        """
+        if not self.config.enabled:
+            return WatchState()
+        state = replace(state or WatchState(), news="")
+        now = float(history.time_s[-1])
+        levels = applied_levels(state.asked, history, self._model.operator.heat_input)
+        state = replace(state, tracks=tuple(self._came_due(track, history, levels) for track in state.tracks))
+        if state.alarm:
+            return self._back_if_it_holds(self._adapted(state, history), now)
+        fault, state = self._direct_fault(state, history)
+        fault = fault or self._broken_promise(state.tracks[0])
+        if not fault:
+            return state
+        used = replace(
+            state.tracks[0].cleared(),
+            adaptation=adaptation or self._adaptation.update(None, history.last(0)),
+            predictor=predictor if isinstance(predictor, PredictorState) else None,
+        )
+        assert used.adaptation is not None
+        fresh = self._adaptation.restarted(used.adaptation, now - _BEFORE_H * HOUR_S)
+        tracks = [used, replace(used, name="the model adapted since", adaptation=fresh)]
+        if used.adaptation.model is not self._model:
+            at_first = self._adaptation.restarted(None, now)
+            tracks.append(
+                Track("the model as identified", at_first, replace(used.predictor or PredictorState(), forced=None))
+            )
+        relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
+        wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
+        return replace(state, tracks=tuple(tracks), alarm=fault, since_s=now, wait_h=wait_h)
+
+    def asked(self, state: WatchState, time_s: float, level: float) -> WatchState:
+        """The state with the mean `level` asked for in the step from `time_s` (NaN: native control)."""
+        recent = tuple(item for item in state.asked if time_s - item[0] < LEADS_H[-1] * HOUR_S)
+        return replace(state, asked=(*recent, (time_s, level)))
+
+    def doubtful(self, state: WatchState) -> bool:
+        """Whether evidence has gathered halfway (in the exponent) to an alarm: older plans are not to be followed."""
+        return state.tracks[0].worst[0] >= math.sqrt(self.threshold)
+
+    def _came_due(self, track: Track, history: Record, levels: Array) -> Track:
+        """The track after judging every pending prediction whose lead has passed; `levels` (n,) were applied."""
+        now, pending, found = float(history.time_s[-1]), [], list(track.judged)
+        evidence = dict(track.evidence)
+        for item in track.pending:
+            passed = round((now - item.time_s) / self.step_s)
+            for lead in range(item.judged, len(self.leads)):
+                if passed < self.leads[lead]:
+                    break
+                item = replace(item, judged=lead + 1)
+                outcome = self._outcome(item, lead, history, levels, track)
+                if outcome is None:
+                    continue
+                found.append(outcome)
+                phases = -(-self.leads[lead] // self.every)
+                phase = round(item.time_s / self.step_s) // self.every % phases
+                for side in (1, -1):
+                    M = evidence.get((lead, phase, side), 0.0)
+                    evidence[lead, phase, side] = (M + 1.0) * e_value(side * outcome.error_K / outcome.promise_K)
+            if item.judged < len(self.leads):
+                pending.append(item)
+        kept = tuple(item for item in found if now - item.time_s <= _KEPT_H * HOUR_S)
+        return replace(track, pending=tuple(pending), judged=kept, evidence=evidence)
+
+    def _outcome(self, item: Issued, lead: int, history: Record, levels: Array, track: Track) -> Judged | None:
+        """The prediction of `item` at `lead` beside what was measured; None where that or a level is not known."""
+        n = self.leads[lead]
+        start = int(np.searchsorted(history.time_s, item.time_s - 0.5 * self.step_s))
+        if start + n > history.n_steps or abs(history.time_s[start] - item.time_s) > 0.5 * self.step_s:
+            return None
+        u, T_zone = levels[start : start + n], float(history.T_zone_C[start + n])
+        if not (np.isfinite(u).all() and math.isfinite(T_zone)):
+            return None
+        runs = np.stack([np.clip(u, 0.0, 1.0), np.zeros(n)])
+        forced, idle = forced_rollout(item.operator, item.forced_K, runs, item.features[:n])[:, -1].sum(axis=-1)
+        error = T_zone - item.median_C[lead] - float(forced)
+        band = float(item.above_K[lead] if error > 0 else item.below_K[lead])
+        usual = float(np.median([bands[lead] for time_s, bands in track.bands if time_s <= item.time_s]))
+        gain = _NORMAL_90 * self._gain_sd[lead] * float(forced - idle)
+        promise = math.hypot(min(band, self.config.widest * usual), gain, self._least_K[lead])
+        return Judged(float(history.time_s[start + n]), lead, error, promise)
+
+    def _broken_promise(self, track: Track) -> str:
+        """What the evidence says against the model; empty below the threshold."""
+        M, lead, side = track.worst
+        if M < self.threshold:
+            return ""
+        last = [item for item in track.judged if item.lead == lead][-6:]
+        hours = self.leads[lead] * self.step_s / HOUR_S
+        return (
+            f"the zone is {'warmer' if side > 0 else 'colder'} than predicted {hours:g} h ahead: by "
+            f"{np.mean([item.error_K for item in last]):+.2f} K in the last {len(last)} predictions, where "
+            f"±{np.mean([item.promise_K for item in last]):.2f} K was promised"
+        )
+
+    def _direct_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
+        """What levels and meters say against the machine, and the state with the ratio of this hour."""
+        fault = level_fault(state.asked, history)
+        now = float(history.time_s[-1])
+        if fault or not self.due(now):
+            return fault, state
+        found = machine_ratio(state.asked, history, self._model.operator.heat_input.heat, self._power)
+        if found is None:
+            return "", state
+        what, ratio = found
+        before = [value for time_s, value in state.ratios if now - time_s > LEADS_H[-1] * HOUR_S]
+        kept = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
+        state = replace(state, ratios=(*kept, (now, ratio)))
+        limit = self.config.machine_factor
+        # A map that never fitted this machine is no change of the machine.
+        if len(before) < _LEAST_RATIOS:
+            return "", state
+        change = ratio / max(float(np.median(before)), 1e-6)
+        if any(1.0 / limit <= value <= limit for value in (ratio, change)):
+            return "", state
+        return f"the machine's {what} was {ratio:.0%} of the model's in the last hours ({change:.0%} of before)", state
+
+    def _adapted(self, state: WatchState, history: Record) -> WatchState:
+        """The state with the adapted candidate brought up to now."""
+        tracks = []
+        for track in state.tracks:
+            if track.name == "the model adapted since" and track.adaptation is not None:
+                after = self._adaptation.update(track.adaptation, history)
+                changed = after.model is not track.adaptation.model
+                predictor = replace(track.predictor or PredictorState(), forced=None) if changed else track.predictor
+                track = replace(track, adaptation=after, predictor=predictor)
+            tracks.append(track)
+        return replace(state, tracks=tuple(tracks))
+
+    def _back_if_it_holds(self, state: WatchState, now: float) -> WatchState:
+        """The state with control returned to the best track that has kept its promise for long enough."""
+        wait_s = state.wait_h * HOUR_S
+        if now - state.since_s < wait_s - 1.0:
+            return state
+        holding = [track for track in state.tracks if self._holds(track, now)]
+        if holding:
+            best = min(holding, key=lambda track: self._size(track, now))
+            news = f"predictions of {best.name} were as promised for {self.config.return_h:g} h: control returns"
+        elif now - state.since_s >= 2 * wait_s and not any(self._recent(track, now) for track in state.tracks):
+            best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
+        else:
+            return state
+        used = replace(best.cleared(), name=Track().name, adaptation=best.adaptation, predictor=best.predictor)
+        # The machine as it is now is the new reference of its meters.
+        return replace(state, tracks=(used,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
+
+    def _recent(self, track: Track, now: float) -> list[Judged]:
+        return [item for item in track.judged if now - item.time_s < self.config.return_h * HOUR_S - 1.0]
+
+    def _size(self, track: Track, now: float) -> float:
+        """Mean error over promise of the last hours."""
+        return float(np.mean([abs(item.error_K) / item.promise_K for item in self._recent(track, now)]))
+
+    def _holds(self, track: Track, now: float) -> bool:
+        """Whether the predictions of the last `return_h` hours were as promised, at every lead."""
+        expected = self.config.return_h * HOUR_S / (self.every * self.step_s)
+        for lead in range(len(self.leads)):
+            inside = [abs(i.error_K) <= i.promise_K for i in self._recent(track, now) if i.lead == lead]
+            if len(inside) < _JUDGED * expected or np.mean(inside) < _INSIDE:
+                return False
+        return True
+
+
+def e_value(z: float) -> float:
+    """E-value of an error of `z` promised half-widths on one side, between 0.5 and 16."""
+    t = _T2_90 * z
+    p = 0.5 - 0.5 * t / math.sqrt(2.0 + t * t)
+    return 0.5 / math.sqrt(max(p, _LEAST_P))
+
+
+def _relative_gain_sd(model: ThermalModel, hours: float) -> float:
+    """Relative standard deviation of the effect of `hours` at full level, from the card; 0 where it says nothing."""
+    known = model.card.uncertainty
+    at = [int(key.split("_")[2][:-1]) for key in known if key.startswith("step_response_") and key.endswith("h_K")]
+    if not at:
+        return 0.0
+    share = [known[f"step_response_{h}h_sd_K"] / max(abs(known[f"step_response_{h}h_K"]), 1e-9) for h in sorted(at)]
+    return float(np.interp(hours, sorted(at), np.minimum(share, 1.0)))

@@ -1,0 +1,112 @@
+"""Direct checks of the watch: does the actuator do what it was asked, and does the machine give what it gave?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+# Differences between asked and measured level count from here: rounding and rate limits of an actuator are below.
+_SAME = 0.1
+# Full-load hours of difference that make a fault, and their least share of what was asked or measured.
+_DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
+# Full-load hours that a comparison of meters needs.
+_RUNNING_H = 1.5
+
+
+# Levels tried to find the one that gives a measured heat.
+_LEVELS = np.linspace(0.0, 1.0, 41)
+
+
+def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_input: HeatInput) -> Array:
+    """Levels (n,) in [0, 1] to judge the predictions of a record by; NaN where neither level nor heat is known.
+
+    They are those of the record, except where native control acted (no level in `asked`, see `level_fault`) and heat
+    was measured: it holds levels for which the map from level to heat was not identified, so the level that gives the
+    measured heat is taken.
+    """
+    levels = np.array(history.u)
+    if heat_input.heat is not None:
+        for time_s, level in asked:
+            step = _step_of(time_s, history)
+            if step is None or np.isfinite(level) or not np.isfinite(history.heat_W[step] + history.T_out_C[step]):
+                continue
+            share = abs(float(history.heat_W[step])) / heat_input.reference_W
+            levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
+    return levels
+
+
+def level_fault(asked: Sequence[tuple[float, float]], history: Record) -> str:
+    """What is wrong between `asked` levels (start of the step s, mean level) and those measured; empty if nothing is.
+
+    A plant that does not report its level cannot fail here: the record then holds the level asked for.
+    """
+    want, got, _ = _steps(asked, history)
+    if not want.size:
+        return ""
+    hours = history.step_s / HOUR_S
+    off = np.abs(got - want)
+    off_h = float(off[off > _SAME].sum()) * hours
+    if off_h < _DIFFERENT_H or off_h < _DIFFERENT_SHARE * float(np.maximum(want, got).sum()) * hours:
+        return ""
+    return (
+        f"the actuator does not follow: {want.mean():.2f} was asked for on average in the last {want.size * hours:g} h,"
+        f" {got.mean():.2f} was measured"
+    )
+
+
+def machine_ratio(
+    asked: Sequence[tuple[float, float]],
+    history: Record,
+    heat: MachineLoad | None,
+    power_W: Callable[[Record], Array],
+) -> tuple[str, float] | None:
+    """Which meter was read, and its sum over the modelled sum at the levels asked for; None where little was running.
+
+    Args:
+        asked: see `level_fault`.
+        history: record until now.
+        heat: the machine's heat, used where it is measured.
+        power_W: electric power (n,) W expected for the levels of a record (n steps).
+    """
+    want, got, index = _steps(asked, history)
+    used = index[np.abs(got - want) <= _SAME]
+    for what, measured in (("heat", np.abs(history.heat_W)), ("power", history.power_W)):
+        if what == "heat" and heat is None:
+            continue
+        steps = used[np.isfinite(measured[used]) & np.isfinite(history.T_out_C[used])]
+        if float(history.u[steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
+            continue
+        if what == "heat":
+            assert heat is not None
+            modelled = heat(np.clip(history.u[steps], 0.0, 1.0), history.T_out_C[steps])
+        else:
+            first = int(steps[0])
+            modelled = power_W(history.slice(first, history.n_steps))[steps - first]
+        if not (np.isfinite(modelled).all() and modelled.sum() > 0):
+            continue
+        return what, float(measured[steps].sum() / modelled.sum())
+    return None
+
+
+def _step_of(time_s: float, history: Record) -> int | None:
+    """Index of the step of `history` that starts at `time_s`; None if there is none."""
+    step = int(np.searchsorted(history.time_s, time_s - 0.5 * history.step_s))
+    known = step < history.n_steps and abs(history.time_s[step] - time_s) <= 0.5 * history.step_s
+    return step if known else None
+
+
+def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, Array]:
+    """Levels asked for and measured, both (n,), and the index (n,) of those steps, where both are known."""
+    want, got, index = [], [], []
+    for time_s, level in asked:
+        step = _step_of(time_s, history)
+        if step is not None and np.isfinite(level) and np.isfinite(history.u[step]):
+            want.append(level)
+            got.append(float(history.u[step]))
+            index.append(step)
+    return np.array(want), np.array(got), np.array(index, dtype=np.intp)

@@ -1,0 +1,213 @@
+"""The watch: a plant that changed is noticed, control handed back, and returned once predictions hold again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, outdoor_C, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.fallback import FallbackConfig, FallbackPolicy, GoodPlan
+from controllers.mpc_config import MPCConfig
+from controllers.registry import controller_config
+from controllers.watch import Watch, WatchConfig, e_value
+from controllers.watch_checks import applied_levels, level_fault, machine_ratio
+from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus, Record
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.display import RunDisplay
+from thermoforce_mpc.simulation.watching import watch_spells
+
+FROM_S, TO_S = 13 * DAY_S, 15 * DAY_S
+
+
+class FaultyHouse(SimpleHouse):
+    """The simple house with a fault from day 3 to day 5 of the run."""
+
+    def __init__(self, fault: str) -> None:
+        super().__init__()
+        self.fault = fault
+
+    @property
+    def now_faulty(self) -> str:
+        return self.fault if FROM_S <= self.now_s < TO_S else "none"
+
+    def _measure(self, u: float = np.nan):
+        measurement = super()._measure(u)
+        return replace(measurement, T_zone_C=self.T + 2.0) if self.now_faulty == "sensor" else measurement
+
+    def _advance(self, u, duration_s):
+        fault = self.now_faulty
+        if fault == "window":
+            share = 0.05 * duration_s / HOUR_S
+            self.T += share * (float(outdoor_C(self.now_s)) - self.T)
+        given = {"weak": None if u is None else 0.5 * u, "stuck": 0.0, "stuck unseen": 0.0, "overridden": None}.get(fault, u)
+        measurement = super()._advance(given, duration_s)
+        if fault == "weak":
+            measurement = replace(measurement, u=2.0 * measurement.u if u is not None else measurement.u)
+        if fault == "stuck unseen":
+            measurement = replace(measurement, u=np.nan if u is None else u, power_W=np.nan, heat_W=np.nan)
+        return measurement
+
+
+def run(fault: str, days: float = 9.0, **options: object) -> RunResult:
+    options = {"step_s": None, "horizon_h": 24.0, **options}
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(**options), free_response=OutdoorResponse())
+    house = FaultyHouse(fault)
+    return run_closed_loop(house, mpc, replace(house.period("x"), scored_s=days * DAY_S))
+
+
+def watched(result: RunResult) -> list[float]:
+    return [step.time_s for step in result.steps if step.plan.status is PlanStatus.WATCH]
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        ("weak", "the machine's power was"),
+        ("window", "colder than predicted"),
+        ("sensor", "warmer than predicted"),
+        ("stuck", "the actuator does not follow"),
+        ("stuck unseen", "colder than predicted"),
+        ("overridden", "the actuator does not follow"),
+    ],
+)
+def test_a_changed_plant_is_noticed_within_a_day_and_control_returns(fault, says):
+    result = run(fault)
+    spells = watch_spells(result)
+    assert spells, "noticed"
+    assert FROM_S < spells[0].start_s <= FROM_S + DAY_S
+    assert says in spells[0].why
+    assert spells[0].why.endswith("native control")
+    assert spells[0].end_s - spells[0].start_s >= 12 * HOUR_S
+    for spell in spells:
+        assert spell.why_back, "control returned, with a reason"
+        assert spell.end_s <= TO_S + 2 * DAY_S
+    inside = [s for s in result.steps if spells[0].start_s <= s.time_s < spells[0].end_s]
+    assert all(sample.u_applied is None for step in inside for sample in step.samples)
+
+
+def test_without_a_change_nothing_is_noticed_and_plans_are_the_same():
+    with_watch, alone = run("none"), run("none", watch={"enabled": False})
+    assert watched(with_watch) == []
+    for ours, theirs in zip(with_watch.steps, alone.steps, strict=True):
+        np.testing.assert_array_equal(ours.plan.u, theirs.plan.u)
+    assert with_watch.kpis | {"time_rat": 0.0} == alone.kpis | {"time_rat": 0.0}
+
+
+def test_off_it_does_not_notice_and_the_papers_settings_leave_it_off():
+    assert watched(run("window", watch={"enabled": False})) == []
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    assert controller_config("thermoforce_mpc", {}, testcase).watch.enabled
+    for name in ("thermoforce_paper", "candidate_search"):
+        assert not controller_config(name, {}, testcase).watch.enabled
+
+
+def test_the_rule_can_act_instead_and_keeps_the_zone_warm():
+    result = run("window", fallback={"stand_back": "rule"})
+    steps = [step for step in result.steps if step.plan.status is PlanStatus.WATCH]
+    assert steps
+    assert all(sample.u_applied in (0.0, 1.0) for step in steps for sample in step.samples)
+    assert result.kpis["tdis_tot"] <= run("window", watch={"enabled": False}).kpis["tdis_tot"] + 0.5
+
+
+def test_a_machine_that_stays_weak_is_adapted_to():
+    class Weak(FaultyHouse):
+        @property
+        def now_faulty(self) -> str:
+            return "weak" if self.now_s >= FROM_S else "none"
+
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house = Weak("weak")
+    result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=12 * DAY_S))
+    assert watched(result)
+    assert result.steps[-1].plan.status is PlanStatus.SOLVED
+    found = result.state.adaptation.model.operator.gains[0] / simple_model().operator.gains[0]
+    assert found == pytest.approx(0.5, abs=0.12)
+    assert any("the model adapted since" in spell.why_back for spell in watch_spells(result))
+
+
+def test_the_e_value_has_mean_one_at_most_for_errors_as_promised():
+    rng = np.random.default_rng(3)
+    for tails in (2, 3, 30):
+        quantile = {2: 1.8856, 3: 1.6377, 30: 1.3104}[tails]
+        z = rng.standard_t(tails, 40_000) / quantile
+        assert np.mean([e_value(x) for x in z]) < 1.0
+    assert e_value(3.0) > e_value(1.0) > 1.0 > e_value(0.0)
+    assert math.isfinite(e_value(1e9))
+
+
+def test_false_alarms_are_no_more_frequent_than_stated():
+    """Months of predictions whose errors are as promised, straight into the detectors."""
+    watch = Watch(WatchConfig(), simple_model(), 48, lambda record: record.u)
+    assert watch.threshold == pytest.approx(2 * 2 * 720 / 0.05)
+    rng, hours, runs = np.random.default_rng(5), 720, 300
+    z = rng.standard_t(2, (runs, hours)) / 1.8856
+    e = np.array([[[e_value(side * x) for side in (1, -1)] for x in row] for row in z])
+    crossed = np.zeros(runs, dtype=bool)
+    for phases in (1, 6):
+        M = np.zeros((runs, phases, 2))
+        for hour in range(hours):
+            M[:, hour % phases] = (M[:, hour % phases] + 1.0) * e[:, hour]
+            crossed |= (M >= watch.threshold).any(axis=(1, 2))
+    assert crossed.mean() <= 0.05
+
+
+def record(asked: list[float], u: list[float], heat_W: list[float] | None = None) -> tuple[list, Record]:
+    n = len(u)
+    time_s = np.arange(n + 1) * HOUR_S
+    at = np.full(n + 1, 5.0)
+    nothing = np.full(n, np.nan)
+    heat = nothing if heat_W is None else np.array(heat_W)
+    return list(zip(time_s[:-1], asked, strict=True)), Record(time_s, at + 15, at, 0 * at, np.array(u), nothing, heat)
+
+
+def test_levels_that_differ_for_long_enough_are_a_fault():
+    nan = float("nan")
+    assert "0.00 was measured" in level_fault(*record([1.0, 0.5, 0.5], [0.0, 0.0, 0.0]))
+    assert level_fault(*record([0.0, 0.0, 0.0], [1.0, 0.0, 0.0])), "someone else switches it on"
+    assert level_fault(*record([1.0, 0.5, 0.5], [1.0, 0.45, 0.55])) == "", "rounding"
+    assert level_fault(*record([0.4, 0.0, 0.0], [0.0, 0.0, 0.0])) == "", "half an hour is a delay"
+    assert level_fault(*record([nan, nan, nan], [0.5, 0.5, 0.5])) == "", "native control was asked for"
+
+
+def test_meters_are_compared_where_the_machine_ran():
+    heat = MachineLoad((0.0, 0.0, 4000.0, 0.0), (-20.0, 30.0), lowest_level=1.0)
+    asked, seen = record([1.0, 0.5, 1.0], [1.0, 0.5, 1.0], [2000.0, 1000.0, 2000.0])
+    what, ratio = machine_ratio(asked, seen, heat, lambda r: r.u)
+    assert (what, ratio) == ("heat", pytest.approx(0.5))
+    assert machine_ratio(asked[:1], seen, heat, lambda r: r.u) is None, "an hour is not enough"
+    levels = applied_levels([(0.0, float("nan")), *asked[1:]], seen, HeatInput(heat))
+    np.testing.assert_allclose(levels, [0.5, 0.5, 1.0], atol=1e-6)
+
+
+def test_an_old_plan_is_followed_only_while_its_own_promise_holds():
+    policy = FallbackPolicy(FallbackConfig(), HOUR_S, 1.0, "heating")
+    good = GoodPlan(0.0, np.array([0.2, 0.4, 0.6]), np.array([21.0, 21.0, 21.0]), np.array([0.1, 0.1, 0.1]))
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 0.0)
+
+    def followed(T_zone_C: float) -> float | None:
+        now = replace(house._measure(), time_s=HOUR_S, T_zone_C=T_zone_C)
+        return policy.level_to_follow(good, Observation(Record.beginning(now), house.forecast(DAY_S, HOUR_S)))
+
+    assert followed(21.2) == 0.4
+    assert followed(21.4) is None, "off by four times the promised half-width, though less than trust_K"
+
+
+def test_the_run_says_how_long_the_watch_held_control(capsys):
+    result = run("stuck")
+    spells = watch_spells(result)
+    assert sum(round((s.end_s - s.start_s) / HOUR_S) for s in spells) == result.fallback_levels()["watch"]
+    assert "the actuator does not follow" in spells[0].in_words()
+    assert "control returns" in spells[0].in_words()
+    display = RunDisplay()
+    with display.loop("mpc", result.period, lambda: result.kpis, "EUR") as loop:
+        for step in result.steps:
+            loop.step(step)
+    assert f"watch {result.fallback_levels()['watch']}" in capsys.readouterr().out

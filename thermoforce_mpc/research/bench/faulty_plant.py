@@ -1,0 +1,116 @@
+"""The embedded plant with one fault between two instants, for `tf-mpc bench faults` and tests of the watch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
+
+Fault = Literal["none", "weak", "window", "sensor", "stuck", "overridden"]
+
+# Air of the house that an open window replaces, per hour (some 350 W/K), and the sub-step of that exchange, s.
+_AIR_CHANGES_PER_H, _EXCHANGE_S = 2.0, 60.0
+_SENSOR_OFFSET_K, _SENSOR_LAG_S = 2.0, 1.5 * HOUR_S
+_KELVIN = 273.15
+
+
+class FaultyPlant:
+    """Wrapper of an embedded plant with `fault` from `from_s` to `to_s`.
+
+    weak: half the compressor speed at every level, while the asked level is reported. window: the air of the house is
+    exchanged with outdoor air. sensor: the zone sensor reads 2 K more, with a lag of 1.5 h. stuck: the level stays at
+    `level`. overridden: native control, whatever is asked for.
+    """
+
+    def __init__(
+        self,
+        plant: EmbeddedPlant,
+        fault: Fault,
+        from_s: float,
+        to_s: float = math.inf,
+        *,
+        level: float = 0.0,
+        reports_u: bool = True,
+        meters: bool = True,
+    ) -> None:
+        """Wrap `plant`.
+
+        Args:
+            reports_u: whether the true level is reported; otherwise none is, and the loop takes the level asked for.
+            meters: whether heat and power are reported.
+        """
+        self.plant, self.fault, self.from_s, self.to_s, self.level = plant, fault, from_s, to_s, level
+        self.reports_u, self.meters = reports_u, meters
+        self._shown_C: float | None = None
+
+    @property
+    def info(self) -> PlantInfo:
+        """That of the plant."""
+        return self.plant.info
+
+    def period(self, name: str) -> Period:
+        """See `EmbeddedPlant.period`."""
+        return self.plant.period(name)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """See `EmbeddedPlant.reset`; the fault must begin later."""
+        self._shown_C = None
+        return self._reported(self.plant.reset(start_s, warmup_s, price))
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `EmbeddedPlant.forecast`."""
+        return self.plant.forecast(horizon_s, interval_s)
+
+    def past(self, step_s: float) -> Record:
+        """See `EmbeddedPlant.past`; before the fault, so only the meters are left out."""
+        record = self.plant.past(step_s)
+        nothing = np.full(record.n_steps, math.nan)
+        return record if self.meters else replace(record, heat_W=nothing, power_W=nothing)
+
+    def kpis(self) -> dict[str, float]:
+        """Those of the plant: its true temperature counts, not the sensor's."""
+        return self.plant.kpis()
+
+    def close(self) -> None:
+        """Close the plant."""
+        self.plant.close()
+
+    def advance(self, u: float | None, duration_s: float) -> Measurement:
+        """See `EmbeddedPlant.advance`."""
+        faulty = self.from_s - 1e-6 <= self.plant.now_s < self.to_s - 1e-6
+        fault = self.fault if faulty else "none"
+        if fault == "weak" and u is not None:
+            weak = self.plant.advance(0.5 * u, duration_s)
+            return self._reported(replace(weak, u=2.0 * weak.u))
+        if fault == "window":
+            return self._reported(self._aired(u, duration_s))
+        applied = {"stuck": self.level, "overridden": None}.get(fault, u)
+        measurement = self.plant.advance(applied, duration_s)
+        if fault == "sensor":
+            self._shown_C = measurement.T_zone_C if self._shown_C is None else self._shown_C
+            share = 1.0 - math.exp(-duration_s / _SENSOR_LAG_S)
+            self._shown_C += share * (measurement.T_zone_C + _SENSOR_OFFSET_K - self._shown_C)
+            measurement = replace(measurement, T_zone_C=self._shown_C)
+        return self._reported(measurement)
+
+    def _aired(self, u: float | None, duration_s: float) -> Measurement:
+        """Advance in short sub-steps, each of which replaces a share of the air by outdoor air."""
+        n = max(1, round(duration_s / _EXCHANGE_S))
+        share = 1.0 - math.exp(-_AIR_CHANGES_PER_H * duration_s / n / HOUR_S)
+        parts = []
+        for _ in range(n):
+            measurement = self.plant.advance(u, duration_s / n)
+            parts.append((duration_s / n, measurement))
+            air = self.plant._scalars[kernel.T_AIR]
+            self.plant._scalars[kernel.T_AIR] += share * (measurement.T_out_C + _KELVIN - air)
+        return parts[-1][1].averaged_with(parts)
+
+    def _reported(self, measurement: Measurement) -> Measurement:
+        if not self.reports_u:
+            measurement = replace(measurement, u=math.nan)
+        return measurement if self.meters else replace(measurement, heat_W=math.nan, power_W=math.nan)

@@ -1,0 +1,42 @@
+"""Spells of a run in which the watch had handed control back, in words for console and report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
+from thermoforce_mpc.simulation.closed_loop import RunResult
+
+
+@dataclass(frozen=True)
+class Spell:
+    """Steps on end with the status `watch`: from `start_s` to `end_s`, s, and the reasons of beginning and end.
+
+    `why_back` is empty where the run ended first.
+    """
+
+    start_s: float
+    end_s: float
+    why: str
+    why_back: str
+
+    def in_words(self) -> str:
+        """One sentence for people."""
+        back = f"; {self.why_back}" if self.why_back else "; until the end of the run"
+        return f"day {self.start_s / DAY_S:.2f}, {(self.end_s - self.start_s) / HOUR_S:.1f} h: {self.why}{back}"
+
+
+def watch_spells(result: RunResult) -> tuple[Spell, ...]:
+    """Return the spells of `result` in which the watch had handed control back."""
+    spells, first = [], 0
+    for watched, steps in groupby(result.steps, key=lambda step: step.plan.status is PlanStatus.WATCH):
+        last = first + len(list(steps))
+        if watched:
+            end = result.steps[last - 1].samples[-1]
+            after = result.steps[last].plan.why if last < len(result.steps) else ""
+            back = after.split("; ")[0].removeprefix("watch: ") if after.startswith("watch: ") else ""
+            why = result.steps[first].plan.why.removeprefix("watch: ")
+            spells.append(Spell(result.steps[first].time_s, end.start_s + end.duration_s, why, back))
+        first = last
+    return tuple(spells)
