@@ -26,8 +26,10 @@ class FallbackConfig(StrictModel):
     )
     follow_steps: int = Field(3, ge=0, description="largest number of steps for which the previous plan is followed")
     trust_K: float = Field(
-        1.0, gt=0, description="the previous plan is dropped when its predicted zone temperature is off by more, K, or by three times the"
-        " half-width of its own 80 % band"
+        1.0,
+        gt=0,
+        description="the previous plan is dropped when its predicted zone temperature is off by more, K, or by three times the"
+        " half-width of its own 80 % band",
     )
     setpoint_above_bound_K: float = Field(
         0.3, description="on/off rule: set-point above the lower bound (cooling: below the upper), K"

@@ -175,7 +175,7 @@ class ThermoForceMPC:
             return self._stand_back(observation, now, PlanStatus.GATE, closed)
         now = self._watched(now, history)
         if now.watch.alarm:
-            reason = f"watch: {now.watch.alarm} (since {(observation.time_s - now.watch.since_s) / HOUR_S:.1f} h)"
+            reason = f"watch: {now.watch.alarm} (found {(observation.time_s - now.watch.since_s) / HOUR_S:.1f} h ago)"
             return self._asked(
                 observation, self._stand_back(observation, self._shadowed(observation, now), PlanStatus.WATCH, reason)
             )

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pydantic import Field
 
-from controllers.watch_checks import applied_levels, level_fault, machine_ratio
+from controllers.watch_checks import applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -39,8 +39,8 @@ LEADS_H = (1.0, 6.0)
 _MONTH_S = 30 * DAY_S
 # 0.9 quantile of Student's t with 2 degrees of freedom, and of the normal distribution.
 _T2_90, _NORMAL_90 = 1.8856, 1.2816
-# Smallest probability that counts: one error alone has an e-value of at most 16.
-_LEAST_P = 1e-3
+# Smallest probability that counts: one error alone has an e-value of at most 158.
+_LEAST_P = 1e-5
 # Days of bands whose median is the usual promise, and hours of errors that are kept.
 _USUAL_DAYS, _KEPT_H = 7, 72.0
 # Hourly comparisons of meters before a change can be told.
@@ -49,17 +49,19 @@ _LEAST_RATIOS = 12
 _INSIDE, _JUDGED = 0.7, 0.75
 # A second alarm within this time after a return doubles the wait, up to the limit; h.
 _RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
-# Adaptation while standing back: any change of the gain by up to a factor of three, from the last days alone.
-_FAST = AdaptationConfig(
-    enabled=True, block_h=6.0, forgetting_days=2.0, gain_sd=0.5, time_constant_sd=0.1, gain_bounds=(0.3, 3.0)
-)
-_BEFORE_H = 12.0  # adaptation begins this long before the alarm
+# Adaptation while standing back: limits of the gain, its prior standard deviation, and hours between two updates.
+_SCALES = AdaptationConfig(gain_bounds=(0.3, 3.0))
+_GAIN_PRIOR_SD, _ADAPT_EVERY_H = 0.5, 6.0
+_IN_USE, _ADAPTED = "the model in use", "the model adapted since"
 
 
 class WatchConfig(StrictModel):
     """Options of the watch."""
 
-    enabled: bool = Field(True, description="hand control back while predictions are worse than promised, or actuator or machine do something else")
+    enabled: bool = Field(
+        True,
+        description="hand control back while predictions are worse than promised, or actuator or machine do something else",
+    )
     false_alarm: float = Field(
         0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
     )
@@ -97,12 +99,16 @@ class Issued:
 
 @dataclass(frozen=True)
 class Judged:
-    """A prediction that came due at `time_s`: index of its `lead`, error (measured − predicted) and promise, K."""
+    """A prediction that came due at `time_s`.
+
+    Index of its `lead`, error (measured − predicted), promise, and predicted effect of the levels since, all K.
+    """
 
     time_s: float
     lead: int
     error_K: float
     promise_K: float
+    effect_K: float
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,7 @@ class Track:
     M. While standing back `adaptation` holds the model, `predictor` the state of its predictor.
     """
 
-    name: str = "the model in use"
+    name: str = _IN_USE
     adaptation: AdaptationState | None = None
     predictor: PredictorState | None = None
     pending: tuple[Issued, ...] = ()
@@ -175,7 +181,7 @@ class Watch:
         self.threshold = 2 * len(self.leads) * per_month / config.false_alarm
         self._least_K = config.least_K * np.sqrt(np.array(self.leads) * self.step_s / HOUR_S)
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
-        self._adaptation = OnlineAdaptation(model, _FAST)
+        self._adaptation = OnlineAdaptation(model, _SCALES)
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be put down at `time_s`."""
@@ -216,17 +222,13 @@ class Watch:
             return state
         used = replace(
             state.tracks[0].cleared(),
-            adaptation=adaptation or self._adaptation.update(None, history.last(0)),
+            adaptation=adaptation or self._adaptation.started(),
             predictor=predictor if isinstance(predictor, PredictorState) else None,
         )
         assert used.adaptation is not None
-        fresh = self._adaptation.restarted(used.adaptation, now - _BEFORE_H * HOUR_S)
-        tracks = [used, replace(used, name="the model adapted since", adaptation=fresh)]
+        tracks = [used]
         if used.adaptation.model is not self._model:
-            at_first = self._adaptation.restarted(None, now)
-            tracks.append(
-                Track("the model as identified", at_first, replace(used.predictor or PredictorState(), forced=None))
-            )
+            tracks.append(Track("the model as identified", self._adaptation.started(), _without_force(used.predictor)))
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
         return replace(state, tracks=tuple(tracks), alarm=fault, since_s=now, wait_h=wait_h)
@@ -278,9 +280,10 @@ class Watch:
         error = T_zone - item.median_C[lead] - float(forced)
         band = float(item.above_K[lead] if error > 0 else item.below_K[lead])
         usual = float(np.median([bands[lead] for time_s, bands in track.bands if time_s <= item.time_s]))
-        gain = _NORMAL_90 * self._gain_sd[lead] * float(forced - idle)
+        effect = float(forced - idle)
+        gain = _NORMAL_90 * self._gain_sd[lead] * effect
         promise = math.hypot(min(band, self.config.widest * usual), gain, self._least_K[lead])
-        return Judged(float(history.time_s[start + n]), lead, error, promise)
+        return Judged(float(history.time_s[start + n]), lead, error, promise, effect)
 
     def _broken_promise(self, track: Track) -> str:
         """What the evidence says against the model; empty below the threshold."""
@@ -313,21 +316,40 @@ class Watch:
         if len(before) < _LEAST_RATIOS:
             return "", state
         change = ratio / max(float(np.median(before)), 1e-6)
-        if any(1.0 / limit <= value <= limit for value in (ratio, change)):
+        # A model that was adapted to the machine is no witness of how the machine was at first.
+        used = state.tracks[0].adaptation
+        adapted = used is not None and used.model is not self._model
+        if any(1.0 / limit <= value <= limit for value in ((change,) if adapted else (ratio, change))):
             return "", state
         return f"the machine's {what} was {ratio:.0%} of the model's in the last hours ({change:.0%} of before)", state
 
     def _adapted(self, state: WatchState, history: Record) -> WatchState:
-        """The state with the adapted candidate brought up to now."""
-        tracks = []
-        for track in state.tracks:
-            if track.name == "the model adapted since" and track.adaptation is not None:
-                after = self._adaptation.update(track.adaptation, history)
-                changed = after.model is not track.adaptation.model
-                predictor = replace(track.predictor or PredictorState(), forced=None) if changed else track.predictor
-                track = replace(track, adaptation=after, predictor=predictor)
-            tracks.append(track)
-        return replace(state, tracks=tuple(tracks))
+        """The state with a candidate whose gain and heat are scaled to what was measured since; every 6 h.
+
+        The gain follows from the errors of the model in use over the predicted effects of the levels, with a prior; the
+        heat of the machine from its meter. Where another cause explains the errors, the candidate's own errors say so.
+        """
+        hours = (float(history.time_s[-1]) - state.since_s) / HOUR_S
+        used = state.tracks[0]
+        last = [item for item in used.judged if item.lead == len(self.leads) - 1]
+        last = [item for item in last if item.time_s > state.since_s - _ADAPT_EVERY_H * HOUR_S]
+        whole = hours > 0 and abs(hours % _ADAPT_EVERY_H) * HOUR_S < 0.5 * self.step_s
+        if not whole or len(last) < _ADAPT_EVERY_H or used.adaptation is None:
+            return state
+        error, effect, promise = np.array([(item.error_K, item.effect_K, item.promise_K) for item in last]).T
+        prior = float(np.mean(promise**2)) / _GAIN_PRIOR_SD**2
+        low, high = _SCALES.gain_bounds
+        gain = float(np.clip(1.0 + effect @ error / (effect @ effect + prior), low, high))
+        heat = heat_ratio(history.last(round(hours * HOUR_S / self.step_s)), self._model.operator.heat_input)
+        adapted = self._adaptation.rescaled(
+            used.adaptation, gain, float(np.exp(used.adaptation.log_heat)) if heat is None else heat
+        )
+        if adapted is None:
+            return state
+        before = [track for track in state.tracks if track.name == _ADAPTED]
+        track = before[0] if before else Track(_ADAPTED, bands=used.bands)
+        track = replace(track, adaptation=adapted, predictor=_without_force(track.predictor or used.predictor))
+        return replace(state, tracks=(*(other for other in state.tracks if other.name != _ADAPTED), track))
 
     def _back_if_it_holds(self, state: WatchState, now: float) -> WatchState:
         """The state with control returned to the best track that has kept its promise for long enough."""
@@ -342,7 +364,7 @@ class Watch:
             best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
         else:
             return state
-        used = replace(best.cleared(), name=Track().name, adaptation=best.adaptation, predictor=best.predictor)
+        used = replace(best.cleared(), name=_IN_USE, adaptation=best.adaptation, predictor=best.predictor)
         # The machine as it is now is the new reference of its meters.
         return replace(state, tracks=(used,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
 
@@ -364,10 +386,15 @@ class Watch:
 
 
 def e_value(z: float) -> float:
-    """E-value of an error of `z` promised half-widths on one side, between 0.5 and 16."""
+    """E-value of an error of `z` promised half-widths on one side, between 0.5 and 158."""
     t = _T2_90 * z
     p = 0.5 - 0.5 * t / math.sqrt(2.0 + t * t)
     return 0.5 / math.sqrt(max(p, _LEAST_P))
+
+
+def _without_force(state: PredictorState | None) -> PredictorState:
+    """The state of a predictor for another operator: the forced state is computed anew."""
+    return replace(state or PredictorState(), forced=None)
 
 
 def _relative_gain_sd(model: ThermalModel, hours: float) -> float:

@@ -40,6 +40,18 @@ def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_i
     return levels
 
 
+def heat_ratio(history: Record, heat_input: HeatInput) -> float | None:
+    """Measured heat of a record over that of the map at its levels; None where little of both is known."""
+    if heat_input.heat is None:
+        return None
+    known = np.isfinite(history.heat_W) & np.isfinite(history.u) & np.isfinite(history.T_out_C[:-1])
+    u = np.clip(history.u[known], 0.0, 1.0)
+    if float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
+        return None
+    modelled = heat_input.heat(u, history.T_out_C[:-1][known])
+    return float(np.abs(history.heat_W[known]).sum() / modelled.sum())
+
+
 def level_fault(asked: Sequence[tuple[float, float]], history: Record) -> str:
     """What is wrong between `asked` levels (start of the step s, mean level) and those measured; empty if nothing is.
 

@@ -161,7 +161,7 @@ class OnlineAdaptation:
             DataError: the weather was never measured, see `thermoforce_mpc.model.gaps`.
         """
         if state is None:
-            state = self.restarted(None, None)
+            state = self.started()
         if not self.config.enabled or history.n_steps == 0:
             return state
         n = max(2, round(self.config.block_h * HOUR_S / history.step_s))
@@ -173,12 +173,19 @@ class OnlineAdaptation:
             state = self._taken(state, history, first, first + n)
             done_s = float(history.time_s[first + n])
 
-    def restarted(self, state: AdaptationState | None, done_s: float | None) -> AdaptationState:
-        """Return the factors of `state` (None: as identified) as uncertain as at the start; blocks begin at `done_s`, s."""
-        variance = self.config.gain_sd**2
-        if state is None:
-            return AdaptationState(self._identified, np.zeros(2), self._least.copy(), 0.0, variance, done_s)
-        return replace(state, covariance=self._least.copy(), heat_variance=variance, done_s=done_s)
+    def started(self) -> AdaptationState:
+        """Return the state at the start of a run: the model as identified."""
+        return AdaptationState(self._identified, np.zeros(2), self._least.copy(), 0.0, self.config.gain_sd**2)
+
+    def rescaled(self, state: AdaptationState, gain: float, heat: float) -> AdaptationState | None:
+        """Return `state` with its gain times `gain` and heat `heat` times the identified; None if not certified.
+
+        Both stay within `gain_bounds`; where heat is not modelled, `heat` has no effect.
+        """
+        low, high = self.config.gain_bounds
+        log_factors = self._bounded(state.log_factors + np.array([np.log(gain), 0.0]))
+        log_heat = float(np.log(np.clip(heat, low, high)))
+        return self._rebuilt(replace(state, log_factors=log_factors, log_heat=log_heat))
 
     def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
         """Return the state after one block: steps `start` … `stop` − 1."""

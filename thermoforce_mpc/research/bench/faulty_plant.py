@@ -15,6 +15,8 @@ Fault = Literal["none", "weak", "window", "sensor", "stuck", "overridden"]
 
 # Air of the house that an open window replaces, per hour (some 350 W/K), and the sub-step of that exchange, s.
 _AIR_CHANGES_PER_H, _EXCHANGE_S = 2.0, 60.0
+# Sub-step of a weak machine under native control, s.
+_NATIVE_S = 300.0
 _SENSOR_OFFSET_K, _SENSOR_LAG_S = 2.0, 1.5 * HOUR_S
 _KELVIN = 273.15
 
@@ -84,9 +86,8 @@ class FaultyPlant:
         """See `EmbeddedPlant.advance`."""
         faulty = self.from_s - 1e-6 <= self.plant.now_s < self.to_s - 1e-6
         fault = self.fault if faulty else "none"
-        if fault == "weak" and u is not None:
-            weak = self.plant.advance(0.5 * u, duration_s)
-            return self._reported(replace(weak, u=2.0 * weak.u))
+        if fault == "weak":
+            return self._reported(self._weak(u, duration_s))
         if fault == "window":
             return self._reported(self._aired(u, duration_s))
         applied = {"stuck": self.level, "overridden": None}.get(fault, u)
@@ -97,6 +98,17 @@ class FaultyPlant:
             self._shown_C += share * (measurement.T_zone_C + _SENSOR_OFFSET_K - self._shown_C)
             measurement = replace(measurement, T_zone_C=self._shown_C)
         return self._reported(measurement)
+
+    def _weak(self, u: float | None, duration_s: float) -> Measurement:
+        """Advance at half the level; under native control that of its PI law, in short sub-steps."""
+        n = 1 if u is not None else max(1, round(duration_s / _NATIVE_S))
+        parts, wanted = [], []
+        for _ in range(n):
+            s = self.plant._scalars
+            error = s[kernel.SETPOINT] - s[kernel.T_OPERATIVE] + s[kernel.INTEGRAL]
+            wanted.append(u if u is not None else min(max(kernel._GAIN * error, 0.0), 1.0))
+            parts.append((duration_s / n, self.plant.advance(0.5 * wanted[-1], duration_s / n)))
+        return replace(parts[-1][1].averaged_with(parts), u=float(np.mean(wanted)))
 
     def _aired(self, u: float | None, duration_s: float) -> Measurement:
         """Advance in short sub-steps, each of which replaces a share of the air by outdoor air."""
