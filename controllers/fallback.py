@@ -28,8 +28,8 @@ class FallbackConfig(StrictModel):
     trust_K: float = Field(
         1.0,
         gt=0,
-        description="the previous plan is dropped when its predicted zone temperature is off by more, K, or by three times the"
-        " half-width of its own 80 % band",
+        description="the previous plan is dropped when its predicted zone temperature is off by more, K, or by three"
+        " times the half-width of its own 80 % band",
     )
     setpoint_above_bound_K: float = Field(
         0.3, description="on/off rule: set-point above the lower bound (cooling: below the upper), K"

@@ -183,7 +183,10 @@ class ThermoForceMPC:
 
     def _watched(self, now: MPCState, history: Record) -> MPCState:
         """The state with the predictions that came due judged; where control returns, with the model that held."""
-        watch = self._watch.judged(now.watch, history, now.adaptation, now.predictor)
+        try:
+            watch = self._watch.judged(now.watch, history, now.adaptation, now.predictor)
+        except Exception as error:  # what watches must not stop what it watches
+            return replace(now, watch=replace(now.watch, news=f"predictions could not be judged ({_said(error)})"))
         if now.watch.alarm and not watch.alarm:
             now = replace(now, adaptation=watch.tracks[0].adaptation, predictor=watch.tracks[0].predictor)
         return replace(now, watch=watch)

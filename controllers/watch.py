@@ -60,7 +60,7 @@ class WatchConfig(StrictModel):
 
     enabled: bool = Field(
         True,
-        description="hand control back while predictions are worse than promised, or actuator or machine do something else",
+        description="hand control back while predictions are worse than promised or actuator or machine do not follow",
     )
     false_alarm: float = Field(
         0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
@@ -287,8 +287,8 @@ class Watch:
 
     def _broken_promise(self, track: Track) -> str:
         """What the evidence says against the model; empty below the threshold."""
-        M, lead, side = track.worst
-        if M < self.threshold:
+        against, lead, side = track.worst
+        if against < self.threshold:
             return ""
         last = [item for item in track.judged if item.lead == lead][-6:]
         hours = self.leads[lead] * self.step_s / HOUR_S

@@ -46,7 +46,7 @@ def heat_ratio(history: Record, heat_input: HeatInput) -> float | None:
         return None
     known = np.isfinite(history.heat_W) & np.isfinite(history.u) & np.isfinite(history.T_out_C[:-1])
     u = np.clip(history.u[known], 0.0, 1.0)
-    if float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
+    if not u.size or float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
         return None
     modelled = heat_input.heat(u, history.T_out_C[:-1][known])
     return float(np.abs(history.heat_W[known]).sum() / modelled.sum())
@@ -91,7 +91,7 @@ def machine_ratio(
         if what == "heat" and heat is None:
             continue
         steps = used[np.isfinite(measured[used]) & np.isfinite(history.T_out_C[used])]
-        if float(history.u[steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
+        if not steps.size or float(history.u[steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
             continue
         if what == "heat":
             assert heat is not None

@@ -27,7 +27,7 @@ class Offset(OutdoorResponse):
 
 
 def run(off_K: float, **guard: object) -> RunResult:
-    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(**guard))
+    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(**guard), watch={"enabled": False})
     mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(off_K))
     house = SimpleHouse()
     return run_closed_loop(house, mpc, house.period("x"))

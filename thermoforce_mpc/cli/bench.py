@@ -114,9 +114,7 @@ def boptest_command(fmus: Path, price: str, jobs: int, quick: bool, json_file: P
 
 
 @command.command("faults")
-@click.option(
-    "--stand-back", type=click.Choice(["native", "rule"]), default="native", help="Who acts after an alarm of the watch."
-)
+@click.option("--stand-back", type=click.Choice(["native", "rule"]), default="native", help="Who acts after an alarm.")
 @_QUICK
 @_JSON
 def faults_command(stand_back: str, quick: bool, json_file: Path | None) -> None:

@@ -36,7 +36,8 @@ def write_report(
     trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
-    events = steps[(steps.status.isin(["shifted", "thermostat", "guard"])) | (steps.refused != "") | (steps.notes != "")]
+    fallen_back = steps.status.isin(["shifted", "thermostat", "guard"])
+    events = steps[fallen_back | (steps.refused != "") | (steps.notes != "")]
     template = page_environment().get_template("report.html.j2")
     page = template.render(
         kpis=kpis,
