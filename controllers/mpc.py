@@ -212,14 +212,18 @@ class ThermoForceMPC:
         """The plan, its state with the level asked for."""
         assert isinstance(plan.state, MPCState)
         # What room set-points ask for is a temperature; its level is expected, not asked.
-        levels = [float("nan") if block.u is None or block.band_C else block.u * block.duration_s for block in plan.blocks]
+        levels = [
+            float("nan") if block.u is None or block.band_C else block.u * block.duration_s for block in plan.blocks
+        ]
         watch = self._watch.asked(plan.state.watch, observation.time_s, sum(levels) / self.step_s)
         news = f"watch: {watch.news}; " if watch.news else ""
         return replace(plan, why=news + plan.why, state=replace(plan.state, watch=watch))
 
     def _expected_power_W(self, record: Record) -> Array:
         """Electric power (n,), W, for the levels of a record."""
-        return self._power(np.clip(record.u, self.model.operator.heat_input.lowest, 1.0), record.T_out_C[:-1], record.T_return_C)
+        return self._power(
+            np.clip(record.u, self.model.operator.heat_input.lowest, 1.0), record.T_out_C[:-1], record.T_return_C
+        )
 
     def _planned(self, observation: Observation, now: MPCState) -> Plan:
         """Predict, solve and check; the fallback policy acts where one of them fails."""
