@@ -43,10 +43,11 @@ def test_a_map_with_a_wrong_name_does_not_fit(name, key):
 
 def test_more_u_is_more_heat_or_more_cold():
     effort = {name: load_testcase(name).actuator for name in OTHERS}
-    assert effort["bestest_hydronic"].inputs(1.0)["oveTSetSup_u"] == 353.15
+    assert effort["bestest_hydronic"].inputs(1.0)["oveTSetSup_u"] == 343.15
+    assert effort["bestest_hydronic"].inputs(0.1)["ovePum_u"] == 1.0
     assert effort["bestest_hydronic"].inputs(0.0) == {
-        "oveTSetSup_u": 293.15, "oveTSetSup_activate": 1.0, "ovePum_u": 1.0, "ovePum_activate": 1.0,
-    }  # fmt: skip
+        "oveTSetSup_u": 293.15, "oveTSetSup_activate": 1.0, "ovePum_u": 0.0, "ovePum_activate": 1.0,
+    }, "without the pump there is no heat in a cold room either"  # fmt: skip
     air = effort["bestest_air"]
     warm, idle, cold = (air.inputs(u, (21.0, 24.0)) for u in (0.3, 0.0, -0.3))
     assert (warm["con_oveTSetHea_u"], warm["con_oveTSetCoo_u"]) == (294.15, 308.15), (

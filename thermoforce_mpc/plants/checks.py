@@ -49,9 +49,9 @@ def check_level_and_duration(u: float | None, duration_s: float, lowest: float =
 
 
 def plant_inputs(
-    actuator: Actuator | RoomSetpoints, u: float | None, band_C: tuple[float, float] | None
+    actuator: Actuator | RoomSetpoints, u: float | None, band_C: tuple[float, float] | None, T_zone_C: float
 ) -> dict[str, float]:
-    """Return the inputs for a level and, where the actuator has room set-points, the band they are to keep, °C.
+    """Return the inputs for a level with the room at `T_zone_C` or, for room set-points, the band to keep, °C.
 
     Raises:
         InputError: a band for an actuator without room set-points, or one that is not two rising finite numbers.
@@ -66,7 +66,7 @@ def plant_inputs(
         return actuator.inputs(u, band_C)
     if band_C is not None:
         raise InputError(f"room set-points of {band_C!r}: the actuator '{actuator.point}' has none")
-    return actuator.inputs(u)
+    return actuator.inputs(u, T_zone_C)
 
 
 def forecast_times(now_s: float, horizon_s: float, interval_s: float) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Measurement, Record
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.testcase import Measurements
+from thermoforce_mpc.scenario.testcase import Actuator, Measurements
 
 _KELVIN = 273.15
 
@@ -36,9 +36,16 @@ def weighted_sum(record: Mapping[str, Array], points: Sequence[str] | Mapping[st
     return np.asarray(np.sum([factor * record[name] for name, factor in factors.items()], axis=0))
 
 
-def room_level(record: Mapping[str, Array], m: Measurements, actuator: RoomSetpoints) -> Array:
-    """Return the level u of each sample where room set-points act: heat to the room over full heat, in range."""
-    return np.clip(weighted_sum(record, m.heat_factors) / actuator.heating_W, actuator.lowest, 1.0)
+def recorded_level(
+    record: Mapping[str, Array], m: Measurements, actuator: Actuator | RoomSetpoints, applied: Mapping[str, Array]
+) -> Array:
+    """Return the level u of each sample: from the `applied` values of the actuator's `sensed` points.
+
+    Where room set-points act it is the heat to the room over full heat, in range.
+    """
+    if isinstance(actuator, RoomSetpoints):
+        return np.clip(weighted_sum(record, m.heat_factors) / actuator.heating_W, actuator.lowest, 1.0)
+    return actuator.level(applied[actuator.point], record[m.zone_temperature] - _KELVIN, applied)
 
 
 def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: Array) -> dict[str, Array]:

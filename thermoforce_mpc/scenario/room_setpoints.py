@@ -46,6 +46,11 @@ class RoomSetpoints(StrictModel):
         return -self.cooling_W / self.heating_W
 
     @property
+    def sensed(self) -> tuple[str, ...]:
+        """Points whose applied values give the level: none, the level is measured heat."""
+        return ()
+
+    @property
     def points(self) -> tuple[str, ...]:
         """All overwrite points."""
         return tuple(dict.fromkeys((self.heating, self.cooling, *self.heating_held, *self.cooling_held)))

@@ -25,8 +25,7 @@ from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, Pl
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_level_and_duration, check_record_step, forecast_times, plant_inputs
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, room_level
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, recorded_level
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
@@ -88,6 +87,7 @@ class BoptestPlant:
         self._start_of: dict[str, float] = {}
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0
+        self._T_zone_C = math.nan
         self._end_s = math.inf
         self._final_kpis: dict[str, float] | None = None
         self._client = self._select()
@@ -167,7 +167,7 @@ class BoptestPlant:
         """
         actuator = self.testcase.actuator
         check_level_and_duration(u, duration_s, getattr(actuator, "lowest", 0.0))
-        inputs = plant_inputs(actuator, None if u is None else float(u), band_C)
+        inputs = plant_inputs(actuator, None if u is None else float(u), band_C, self._T_zone_C)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
                 f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
@@ -187,10 +187,10 @@ class BoptestPlant:
             if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
                 # KPIs are read now, since requests past the end of the scenario may discard the results.
                 self._final_kpis = self._read_kpis()
-            record = self._recorded(before_s, self._now_s, [*self._echoes, *self.testcase.measurements.flows])
+            record = self._recorded(before_s, self._now_s, self._acting_names())
         edges = np.array([before_s, self._now_s])
         m = self.testcase.measurements
-        return measurement(self._now_s, points, m, acting_means(record, m, self._levels(record, edges), edges))
+        return self._measured(points, acting_means(record, m, self._levels(record, edges), edges))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return the service's forecast of boundary conditions from now to `horizon_s` ahead every `interval_s`.
@@ -241,8 +241,7 @@ class BoptestPlant:
         """
         check_record_step(step_s)
         m = self.testcase.measurements
-        sampled = [m.zone_temperature, m.outdoor_temperature, m.solar]
-        names = [*sampled, *self._echoes, *m.flows]
+        names = [m.outdoor_temperature, m.solar, *self._acting_names()]
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, names)
         # Services that do not record the warm-up start the record at the present.
@@ -311,7 +310,18 @@ class BoptestPlant:
         self._end_s = end_s
         self._final_kpis = None
         self._step_s = math.nan  # initialising may reset the service's step
-        return measurement(self._now_s, points, self.testcase.measurements)
+        return self._measured(points)
+
+    def _measured(self, points: Mapping[str, float], acting: Mapping[str, Array] | None = None) -> Measurement:
+        """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
+        found = measurement(self._now_s, points, self.testcase.measurements, acting)
+        self._T_zone_C = found.T_zone_C
+        return found
+
+    def _acting_names(self) -> list[str]:
+        """Return the points that the level and the means of a step are computed from."""
+        m = self.testcase.measurements
+        return [m.zone_temperature, *(f"{name}_u" for name in self.testcase.actuator.sensed), *m.flows]
 
     def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
         data = self._client.results(list(dict.fromkeys(names)), start_s, final_s)
@@ -319,19 +329,11 @@ class BoptestPlant:
             raise PlantError(f"the service recorded nothing between {start_s:g} s and {final_s:g} s")
         return {name: np.array(values) for name, values in data.items()}
 
-    @property
-    def _echoes(self) -> list[str]:
-        """Points from which the level is recorded, besides those of the measurements."""
-        actuator = self.testcase.actuator
-        return [] if isinstance(actuator, RoomSetpoints) else [f"{actuator.point}_u"]
-
     def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
         """Return mean u between `edges` (n + 1,), shape (n,), under native or external control."""
         actuator = self.testcase.actuator
-        if isinstance(actuator, RoomSetpoints):
-            u = room_level(record, self.testcase.measurements, actuator)
-        else:
-            u = actuator.level(record[f"{actuator.point}_u"])
+        applied = {name: record[f"{name}_u"] for name in actuator.sensed}
+        u = recorded_level(record, self.testcase.measurements, actuator, applied)
         return interval_means({"time": record["time"], "u": u}, ["u"], edges)
 
     def _read_kpis(self) -> dict[str, float]:

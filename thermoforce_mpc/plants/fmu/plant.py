@@ -29,8 +29,7 @@ from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, room_level
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, recorded_level
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _KELVIN = 273.15
@@ -65,16 +64,17 @@ class FmuPlant:
         forecast = {name: Point(name, archive.boundary.unit(name), "", None, None) for name in archive.boundary.series}
         inputs, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
         check_points(testcase, inputs, outputs, forecast, f"the FMU {path}")
-        actuator = testcase.actuator
-        self._echo = None if isinstance(actuator, RoomSetpoints) else f"{actuator.point}_y"
-        if self._echo is not None and self._echo not in archive.outputs:
-            raise ConfigError(f"the FMU {path} has no output '{self._echo}': the applied level cannot be recorded")
+        self._echoes = {name: f"{name}_y" for name in testcase.actuator.sensed}
+        for echo in self._echoes.values():
+            if echo not in archive.outputs:
+                raise ConfigError(f"the FMU {path} has no output '{echo}': the applied level cannot be recorded")
         self._scores = Scores(archive, testcase)
         m = testcase.measurements
-        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, *([self._echo] if self._echo else []), *m.flows]
+        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, *self._echoes.values(), *m.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
         self._price: Price = "constant"
         self._worker: WorkerProcess | None = None
+        self._T_zone_C = math.nan
         self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
         try:
             with zipfile.ZipFile(path) as file:
@@ -139,7 +139,7 @@ class FmuPlant:
         self._stretches = [stretch]
         if self._start_s > self._now_s:
             stretch = self._run({}, self._start_s - self._now_s)
-        return measurement(self._now_s, stretch.final, self.testcase.measurements)
+        return self._measured(stretch)
 
     def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
         """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
@@ -151,7 +151,8 @@ class FmuPlant:
         actuator = self.testcase.actuator
         check_level_and_duration(u, duration_s, getattr(actuator, "lowest", 0.0))
         before_s = self._now_s if self._worker else 0.0
-        stretch = self._run(plant_inputs(actuator, None if u is None else float(u), band_C), float(duration_s))
+        inputs = plant_inputs(actuator, None if u is None else float(u), band_C, self._T_zone_C)
+        stretch = self._run(inputs, float(duration_s))
         edges = np.array([before_s, self._now_s])
         previous = self._stretches[-2]
         record = self._columns(
@@ -159,7 +160,7 @@ class FmuPlant:
         )
         m = self.testcase.measurements
         acting = acting_means(record, m, interval_means(record, ["u"], edges), edges)
-        return measurement(self._now_s, stretch.final, m, acting)
+        return self._measured(stretch, acting)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
@@ -214,6 +215,12 @@ class FmuPlant:
     ) -> None:
         self.close()
 
+    def _measured(self, stretch: Stretch, acting: Mapping[str, Array] | None = None) -> Measurement:
+        """Return the measurement at the end of `stretch`; its zone temperature serves the actuator's map next."""
+        found = measurement(self._now_s, stretch.final, self.testcase.measurements, acting)
+        self._T_zone_C = found.T_zone_C
+        return found
+
     def _stop(self) -> None:
         if self._worker is not None:
             self._worker.close()
@@ -238,7 +245,5 @@ class FmuPlant:
     def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
         """Return recorded signals by name, with 'time' and the applied level 'u' in [0, 1], native or not."""
         record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
-        actuator = self.testcase.actuator
-        if isinstance(actuator, RoomSetpoints):
-            return record | {"u": room_level(record, self.testcase.measurements, actuator)}
-        return record | {"u": actuator.level(record[str(self._echo)])}
+        applied = {point: record[echo] for point, echo in self._echoes.items()}
+        return record | {"u": recorded_level(record, self.testcase.measurements, self.testcase.actuator, applied)}
