@@ -27,17 +27,21 @@ _OFF = 1e-3
 class ActuationConfig(StrictModel):
     """Options of the conversion from planned level to actuator signal."""
 
-    mode: Literal["duty", "modulating", "room_setpoints"] = Field(
-        "duty",
-        description="duty: on/off blocks; modulating: one level held for the step; room_setpoints: the plant's own "
-        "loops keep the planned temperature (test cases of that kind)",
+    mode: Literal["auto", "duty", "modulating", "room_setpoints"] = Field(
+        "auto",
+        description="duty: on/off blocks; modulating: one level held for the step; auto: decided by what the "
+        "identified laws of power and heat say of part load (duty where there are none); room_setpoints: the plant's "
+        "own loops keep the planned temperature (test cases of that kind)",
     )
     level: float = Field(1.0, gt=0, le=1, description="duty: level while on")
     block_s: float = Field(300.0, ge=30, description="duty: on and off times are multiples of this, s")
     min_on_s: float = Field(600.0, ge=0, description="duty: minimum on time, s")
     min_off_s: float = Field(600.0, ge=0, description="duty: minimum off time, s")
     lowest_level: float = Field(
-        0.3, ge=0, le=1, description="modulating: lowest level while on; a planned level below half of it is off"
+        0.3,
+        ge=0,
+        le=1,
+        description="modulating: lowest level while on; a planned level below half of it is off (auto: from the laws)",
     )
 
     @model_validator(mode="after")
@@ -67,27 +71,50 @@ _UNKNOWN = ActuationState(on=False, held_s=0.0)
 
 
 class Actuation:
-    """Converts planned levels into blocks; the machine's state is passed from step to step as a value."""
+    """Converts planned levels into blocks; the machine's state is passed from step to step as a value.
 
-    def __init__(self, config: ActuationConfig) -> None:
-        self.config = config
+    Args:
+        config: options; `mode` auto, which only a model can decide (`actuation_choice`), is duty here.
+        proportional: power and heat are proportional to the level, so that levels down to 0 need no law of their own.
+    """
+
+    def __init__(self, config: ActuationConfig, *, proportional: bool = False) -> None:
+        self.config, self._proportional = config, proportional
+
+    @property
+    def modulates(self) -> bool:
+        """Whether a level is held for the step, rather than on/off blocks."""
+        return self.config.mode == "modulating"
 
     @property
     def highest(self) -> float:
         """Highest level of a plan."""
-        return self.config.level if self.config.mode == "duty" else 1.0
+        return 1.0 if self.modulates else self.config.level
 
     @property
     def lowest_level(self) -> float:
-        """Levels below this are realised by switching: power and heat are then proportional to on-time."""
+        """Levels below this cost and heat as their share of it; `highest` where all levels do."""
+        if not self.modulates:
+            return self.config.level
+        if self._proportional and self.config.lowest_level == 0:
+            return self.highest
+        return max(self.config.lowest_level, 1e-3)
+
+    @property
+    def in_words(self) -> str:
+        """The actuation in a few words."""
         if self.config.mode == "room_setpoints":
-            return 1.0  # the loops modulate: power and heat are proportional to the level
-        return self.config.level if self.config.mode == "duty" else max(self.config.lowest_level, 1e-3)
+            return "room set-points, kept by the plant's own loops"
+        if not self.modulates:
+            return f"on/off blocks at {self.config.level:.2f}"
+        if self.config.lowest_level == 0:
+            return "modulating, any level held for the step"
+        return f"modulating, off or at least {self.config.lowest_level:.2f} held for the step"
 
     def check_step(self, step_s: float) -> None:
         """Raise `ControllerConfigError` where a step of `step_s` seconds is shorter than two blocks."""
         c = self.config
-        if c.mode == "duty" and step_s < 2 * c.block_s:
+        if not self.modulates and step_s < 2 * c.block_s:
             raise ControllerConfigError(
                 f"controller.options.actuation.block_s: blocks of {c.block_s:g} s cannot share a step of"
                 f" {step_s:g} s; use shorter blocks or mode: modulating"
@@ -129,12 +156,12 @@ class Actuation:
         """
         if u is None:
             return (Block(None, step_s),), ActuationState(native=True)
-        if self.config.mode == "modulating":
+        if self.modulates:
             return (Block(self._held_level(u), step_s),), state
         return self._duty_blocks(u, step_s, state)
 
     def _held_level(self, u: float) -> float:
-        lowest = self.config.lowest_level
+        lowest = max(self.config.lowest_level, _OFF)
         if u >= lowest:
             return min(u, 1.0)
         return lowest if u > lowest / 2 else 0.0

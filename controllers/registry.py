@@ -11,8 +11,9 @@ from controllers.native import NativeConfig, NativeController
 from controllers.pi import PIConfig, PIController
 from controllers.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel, merge, suggestion, validate
-from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -148,10 +149,11 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
         defaults["step_s"] = testcase.step_s
     if name in ("thermostat", "pi"):
         defaults["mode"] = "cooling" if testcase.mode == "cooling" else "heating"
-    if testcase.mode == "both" and entry.needs_model:
-        defaults = dict(merge(defaults, _ROOM_SETPOINTS))
-    if "actuation" in entry.config().model_fields and testcase.defaults.actuation and "actuation" not in entry.defaults:
-        defaults["actuation"] = testcase.defaults.actuation
+    if isinstance(testcase.actuator, RoomSetpoints):
+        if entry.needs_model:
+            defaults = dict(merge(defaults, _ROOM_SETPOINTS))
+    elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
+        defaults["actuation"] = testcase.defaults.actuation or _actuation_by_kind(testcase.actuator, entry)
     if name == "thermostat" and testcase.thermostat_C is not None:
         defaults["setpoint_C"] = testcase.thermostat_C
     return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
@@ -161,6 +163,18 @@ def has_gate(name: str, options: Mapping[str, Any], testcase: TestCase) -> bool:
     """Whether a controller stands back where there is no competent model; raises `ConfigError` for wrong options."""
     gate = getattr(controller_config(name, options, testcase), "gate", None)
     return gate is not None and gate.enabled
+
+
+def _actuation_by_kind(actuator: Actuator, entry: Entry) -> dict[str, Any]:
+    """What the actuator's kind says where nobody names an actuation; empty: the default, `mode: auto`.
+
+    A set-point is held, not switched: the loop that follows it decides how its machine runs. A rule has no model to
+    decide from, so it also modulates an actuator whose map makes heat proportional to the level.
+    """
+    physical = actuator.map != "linear" and not entry.needs_model
+    if actuator.kind == "setpoint" or physical:
+        return {"mode": "modulating", "lowest_level": 0.0}
+    return {}
 
 
 def build_controller(

@@ -24,6 +24,8 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
+# Trial of part load, as a share of the highest level.
+_TRIAL_SHARE = 0.5
 # Probing does not end early before this many days: a held-out part of 9 h must show the effect.
 _LEAST_DAYS = 1.5
 
@@ -224,7 +226,9 @@ def identification_settings(
 ) -> tuple[ProbingConfig, IdentificationConfig]:
     """Probing and identification settings for `controller`, by default the scenario's; `ConfigError` names wrong keys.
 
-    By default the machine is probed at the levels that this controller uses.
+    By default the machine is probed at the levels that this controller uses: those between lowest and full if it
+    modulates, off and full if it switches. Where that is to be decided (actuation mode auto), a few steps at half level
+    are added.
     """
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
@@ -237,9 +241,15 @@ def identification_settings(
         defaults["levels"] = (0.0, *np.linspace(actuation.lowest_level, 1.0, 5).round(3).tolist())
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
+        if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
+            defaults["trial_level"] = _TRIAL_SHARE * actuation.level
     own = testcase.defaults
     probing = validate(ProbingConfig, merge(merge(defaults, own.probing), spec.probing), "identification.probing")
-    options = merge(merge({"seed": scenario.seed}, own.identification), spec.options)
+    ours: dict[str, Any] = {"seed": scenario.seed}
+    between = [level for level in (*probing.levels, probing.trial_level or 0.0) if 0.0 < level < max(probing.levels)]
+    if actuation is not None and actuation.mode == "auto" and between:
+        ours["lowest_level"] = min(between)  # these levels are held, not made by cycling
+    options = merge(merge(ours, own.identification), spec.options)
     config = validate(IdentificationConfig, options, "identification.options")
     return probing, config
 

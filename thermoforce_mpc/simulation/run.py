@@ -241,12 +241,18 @@ def _execute(
             return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
 
         controller = built(name)
+        actuation = getattr(controller, "actuation_in_words", None)
+        if actuation:
+            display.say(f"Actuation: {actuation}")
         before = _weight_hash(controller)
         result = follow(controller)
         forecaster = _frozen(controller, before)
         baselines = {other: follow(built(other)) for other in scenario.baselines if other != name}
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
-        return ScenarioResult(scenario, plant.info, result, baselines, usable, _origins(identified, name), forecaster)
+        origins = _origins(identified, name)
+        if actuation and origins:
+            origins["actuation"] = actuation
+        return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster)
 
 
 def _origins(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:

@@ -53,3 +53,29 @@ class Excitation:
     def resumed(self, law: Law, seed: tuple[int, ...]) -> Excitation:
         """Return an excitation with another law and seed that continues the current level."""
         return Excitation(law, np.random.default_rng(seed), self.level, self.left)
+
+
+@dataclass
+class LevelTrial:
+    """A few steps at an intermediate level in place of full ones, so that the laws see part load.
+
+    Half of the steps are taken right after off and half right after full level: heat stored in water and pipes then
+    adds as much to the one as it takes from the other. The draws of the excitation stay as they are.
+    """
+
+    level: float
+    steps: int
+    left: int = field(default=0)
+    after: tuple[str, ...] = ("off", "full")
+
+    def applied(self, drawn: float, before: float, highest: float) -> float:
+        """Return the level to apply for the `drawn` one, `before` being the level applied in the last step."""
+        if drawn < highest:
+            self.left = 0  # a run cut short counts as done
+            return drawn
+        if self.left == 0:
+            if not self.after or before != (0.0 if self.after[0] == "off" else highest):
+                return drawn
+            self.after, self.left = self.after[1:], self.steps // 2
+        self.left -= 1
+        return self.level

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.excitation import Excitation, Law, LevelTrial
 from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.room import RoomExcitation
 from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
@@ -33,6 +33,10 @@ class ProbingConfig(StrictModel):
 
     step_s: float = Field(900.0, ge=60, le=3600, description="step of the record, s")
     levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels to draw from, in [0, 1], off first")
+    trial_level: float | None = Field(
+        None, gt=0, lt=1, description="level that takes the place of the highest for a few steps, to see part load"
+    )
+    trial_steps: int = Field(4, ge=2, description="number of those steps, half after off and half after full level")
     hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="holding times to draw from, steps")
     lean_per_K: float = Field(0.35, gt=0, description="change of the probability of on per K from the centre, 1/K")
     above_lower_K: float = Field(0.5, description="centre of the excursions inside the tightest bound ahead, K")
@@ -121,6 +125,8 @@ class Probing:
         self._foresight = Foresight(plant.past(c.step_s), self._sign, c.step_s)
         self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(seed))
         self._rooms = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest) if mode == "both" else None
+        self._trial = LevelTrial(c.trial_level, c.trial_steps) if c.trial_level is not None else None
+        self._applied = 0.0
         self.record = Record.beginning(self._now)
 
     @property
@@ -184,7 +190,10 @@ class Probing:
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - self._now.T_zone_C))
-        return plant.advance(self._polite(level, centre, band), c.step_s)
+        if self._trial:
+            level = self._trial.applied(level, self._applied, max(c.levels))
+        self._applied = self._polite(level, centre, band)
+        return plant.advance(self._applied, c.step_s)
 
     def _polite(self, level: float, centre: float, band: Boundary) -> float:
         """The level to apply, where `level` was drawn: another one only in a light zone."""
