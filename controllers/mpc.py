@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from controllers.actuation import Actuation, ActuationState
+from controllers.actuation import ActuationState
+from controllers.actuation_choice import choose_actuation
 from controllers.backoff import backoff_K
 from controllers.errors import ControllerConfigError
 from controllers.fallback import FallbackPolicy, GoodPlan
@@ -33,6 +34,13 @@ from thermoforce_mpc.protocols import FreeResponse
 # A bound nearer than this is reported as binding, K.
 _BINDING_K = 0.02
 
+# Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
+_OFFSET_K = 0.3
+
+# Change of the zone temperature at full level from which a zone is fast, K/h: a slab gives a few tenths, a radiator and
+# air heating several.
+_FAST_K_PER_H = 1.0
+
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _PLANNERS_KEPT = 4
 
@@ -43,7 +51,8 @@ class MPCState:
 
     `first_s`: time of the first plan, s; `peak_W`: highest mean power of a step since, W; `actuation`: state of the
     machine; `good`: last solved plan; `predictor`, `adaptation`: states of predictor and online adaptation; `watch`:
-    what the watch knows of the predictions.
+    what the watch knows of the predictions; `offset_K`: recent mean error of the zone temperature planned for the end
+    of a step.
     """
 
     first_s: float
@@ -53,6 +62,7 @@ class MPCState:
     predictor: PredictorState | None = None
     adaptation: AdaptationState | None = None
     watch: WatchState = field(default_factory=WatchState)
+    offset_K: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +122,8 @@ class ThermoForceMPC:
             raise ControllerConfigError(
                 "the model was identified without measured power: energy cost cannot be computed"
             )
-        self._actuation = Actuation(c.actuation)
+        choice = choose_actuation(c.actuation, model.power, model.operator.heat_input)
+        self._actuation, self._actuation_why = choice.actuation, choice.why
         self._actuation.check_step(step_s)
         self._power = model.power.at_lowest_level(self._actuation.lowest_level)
         self._rooms = c.actuation.mode == "room_setpoints"
@@ -136,6 +147,11 @@ class ThermoForceMPC:
     def predictor(self) -> Predictor:
         """The predictor of `model`."""
         return self._base.predictor
+
+    @property
+    def actuation_in_words(self) -> str:
+        """How the machine is run, and what decided it."""
+        return self._actuation_why
 
     @property
     def name(self) -> str:
@@ -168,6 +184,7 @@ class ThermoForceMPC:
         now = replace(
             before,
             peak_W=self._peak_W(before, observation),
+            offset_K=self._offset_K(before, observation),
             actuation=self._actuation.now(before.actuation if state is not None else None, history),
         )
         closed = shut(self.config.gate, self.model.card.competence)
@@ -237,7 +254,7 @@ class ThermoForceMPC:
             context = planner.predictor.context(
                 Observation(history, observation.boundary.head(self._n_steps)), predictor
             )
-            problem = self._problem(planner.operator, context, history, now.peak_W)
+            problem = self._problem(planner.operator, context, history, now.peak_W, now.offset_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return self._fall_back(observation, now, f"no prediction ({_said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
@@ -297,10 +314,15 @@ class ThermoForceMPC:
         return np.append(good.u[1:], good.u[-1])
 
     def _problem(
-        self, operator: OperatorParameters, context: PredictionContext, history: Record, peak_W: float
+        self,
+        operator: OperatorParameters,
+        context: PredictionContext,
+        history: Record,
+        peak_W: float,
+        offset_K: float = 0.0,
     ) -> MPCProblem:
         """Assemble the numbers of this instance."""
-        c, boundary, T_free = self.config, context.boundary, context.free.median_C
+        c, boundary, T_free = self.config, context.boundary, context.free.median_C + offset_K
         aims = c.objective
         boundary.check("lower_C", "upper_C", "price_per_kWh")
         boundary.check("heating_price_per_kWh")
@@ -319,14 +341,18 @@ class ThermoForceMPC:
             )
             for level, is_lower in ((low, True), (high, False))
         )
+        lower_C, upper_C = boundary.lower_C[1:], boundary.upper_C[1:]
+        if self._is_fast(operator):
+            # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
+            lower_C, upper_C = np.maximum(boundary.lower_C[:-1], lower_C), np.minimum(boundary.upper_C[:-1], upper_C)
         # Margins wider than half the band would swap the bounds.
-        half = 0.5 * (boundary.upper_C[1:] - boundary.lower_C[1:])
+        half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
         return MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
             T_free_C=T_free,
-            lower_C=boundary.lower_C[1:] + np.minimum(c.comfort_margin_K + below, half),
-            upper_C=boundary.upper_C[1:] - np.minimum(c.comfort_margin_K + above, half),
+            lower_C=lower_C + np.minimum(c.comfort_margin_K + below, half),
+            upper_C=upper_C - np.minimum(c.comfort_margin_K + above, half),
             price_per_kWh=price,
             power_fixed_W=fixed_W,
             power_per_u_W=per_u_W,
@@ -340,6 +366,10 @@ class ThermoForceMPC:
             peak_so_far_W=peak_W,
             cooling=self._cooling(operator, boundary, boundary.price_per_kWh[:-1] + carbon),
         )
+
+    def _is_fast(self, operator: OperatorParameters) -> bool:
+        """Whether full level moves the zone by `_FAST_K_PER_H` or more within the first step."""
+        return abs(float(operator.impulse(1)[0])) * HOUR_S / self.step_s > _FAST_K_PER_H
 
     def _cooling(self, operator: OperatorParameters, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (N,), currency/kWh; None where there are none."""
@@ -370,6 +400,23 @@ class ThermoForceMPC:
         per_step = cost_per_kW_h / 1000.0 * self.step_s / HOUR_S
         price[-1] = self.config.objective.terminal_value * per_step / (operator.gains[-1] * drive)
         return price
+
+    def _offset_K(self, before: MPCState, observation: Observation) -> float:
+        """Mean error of planned zone temperatures one step ahead, K, forgotten over `offset_h`.
+
+        A machine that gives more or less heat at a level than its law misses every step to the same side; the mean of
+        these errors is added to the prediction, so that the zone settles on the bound (offset-free control).
+        """
+        good, hours = before.good, self.config.offset_h
+        if hours is None or good is None or good.age(observation.time_s, self.step_s) != 1:
+            return before.offset_K
+        error = observation.T_zone_C - float(good.T_zone_C[0])
+        if not np.isfinite(error):
+            return before.offset_K
+        weight = -np.expm1(-self.step_s / HOUR_S / hours)
+        # The plan held the offset of its time: what it missed comes on top.
+        found = before.offset_K + weight * error
+        return float(np.clip(found, -_OFFSET_K, _OFFSET_K))
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
         """Highest mean power of a step since the first plan, W."""

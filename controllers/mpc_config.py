@@ -97,6 +97,9 @@ class MPCConfig(StrictModel):
         "until it holds, which matters where forecasts are uncertain; null: chance levels alone",
     )
     backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a comfort bound, K")
+    offset_h: float | None = Field(
+        6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
+    )
     solver: Literal["auto", "qp", "semi_continuous", "ipopt", "search"] = Field(
         "auto",
         description="qp: quadratic programme (duty); semi_continuous: one QP per level of the first step (modulating); "
