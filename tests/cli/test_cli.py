@@ -139,7 +139,7 @@ def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple
     done = CliRunner().invoke(cli, [*words, *WEAK_PRIORS])
     assert done.exit_code == cli_identify.BELOW_THE_BAR == 4, done.output
     assert "BELOW THE BAR" in done.output
-    assert "missed: the effect of a day at full level is known to" in done.output
+    assert "missed: the effect of 8 h at full level is known to" in done.output
     assert "advice: " in done.output
     done = simple("--model", "m", "--baselines", "native", "--days", "1", "--out", "r")
     assert done.exit_code == 0, done.output

@@ -41,7 +41,7 @@ def test_a_good_record_passes_with_margin(seed):
 def test_the_verdict_is_saved_and_said(tmp_path):
     model = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0)
     assert load_model(model.save(tmp_path / "m")).card.competence == model.card.competence
-    assert "competent: the effect of a day" in model.summary()
+    assert "competent: the effect of 8 h" in model.summary()
     unjudged = replace(model, card=replace(model.card, competence=None))
     assert load_model(unjudged.save(tmp_path / "old")).card.competence is None
     assert "not judged" in unjudged.summary()

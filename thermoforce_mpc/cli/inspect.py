@@ -129,7 +129,7 @@ def _show_competence(verdict: Competence | None, console: Console) -> None:
         table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}")
     console.print(table)
     console.print(
-        f"Effect of a day at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
+        f"Effect of 8 h at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
         f"with probability {verdict.sign_probability:.3f}; it explains {100 * verdict.explained:.0f} % of what the "
         "weather does not"
     )

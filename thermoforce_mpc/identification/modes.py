@@ -24,8 +24,9 @@ _WEAK_GAIN_K = (2.0, 2.0)
 # Initial slope: near zero behind a delay mode (slab), else that of the first mode.
 _DELAYED_SLOPE_K_PER_H = (0.0, 0.1)
 _DIRECT_SLOPE_K_PER_H = (0.5, 0.7)
-# Initial slope of air heating or cooling: 1 to 10 kW on the air and furniture of a room.
-AIR_SLOPE_K_PER_H = (50.0, 40.0)
+# Initial slopes of direct heat, by which the default is replaced where they predict better: a radiator or convector
+# sized for its room, and a fan coil of 1 to 10 kW on the air and furniture of a room.
+DIRECT_SLOPES_K_PER_H = ((5.0, 7.0), (50.0, 40.0))
 # Least standard deviation of a gain, K or K/h, also if the fit gives zero.
 _LEAST_GAIN_SD = 1e-3
 

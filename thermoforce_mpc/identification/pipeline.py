@@ -25,10 +25,10 @@ from thermoforce_mpc.identification.cases import (
     power_model,
     ranges,
 )
-from thermoforce_mpc.identification.competence import judge
+from thermoforce_mpc.identification.competence import held_out_rmse_K, judge
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
-from thermoforce_mpc.identification.modes import AIR_SLOPE_K_PER_H, mode_priors, to_operator
+from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
 from thermoforce_mpc.identification.records import (
@@ -38,6 +38,7 @@ from thermoforce_mpc.identification.records import (
     data_hash,
     prepared_pairs,
     prepared_runs,
+    resolution_K,
 )
 from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
@@ -50,8 +51,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be accepted.
 _LEAST_EXPLAINED = 0.1
-# Held-out whitened residual, in standard deviations, from which the default prior of the initial slope is doubted.
-_POOR = 1.5
+# Share of the held-out error that another prior of the initial slope must undercut to be taken.
+_CLEARLY_BETTER = 0.9
 # Relative standard deviation of the answer after a day from which a model is called uncertain.
 _UNCERTAIN = 0.15
 
@@ -110,6 +111,12 @@ def identify(
     sign = -1 if mode == "cooling" else 1
     heat_input, notes = identified_heat_input(histories, config, sign, lowest)
     notes = [*gaps, *pair_gaps, *notes]
+    grid_K = resolution_K(runs)
+    if grid_K:
+        # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
+        sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
+        config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
+        notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
     days = sum(h.n_steps * h.step_s for h in histories) / DAY_S
     say(f"fitting the forced response to {days:.3g} days at {histories[0].step_s:g} s")
     cases = [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
@@ -174,14 +181,21 @@ def _joint_model(
             for order in chosen.orders()
         }
 
+    def error_K(found: dict[int, Fitted]) -> float:
+        best = found[choose_order(found)]
+        return held_out_rmse_K(cases, splits, best.fit, best.priors, sign)
+
     candidates = judged(config)
+    if config.start_slope_K_per_h is None and runs:
+        # Heat that reaches the air at once is not that of a slab; which it is shows in the held-out predictions.
+        most_K = _CLEARLY_BETTER * error_K(candidates)
+        for slope in DIRECT_SLOPES_K_PER_H:
+            direct = judged(config.model_copy(update={"start_slope_K_per_h": slope}))
+            if error_K(direct) < most_K:
+                candidates, most_K = direct, error_K(direct)
+                told = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
+                notes = [*(note for note in notes if not note.startswith("the zone responds")), told]
     order = choose_order(candidates)
-    if config.start_slope_K_per_h is None and candidates[order].score > _POOR:
-        # Heat that reaches the air at once is not that of a slab or a radiator.
-        direct = judged(config.model_copy(update={"start_slope_K_per_h": AIR_SLOPE_K_PER_H}))
-        if direct[choose_order(direct)].score < candidates[order].score:
-            candidates, order = direct, choose_order(direct)
-            notes = [*notes, "the zone responds at once, as to air heating: initial slope from a wide prior"]
     priors = candidates[order].priors
     final = fit_joint([c.regression for c in cases], priors, config, sign)
     base_step = histories[0].step_s

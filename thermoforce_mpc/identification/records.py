@@ -22,6 +22,9 @@ MIN_CHANGES = 4
 MIN_DAYS = 0.9
 # Largest share of a signal's readings outside physical limits: more indicates a wrong unit, not a sensor fault.
 _MOST_REFUSED = 0.1
+# A grid of readings: share of different values among them below which there may be one, tolerance of a reading as a
+# share of it, and the finest that counts, K.
+_GRID_SHARE, _GRID_ROUNDING, _LEAST_GRID_K = 0.5, 0.05, 0.02
 # Largest difference of the starting temperatures of a pair, which starts from one state.
 MAX_START_DIFFERENCE_K = 0.05
 
@@ -136,6 +139,19 @@ def _pieces(run: Record) -> list[Record]:
     """Return the consecutive parts of usable steps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], _usable(run), [False]]).astype(int)))
     return [run.slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def resolution_K(runs: Sequence[Record]) -> float:
+    """Return the resolution of the zone sensor, K: the grid that all readings lie on, 0 where there is none."""
+    readings = np.concatenate([run.T_zone_C for run in runs]) if runs else np.empty(0)
+    readings = readings[np.isfinite(readings)]
+    values = np.unique(np.round(readings, 6))
+    if values.size < 3 or values.size > _GRID_SHARE * readings.size:
+        return 0.0
+    steps = np.diff(values)
+    grid = float(steps.min())
+    on_grid = np.abs(steps / grid - np.round(steps / grid)).max() < _GRID_ROUNDING
+    return grid if on_grid and grid >= _LEAST_GRID_K else 0.0
 
 
 def check_run(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:

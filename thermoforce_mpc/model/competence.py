@@ -14,7 +14,8 @@ class HorizonScore:
 
     `hours`: lead time, h. `model_K`: the model; `persistence_K`: the temperature stays as it is; `weather_K`: the same
     model fitted without the actuator. `better_t`: paired t statistic for the model being better than the weather alone,
-    over `blocks` blocks of hours (NaN with fewer than 4).
+    over `blocks` blocks of hours (NaN with fewer than 4); `persistence_t`: the same for persistence being better
+    than the model.
     """
 
     hours: float
@@ -23,6 +24,7 @@ class HorizonScore:
     weather_K: float
     better_t: float
     blocks: int
+    persistence_t: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Competence:
 
     `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
     to do about them. `horizons`: held-out errors by lead time. `effect_K` and `effect_sd_K`: change of the zone after
-    24 h at full level and its standard deviation, K. `sign_probability`: probability that the effect has the sign of
+    8 h at full level and its standard deviation, K. `sign_probability`: probability that the effect has the sign of
     the mode. `explained`: share of the variation beyond weather and drift that the action explains. `held_out_h`:
     held-out hours.
     """
@@ -48,11 +50,11 @@ class Competence:
 
     @property
     def relative_sd(self) -> float:
-        """Standard deviation of the effect of a day at full level, as a share of it."""
+        """Standard deviation of the effect of 8 h at full level, as a share of it."""
         return self.effect_sd_K / abs(self.effect_K) if self.effect_K else float("inf")
 
     def in_words(self) -> str:
         """One line: the verdict, and what it rests on."""
         if self.competent:
-            return f"competent: the effect of a day at full level is known to ± {100 * self.relative_sd:.0f} %"
+            return f"competent: the effect of 8 h at full level is known to ± {100 * self.relative_sd:.0f} %"
         return f"not competent: {'; '.join(self.reasons)}"

@@ -26,7 +26,7 @@ _OPERATOR_ARRAYS = (
     "feature_scale",
     "pole_bounds",
 )
-_HORIZON_NUMBERS = ("hours", "model_K", "persistence_K", "weather_K", "better_t")
+_HORIZON_NUMBERS = ("hours", "model_K", "persistence_K", "weather_K", "better_t", "persistence_t")
 _COMPETENCE_NUMBERS = ("effect_K", "effect_sd_K", "sign_probability", "explained", "held_out_h")
 _FREE_ARRAYS = ("poles", "weights", "process_sd_K")
 
@@ -131,7 +131,7 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
         reasons=tuple(data["reasons"]),
         advice=tuple(data["advice"]),
         horizons=tuple(
-            HorizonScore(blocks=int(one["blocks"]), **{key: _number(one[key]) for key in _HORIZON_NUMBERS})
+            HorizonScore(blocks=int(one["blocks"]), **{key: _number(one.get(key)) for key in _HORIZON_NUMBERS})
             for one in data["horizons"]
         ),
         **{key: _number(data[key]) for key in _COMPETENCE_NUMBERS},

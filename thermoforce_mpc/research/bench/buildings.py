@@ -212,6 +212,7 @@ def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str
 def _identified(plant: GeneratedHousePlant, period: Period, days: float) -> Any:
     """Probe and identify as `tf-mpc run` does with its defaults; raises `DataError` where the record is refused."""
     scenario = Scenario(testcase=plant.testcase.name)
+    spec = scenario.identification
     probing, config = identification_settings(scenario, plant.testcase, CONTROLLER)
     return identify_on(
         plant,
@@ -221,6 +222,8 @@ def _identified(plant: GeneratedHousePlant, period: Period, days: float) -> Any:
         seed=scenario.seed,
         probing=probing,
         config=config,
+        most_days=spec.most_days,
+        end_early=spec.end_early,
     )
 
 
