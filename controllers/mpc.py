@@ -18,6 +18,7 @@ from controllers.guard import guard_level
 from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.problem import Cooling, MPCProblem, Solution, Weights
+from controllers.reserve import is_fast, reserve_K
 from controllers.room import room_blocks, within_C
 from controllers.solvers import Solver, build_solver
 from controllers.watch import Track, Watch, WatchState
@@ -36,10 +37,6 @@ _BINDING_K = 0.02
 
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
 _OFFSET_K = 0.3
-
-# Change of the zone temperature at full level from which a zone is fast, K/h: a slab gives a few tenths, a radiator and
-# air heating several.
-_FAST_K_PER_H = 1.0
 
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _PLANNERS_KEPT = 4
@@ -342,17 +339,18 @@ class ThermoForceMPC:
             for level, is_lower in ((low, True), (high, False))
         )
         lower_C, upper_C = boundary.lower_C[1:], boundary.upper_C[1:]
-        if self._is_fast(operator):
+        if is_fast(operator):
             # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
             lower_C, upper_C = np.maximum(boundary.lower_C[:-1], lower_C), np.minimum(boundary.upper_C[:-1], upper_C)
+        reserve = reserve_K(operator, self._actuation, self.model.card) if c.reserve and not self._rooms else 0.0
         # Margins wider than half the band would swap the bounds.
         half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
         return MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
             T_free_C=T_free,
-            lower_C=lower_C + np.minimum(c.comfort_margin_K + below, half),
-            upper_C=upper_C - np.minimum(c.comfort_margin_K + above, half),
+            lower_C=lower_C + np.minimum(c.comfort_margin_K + below + (reserve if operator.sign > 0 else 0.0), half),
+            upper_C=upper_C - np.minimum(c.comfort_margin_K + above + (reserve if operator.sign < 0 else 0.0), half),
             price_per_kWh=price,
             power_fixed_W=fixed_W,
             power_per_u_W=per_u_W,
@@ -366,10 +364,6 @@ class ThermoForceMPC:
             peak_so_far_W=peak_W,
             cooling=self._cooling(operator, boundary, boundary.price_per_kWh[:-1] + carbon),
         )
-
-    def _is_fast(self, operator: OperatorParameters) -> bool:
-        """Whether full level moves the zone by `_FAST_K_PER_H` or more within the first step."""
-        return abs(float(operator.impulse(1)[0])) * HOUR_S / self.step_s > _FAST_K_PER_H
 
     def _cooling(self, operator: OperatorParameters, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (N,), currency/kWh; None where there are none."""

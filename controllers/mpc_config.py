@@ -96,6 +96,11 @@ class MPCConfig(StrictModel):
         description="largest expected violation of a bound, K, mean over the next 6 h: the chance levels are lowered "
         "until it holds, which matters where forecasts are uncertain; null: chance levels alone",
     )
+    reserve: bool = Field(
+        True,
+        description="in a fast zone, keep a reserve inside the bound that actuation protects, for what happens within "
+        "a step: swing of on/off blocks, model error, sensor resolution (at most 0.3 K)",
+    )
     backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a comfort bound, K")
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"

@@ -68,6 +68,7 @@ _AS_PRINTED: dict[str, Any] = {
     "actuation": {"mode": "modulating"},
     "gate": {"enabled": False},
     "guard": {"enabled": False},
+    "reserve": False,
     "watch": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }

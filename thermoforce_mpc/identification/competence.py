@@ -42,8 +42,8 @@ MOST_OVER_PERSISTENCE = 1.1
 # judged lead times. Below, what the action does was not seen.
 BETTER_PROBABILITY = 0.95
 # Largest relative standard deviation of the effect of eight hours at full level, the length of a pre-heating; plans of
-# later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval of a pre-heating is
-# a third to five thirds of what was planned, which re-planning still corrects.
+# later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
+# thirds of what was planned, which re-planning still corrects.
 MOST_RELATIVE_SD = 0.4
 EFFECT_H = 8
 # Probing ends early at this relative standard deviation. It is stricter than what three days of probing give on the

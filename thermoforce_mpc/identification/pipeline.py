@@ -224,7 +224,7 @@ def _joint_model(
         operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s)
+    certainty = uncertainty(final, operator.step_s) | {"sensor_resolution_K": resolution_K(runs)}
     explained = explained_share(cases, operator)
     _check_explained(explained, cases, sign)
     verdict = judge(
