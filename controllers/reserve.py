@@ -1,7 +1,7 @@
 """Reserve inside the comfort bound for what a plan cannot see in a fast zone.
 
-A plan knows the zone at the ends of its steps. In a zone that an hour at full level moves by more than 1 K, on/off blocks
-let it swing in between, the model's error of the next hour is felt at once, and a coarse sensor hides both.
+A plan knows the zone at the ends of its steps. In a zone that an hour at full level moves by more than 1 K, on/off
+blocks let it swing in between, the model's error of the next hour is felt at once, and a coarse sensor hides both.
 """
 
 from __future__ import annotations
