@@ -35,16 +35,16 @@ def _hour_K(operator: OperatorParameters) -> float:
 
 
 def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
-    """Reserve inside the bound that actuation protects, K; 0 in a slow zone.
+    """Reserve inside the bound that actuation protects, K.
 
-    The sum of half the swing of on/off blocks, half the held-out error of the next hour, and the standard deviation of
-    the sensor's rounding.
+    The standard deviation of the sensor's rounding; in a fast zone also half the swing of on/off blocks and half the
+    held-out error of the next hour.
     """
+    rounding_K = card.uncertainty.get("sensor_resolution_K", 0.0) / math.sqrt(12.0)
     if not is_fast(operator):
-        return 0.0
+        return min(rounding_K, _MOST_K)
     verdict = card.competence
     errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
-    rounding_K = card.uncertainty.get("sensor_resolution_K", 0.0) / math.sqrt(12.0)
     found = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors) + rounding_K
     return min(found, _MOST_K) if math.isfinite(found) else _MOST_K
 
