@@ -275,7 +275,7 @@ class Watch:
         u, T_zone = levels[start : start + n], float(history.T_zone_C[start + n])
         if not (np.isfinite(u).all() and math.isfinite(T_zone)):
             return None
-        runs = np.stack([np.clip(u, 0.0, 1.0), np.zeros(n)])
+        runs = np.stack([np.clip(u, self._model.operator.heat_input.lowest, 1.0), np.zeros(n)])
         forced, idle = forced_rollout(item.operator, item.forced_K, runs, item.features[:n])[:, -1].sum(axis=-1)
         error = T_zone - item.median_C[lead] - float(forced)
         band = float(item.above_K[lead] if error > 0 else item.below_K[lead])

@@ -49,7 +49,7 @@ def model() -> ThermalModel:
     testcase = load_testcase("bestest_hydronic_heat_pump")
     config = IdentificationConfig(order=3, modulation="linear")
     plant = EmbeddedPlant(synthetic_weather())
-    return identify_on(plant, before=PERIOD, days=1.0, testcase=testcase, step_s=HOUR_S, config=config)
+    return identify_on(plant, before=PERIOD, days=3.0, testcase=testcase, step_s=HOUR_S, config=config)
 
 
 @pytest.fixture(scope="module")

@@ -81,6 +81,14 @@ class _Errors:
     solar: Array
 
 
+def held_out_h(cases: Sequence[Case], splits: Sequence[Split]) -> float:
+    """Return the held-out hours of runs."""
+    return sum(
+        _span_h(case.regression.rows[int(split.judged[0]) :], case.regression.step_s)
+        for case, split in _judged(cases, splits)
+    )
+
+
 def held_out_rmse_K(
     cases: Sequence[Case], splits: Sequence[Split], fit: JointFit, priors: ModePriors, sign: int
 ) -> float:
@@ -143,8 +151,8 @@ def judge(
     none = [np.zeros(e.rows.size) for e in regressions]
     model = _innovations(regressions, effects, first, [fit.log_tau])
     weather = _innovations(regressions, none, first, [fit.log_tau, priors.log_tau])
-    held_out_h = sum(_span_h(e.rows[f:], e.step_s) for e, f in zip(regressions, first, strict=True))
-    block_h = min(_BLOCK_H, held_out_h / _LEAST_BLOCKS)
+    hours_held_out = held_out_h(cases, splits)
+    block_h = min(_BLOCK_H, hours_held_out / _LEAST_BLOCKS)
     found = {}
     for hours in LEAD_TIMES_H:
         parts = [_errors(i, case, model[i], weather[i], first[i], hours, block_h) for i, (case, _) in enumerate(runs)]
@@ -162,7 +170,7 @@ def judge(
         effect_sd_K=sd,
         sign_probability=float(norm.cdf(effect / sd)) if sd > 0 else 1.0,
         explained=explained,
-        held_out_h=held_out_h,
+        held_out_h=hours_held_out,
     )
     most_K = dict.fromkeys(JUDGED_H, math.inf) if own_loops else MOST_ERROR_K
     reasons, advice = _missed(verdict, found, [case.histories[0] for case, _ in runs], most_K)

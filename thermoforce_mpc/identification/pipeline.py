@@ -25,7 +25,7 @@ from thermoforce_mpc.identification.cases import (
     power_model,
     ranges,
 )
-from thermoforce_mpc.identification.competence import held_out_rmse_K, judge
+from thermoforce_mpc.identification.competence import held_out_h, held_out_rmse_K, judge
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
 from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
@@ -51,6 +51,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Least share of the whitened variance that the forced response must explain to be accepted.
 _LEAST_EXPLAINED = 0.1
+# Held-out hours from which priors of the initial slope are compared: fewer decide by chance.
+_LEAST_HELD_OUT_H = 9.0
 # Share of the held-out error that another prior of the initial slope must undercut to be taken.
 _CLEARLY_BETTER = 0.9
 # Relative standard deviation of the answer after a day from which a model is called uncertain.
@@ -186,7 +188,7 @@ def _joint_model(
         return held_out_rmse_K(cases, splits, best.fit, best.priors, sign)
 
     candidates = judged(config)
-    if config.start_slope_K_per_h is None and runs:
+    if config.start_slope_K_per_h is None and held_out_h(cases, splits) >= _LEAST_HELD_OUT_H:
         # Heat that reaches the air at once is not that of a slab; which it is shows in the held-out predictions.
         most_K = _CLEARLY_BETTER * error_K(candidates)
         for slope in DIRECT_SLOPES_K_PER_H:

@@ -27,7 +27,9 @@ class Off(OutdoorResponse):
 @pytest.mark.parametrize(("error_K", "coverage"), [(0.1, 1.0), (0.3, 0.0)])
 def test_errors_and_coverage_are_those_of_the_free_forecast_alone(error_K, coverage):
     house = SimpleHouse()
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24), free_response=Off(error_K))
+    # What would answer the error is off: the scores are those of the forecast.
+    config = MPCConfig.model_validate({"step_s": None, "horizon_h": 24, "offset_h": None, "watch": {"enabled": False}})
+    mpc = ThermoForceMPC(simple_model(), config, free_response=Off(error_K))
     result = run_closed_loop(house, mpc, house.period("x"))
     rows = free_forecast_scores(result, horizons_h=(1.0, 6.0), settle_h=4.0)
     assert [row["hours"] for row in rows] == [1.0, 6.0]
