@@ -30,8 +30,6 @@ def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_i
     measured heat is taken.
     """
     levels = np.array(history.u)
-    if heat_input.lowest < 0.0:
-        return levels  # signed levels are measured heat
     if heat_input.heat is not None:
         for time_s, level in asked:
             step = _step_of(time_s, history)

@@ -26,6 +26,7 @@ def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path):
     assert both["identification"]["data_sha256"] == alone["identification"]["data_sha256"], "the probed record"
     beside = both["identification"].pop("baselines")["thermoforce_hourly"]
     assert both["identification"] == alone["identification"]
+    hourly_alone["identification"].pop("actuation")  # of the controller, not of its baselines
     assert beside == hourly_alone["identification"] != both["identification"]
     for kpis in (both_kpis["baselines"]["thermoforce_hourly"], hourly_kpis["kpis"]):
         kpis.pop("time_rat")  # computing time

@@ -75,8 +75,10 @@ def test_set_points_modulate_and_rules_follow_the_map():
     water = load_testcase("bestest_hydronic")
     assert controller_config("thermoforce_mpc", {}, water).actuation.mode == "auto"
     assert controller_config("pi", {}, water).actuation.mode == "modulating"
-    room = load_testcase("bestest_air_cooling_setpoint")
-    assert controller_config("thermoforce_mpc", {}, room).actuation.mode == "modulating"
+    room = load_testcase("bestest_air")
+    assert controller_config("thermoforce_mpc", {}, room).actuation.mode == "room_setpoints"
+    held = water.model_copy(update={"actuator": water.actuator.model_copy(update={"kind": "setpoint"})})
+    assert controller_config("thermoforce_mpc", {}, held).actuation.mode == "modulating"
     pump = load_testcase("bestest_hydronic_heat_pump")
     assert controller_config("pi", {}, pump).actuation.mode == "auto"
 

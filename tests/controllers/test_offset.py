@@ -57,8 +57,11 @@ def test_the_offset_is_the_mean_of_recent_errors_and_limited():
     assert mpc._offset_K(old, observation) == 0.1, "a plan of three hours ago says nothing of this step"
 
 
-def test_the_end_of_a_step_meets_the_bound_that_held_during_it():
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None), free_response=OutdoorResponse())
+@pytest.mark.parametrize(("gain", "held"), [(1.0, False), (20.0, True)])
+def test_in_a_fast_zone_the_end_of_a_step_meets_the_bound_that_held_during_it(gain, held):
+    model = simple_model()
+    model = replace(model, operator=replace(model.operator, gains=gain * model.operator.gains))
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None), free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * 86400.0, 24 * HOUR_S)
     boundary: Boundary = house.forecast(mpc.horizon_s, HOUR_S)
@@ -67,4 +70,4 @@ def test_the_end_of_a_step_meets_the_bound_that_held_during_it():
     problem = mpc._problem(mpc.model.operator, context, history, 0.0)
     drops = np.flatnonzero((boundary.lower_C[:-1] == 21.0) & (boundary.lower_C[1:] == 15.0))
     assert drops.size
-    assert (problem.lower_C[drops] >= 21.0).all()
+    assert (problem.lower_C[drops] >= 21.0).all() == held

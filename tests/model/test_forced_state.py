@@ -146,6 +146,8 @@ def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> flo
         horizon_h=24,
         actuation={"mode": "modulating", "lowest_level": 0.01},
         estimator=EstimatorConfig(correct=correct),
+        offset_h=None,
+        watch={"enabled": False},
     )
     mpc = ThermoForceMPC(model, config, free_response=free or LinearWeather())
     result = run_closed_loop(house, mpc, house.period("x"))

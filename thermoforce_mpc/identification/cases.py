@@ -36,7 +36,7 @@ class Case:
 
 
 def identified_heat_input(
-    histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float
+    histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float = 0.0
 ) -> tuple[HeatInput, list[str]]:
     """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it.
 

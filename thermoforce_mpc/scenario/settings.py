@@ -16,6 +16,10 @@ from thermoforce_mpc.errors import ConfigError
 Model = TypeVar("Model", bound=BaseModel)
 
 
+UNION_TAGS = ("direct", "room")
+"""Tags of the alternatives of a key, which pydantic puts into the place of an error; no key has these names."""
+
+
 class StrictModel(BaseModel):
     """Base class of all configuration models: unknown keys are refused, values are immutable."""
 
@@ -128,7 +132,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
 
 def _explain(model: type[BaseModel], item: Any) -> str:
     """Return one line per pydantic error: dotted key, reason, value; for an unknown key, the allowed keys."""
-    path = [str(part) for part in item["loc"]]
+    path = [str(part) for part in item["loc"] if part not in UNION_TAGS]
     key = ".".join(path) or "(top level)"
     if item["type"] == "extra_forbidden":
         known = _keys_at(model, path[:-1])
