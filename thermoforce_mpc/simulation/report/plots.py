@@ -58,13 +58,14 @@ def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: M
 
 
 def actuation_plot(trajectory: pd.DataFrame, currency: str) -> str:
-    """Actuator level, electric power, kW, outdoor temperature, °C, irradiance, W/m², and price."""
+    """Actuator level (below 0: cooling), power, kW, outdoor temperature, °C, irradiance, W/m², and price."""
     figure = Figure(figsize=(11, 6.2), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True)
     day = _days(trajectory)
     hourly = _hourly_means(trajectory)
-    _steps(axes[0], day, trajectory.u_measured, INK, "level u")
-    axes[0].set_ylim(-0.05, 1.05)
+    least = float(np.nanmin(trajectory.u_measured)) if trajectory.u_measured.notna().any() else 0.0
+    _steps(axes[0], day, trajectory.u_measured, INK, "level u" if least >= 0 else "level u\n(< 0: cooling)")
+    axes[0].set_ylim(min(least, 0.0) - 0.05, 1.05)
     axes[1].fill_between(day, trajectory.power_W / 1e3, step="post", color=FORCED, alpha=0.25, linewidth=0)
     axes[1].plot(hourly.index, hourly.power_W / 1e3, color=FORCED, linewidth=1.1)
     axes[1].set_ylabel("power, kW\n(line: hourly mean)")
