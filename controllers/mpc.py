@@ -10,25 +10,24 @@ import numpy as np
 
 from controllers.actuation import ActuationState
 from controllers.actuation_choice import choose_actuation
-from controllers.backoff import backoff_K
+from controllers.assembly import Assembly
 from controllers.errors import ControllerConfigError
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.gate import shut
 from controllers.guard import guard_level
 from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
-from controllers.problem import Cooling, MPCProblem, Solution, Weights
-from controllers.reserve import is_fast, reserve_K
+from controllers.problem import MPCProblem, Solution
 from controllers.room import room_blocks, within_C
 from controllers.solvers import Solver, build_solver
 from controllers.watch import Track, Watch, WatchState
-from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.operator.features import ZONE
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import PredictionContext, Predictor, PredictorState
+from thermoforce_mpc.model.predictor import Predictor, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -128,6 +127,7 @@ class ThermoForceMPC:
             raise ControllerConfigError(
                 "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
             )
+        self._assembly = Assembly(c, self._actuation, self._power, model.card, step_s)
         self._adaptation = OnlineAdaptation(model, c.adaptation)
         self._watch = Watch(c.watch, model, self._n_steps, self._expected_power_W)
         self._free_response = free_response or _build_free_response(c.free_response, model)
@@ -251,7 +251,7 @@ class ThermoForceMPC:
             context = planner.predictor.context(
                 Observation(history, observation.boundary.head(self._n_steps)), predictor
             )
-            problem = self._problem(planner.operator, context, history, now.peak_W, now.offset_K)
+            problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return self._fall_back(observation, now, f"no prediction ({_said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
@@ -309,91 +309,6 @@ class ThermoForceMPC:
         if good is None or good.age(observation.time_s, self.step_s) != 1:
             return None
         return np.append(good.u[1:], good.u[-1])
-
-    def _problem(
-        self,
-        operator: OperatorParameters,
-        context: PredictionContext,
-        history: Record,
-        peak_W: float,
-        offset_K: float = 0.0,
-    ) -> MPCProblem:
-        """Assemble the numbers of this instance."""
-        c, boundary, T_free = self.config, context.boundary, context.free.median_C + offset_K
-        aims = c.objective
-        boundary.check("lower_C", "upper_C", "price_per_kWh")
-        boundary.check("heating_price_per_kWh")
-        carbon = np.zeros(boundary.n_steps)
-        if aims.carbon_price_per_kg:
-            boundary.check("emission_kg_per_kWh")
-            carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
-        price = boundary.heating_price_per_kWh[:-1] + carbon
-        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(context, history))
-        low, high = c.backoff_level, c.backoff_level_other
-        if operator.sign < 0:
-            low, high = high, low
-        below, above = (
-            np.minimum(
-                backoff_K(context.free, self.step_s, level, c.backoff_violation_K, below=is_lower), c.backoff_max_K
-            )
-            for level, is_lower in ((low, True), (high, False))
-        )
-        lower_C, upper_C = boundary.lower_C[1:], boundary.upper_C[1:]
-        if is_fast(operator):
-            # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
-            lower_C, upper_C = np.maximum(boundary.lower_C[:-1], lower_C), np.minimum(boundary.upper_C[:-1], upper_C)
-        reserve = reserve_K(operator, self._actuation, self.model.card) if c.reserve and not self._rooms else 0.0
-        # Margins wider than half the band would swap the bounds.
-        half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
-        return MPCProblem(
-            forced_state_K=context.forced_K,
-            features=context.features,
-            T_free_C=T_free,
-            lower_C=lower_C + np.minimum(c.comfort_margin_K + below + (reserve if operator.sign > 0 else 0.0), half),
-            upper_C=upper_C - np.minimum(c.comfort_margin_K + above + (reserve if operator.sign < 0 else 0.0), half),
-            price_per_kWh=price,
-            power_fixed_W=fixed_W,
-            power_per_u_W=per_u_W,
-            step_s=self.step_s,
-            u_max=self._actuation.highest,
-            lowest_level=self._actuation.lowest_level,
-            weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
-            terminal_price_per_K=self._terminal_price(
-                operator, context.features[-1], price[-1] * (fixed_W + per_u_W)[-1]
-            ),
-            peak_so_far_W=peak_W,
-            cooling=self._cooling(operator, boundary, boundary.price_per_kWh[:-1] + carbon),
-        )
-
-    def _cooling(self, operator: OperatorParameters, boundary: Boundary, price: Array) -> Cooling | None:
-        """What levels below 0 cost at `price` (N,), currency/kWh; None where there are none."""
-        load, lowest = self._power.cooling, operator.heat_input.lowest
-        if load is None or lowest == 0.0:
-            return None
-        return Cooling(lowest, price, load(np.ones(boundary.n_steps), boundary.T_out_C[:-1]))
-
-    def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
-        """Return water temperature while running, (N,), °C; NaN where the power model does not depend on it.
-
-        The zone temperature is taken as the free response clipped to the comfort band: using the planned temperature
-        would make the problem bilinear for less than 1 % of the power.
-        """
-        if self._power.water is None:
-            return float("nan")
-        boundary, T_free_C = context.boundary, context.free.median_C
-        held_C = np.clip(T_free_C, boundary.lower_C[1:], boundary.upper_C[1:])
-        return self._power.water.expected_C(history, held_C)
-
-    def _terminal_price(self, operator: OperatorParameters, features: Array, cost_per_kW_h: float) -> Array:
-        """Terminal value of each mode, (r,), currency/K; zero except for the slowest, which stores heat longest.
-
-        At `terminal_value` 1 a kelvin is worth its production cost in the last step.
-        """
-        price = np.zeros(operator.order)
-        drive = float(operator.drive(np.array([self._actuation.highest]), features[None])[0])
-        per_step = cost_per_kW_h / 1000.0 * self.step_s / HOUR_S
-        price[-1] = self.config.objective.terminal_value * per_step / (operator.gains[-1] * drive)
-        return price
 
     def _offset_K(self, before: MPCState, observation: Observation) -> float:
         """Mean error of planned zone temperatures one step ahead, K, forgotten over `offset_h`.
