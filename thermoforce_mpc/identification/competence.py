@@ -112,9 +112,7 @@ def _model_errors(runs: Sequence[tuple[Case, Split]], fit: JointFit, sign: int) 
     effects = [forced_columns(e, fit.log_tau, sign) @ fit.gains for e in regressions]
     model = _innovations(regressions, effects, first, [fit.log_tau])
     return {
-        hours: np.concatenate(
-            [_errors(i, case, model[i], model[i], first[i], hours, _BLOCK_H).model for i, (case, _) in enumerate(runs)]
-        )
+        hours: np.concatenate([_ahead(model[i], *_held_out(case, first[i], hours)) for i, (case, _) in enumerate(runs)])
         for hours in JUDGED_H
     }
 
@@ -217,21 +215,30 @@ def _errors(
 ) -> _Errors:
     """Errors at held-out rows, each predicted from the last row `hours` or more before it."""
     regression, solar = case.regression, case.histories[0].solar_W_m2
-    at = regression.rows * regression.step_s / HOUR_S
+    starts, targets = _held_out(case, first, hours)
+    rows = regression.rows
+    at = rows * regression.step_s / HOUR_S
+    sun = np.array([solar[rows[i] : rows[j] + 1].mean() for i, j in zip(starts, targets, strict=True)])
+    blocks = number * 10**6 + ((at[targets] - at[first]) // block_h).astype(np.intp)
+    persistence = regression.target[targets] - regression.target[starts]
+    predicted, alone = _ahead(model, starts, targets), _ahead(weather, starts, targets)
+    return _Errors(predicted, alone, persistence, np.asarray(blocks, dtype=np.intp), sun)
+
+
+def _held_out(case: Case, first: int, hours: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Starts and targets (n,) of the predictions `hours` ahead of the rows from `first` on."""
+    at = case.regression.rows * case.regression.step_s / HOUR_S
     starts = np.searchsorted(at, at[first:] - hours + 1e-9, side="right") - 1
     targets = np.arange(first, at.size)
     # Where the sensor was silent there may be no row that far before: such a target is left out.
     near = (starts >= 0) & (at[targets] - at[np.maximum(starts, 0)] <= 1.5 * hours)
-    targets, starts = targets[near], starts[near]
+    return starts[near], targets[near]
 
-    def ahead(factor: Array, white: Array) -> Array:
-        return np.array([factor[j, i + 1 : j + 1] @ white[i + 1 : j + 1] for i, j in zip(starts, targets, strict=True)])
 
-    rows = regression.rows
-    sun = np.array([solar[rows[i] : rows[j] + 1].mean() for i, j in zip(starts, targets, strict=True)])
-    blocks = number * 10**6 + ((at[targets] - at[first]) // block_h).astype(np.intp)
-    persistence = regression.target[targets] - regression.target[starts]
-    return _Errors(ahead(*model), ahead(*weather), persistence, np.asarray(blocks, dtype=np.intp), sun)
+def _ahead(innovations: tuple[Array, Array], starts: NDArray[np.intp], targets: NDArray[np.intp]) -> Array:
+    """Errors (n,) of the predictions from `starts` to `targets`, K, from L and w of `_innovations`."""
+    factor, white = innovations
+    return np.array([factor[j, i + 1 : j + 1] @ white[i + 1 : j + 1] for i, j in zip(starts, targets, strict=True)])
 
 
 def _score(hours: float, errors: _Errors) -> HorizonScore:
