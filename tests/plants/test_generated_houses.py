@@ -165,10 +165,7 @@ def test_air_leads_and_a_slab_lags():
 @pytest.mark.parametrize("emitter", ["floor", "radiator", "air"])
 @pytest.mark.parametrize("machine", MACHINES)
 def test_more_level_never_cools(emitter, machine):
-    try:
-        house = house_with(emitter=emitter, machine=machine)
-    except AssertionError:
-        pytest.skip("no such combination in the first 500 draws")
+    house = house_with(emitter=emitter, machine=machine)
     grid = still_grid(2.0, ventilation=house.ventilation_W_K)
     rng = np.random.default_rng(1)
     states = [np.r_[np.full(6, 20.0), 0.0, 0.0] for _ in range(2)]
