@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import InputError, ThermoForceError
 from thermoforce_mpc.plants.fmu.archive import read_archive
+from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
-from thermoforce_mpc.simulation.comparison.runner import one_thread_each
 from thermoforce_mpc.simulation.run import run
 
 CONTROLLER, NATIVE = "thermoforce_mpc", "native"
@@ -81,17 +79,14 @@ def run_boptest_bench(
         InputError: the folder has no FMU, or one that cannot be read.
     """
     cases, rows = _found(fmus, price, _QUICK_DAYS if quick else _DAYS)
-    outcomes: dict[Case, Outcome] = {}
-    context = multiprocessing.get_context("spawn")  # as in `comparison`: compiled code may hold locks
-    with one_thread_each(), ProcessPoolExecutor(jobs, context) as executor:
-        futures = {executor.submit(run_case, case): case for case in cases}
-        for future in as_completed(futures):
-            outcome = outcomes[futures[future]] = future.result()
-            row = outcome.row()
-            done = f"[{len(outcomes)}/{len(cases)}] {row['test case']}, {row['period']}, {outcome.seconds:.0f} s: "
-            progress(done + (f"FAILED, {outcome.failed}" if outcome.failed else f"{row[CONTROLLER]}, {row[NATIVE]}"))
-    ordered = [outcomes[case] for case in cases]
-    return bench_result("boptest", [*(o.row() for o in ordered), *rows], targets(ordered))
+
+    def on_done(n: int, outcome: Outcome) -> None:
+        row = outcome.row()
+        done = f"[{n}/{len(cases)}] {row['test case']}, {row['period']}, {outcome.seconds:.0f} s: "
+        progress(done + (f"FAILED, {outcome.failed}" if outcome.failed else f"{row[CONTROLLER]}, {row[NATIVE]}"))
+
+    outcomes = in_processes(run_case, cases, jobs, on_done)
+    return bench_result("boptest", [*(o.row() for o in outcomes), *rows], targets(outcomes))
 
 
 def _found(folder: Path, price: str, days: float) -> tuple[list[Case], list[Row]]:

@@ -7,12 +7,10 @@ refuses the record, the house's own control stays, and the row says so.
 
 from __future__ import annotations
 
-import multiprocessing
 import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,10 +24,10 @@ from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.generated.plant import WEEKS
 from thermoforce_mpc.plants.generated.schedule import bounds_C
+from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.runner import one_thread_each
 from thermoforce_mpc.simulation.identifying import identification_settings, identify_on
 
 # Population that is reported; development uses other seeds, see docs/houses.md.
@@ -144,16 +142,7 @@ def run_buildings_bench(
 
 def run_cases(cases: Sequence[Case], jobs: int, progress: Callable[[str], None]) -> list[Outcome]:
     """Run cases in `jobs` processes of one thread each; outcomes in the order of `cases`."""
-    # Spawned, not forked: a fork would copy locks of the compiled code in an undefined state.
-    context = multiprocessing.get_context("spawn")
-    done: dict[Case, Outcome] = {}
-    with one_thread_each(), ProcessPoolExecutor(jobs, context) as executor:
-        futures = {executor.submit(run_case, case): case for case in cases}
-        for future in as_completed(futures):
-            outcome = future.result()
-            done[futures[future]] = outcome
-            progress(f"[{len(done)}/{len(cases)}] {_line(outcome)}")
-    return [done[case] for case in cases]
+    return in_processes(run_case, cases, jobs, lambda n, outcome: progress(f"[{n}/{len(cases)}] {_line(outcome)}"))
 
 
 def run_case(case: Case) -> Outcome:
