@@ -87,6 +87,11 @@ class Actuation:
         return self.config.mode == "modulating"
 
     @property
+    def by_rooms(self) -> bool:
+        """Whether the plant's own loops keep room set-points."""
+        return self.config.mode == "room_setpoints"
+
+    @property
     def highest(self) -> float:
         """Highest level of a plan."""
         return 1.0 if self.modulates else self.config.level
@@ -103,7 +108,7 @@ class Actuation:
     @property
     def in_words(self) -> str:
         """The actuation in a few words."""
-        if self.config.mode == "room_setpoints":
+        if self.by_rooms:
             return "room set-points, kept by the plant's own loops"
         if not self.modulates:
             return f"on/off blocks at {self.config.level:.2f}"

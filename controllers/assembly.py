@@ -32,7 +32,6 @@ class Assembly:
     ) -> None:
         self._config, self._actuation, self._power, self._card = config, actuation, power, card
         self._step_s = step_s
-        self._rooms = config.actuation.mode == "room_setpoints"
 
     def problem(
         self,
@@ -77,7 +76,9 @@ class Assembly:
         if is_fast(operator):
             # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
             lower_C, upper_C = np.maximum(boundary.lower_C[:-1], lower_C), np.minimum(boundary.upper_C[:-1], upper_C)
-        reserve = reserve_K(operator, self._actuation, self._card) if c.reserve and not self._rooms else 0.0
+        reserve = (
+            reserve_K(operator, self._actuation, self._card) if c.reserve and not self._actuation.by_rooms else 0.0
+        )
         # Margins wider than half the band would swap the bounds.
         half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
         return MPCProblem(

@@ -122,8 +122,7 @@ class ThermoForceMPC:
         self._actuation, self._actuation_why = choice.actuation, choice.why
         self._actuation.check_step(step_s)
         self._power = model.power.at_lowest_level(self._actuation.lowest_level)
-        self._rooms = c.actuation.mode == "room_setpoints"
-        if self._rooms != (model.operator.heat_input.lowest < 0.0):
+        if self._actuation.by_rooms != (model.operator.heat_input.lowest < 0.0):
             raise ControllerConfigError(
                 "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
             )
@@ -271,7 +270,7 @@ class ThermoForceMPC:
 
     def _guarded(self, observation: Observation, now: MPCState, plan: Plan) -> Plan:
         """The plan, or the guard's level in its place while the zone is far outside the comfort band."""
-        if self._rooms or any(block.u is None for block in plan.blocks):
+        if self._actuation.by_rooms or any(block.u is None for block in plan.blocks):
             return plan  # the plant's own control acts on the bounds
         planned = sum((block.u or 0.0) * block.duration_s for block in plan.blocks) / self.step_s
         sign, highest = self.model.operator.sign, self._actuation.highest
@@ -349,7 +348,7 @@ class ThermoForceMPC:
         T_zone_C = problem.T_free_C + forced_K
         slack_K = problem.slack_K(T_zone_C)
         band_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
-        if self._rooms:
+        if self._actuation.by_rooms:
             blocks, actuation = self._room_blocks(observation, float(u[0]), float(T_zone_C[0])), now.actuation
         else:
             blocks, actuation = self._actuation.realise(float(u[0]), self.step_s, now.actuation)

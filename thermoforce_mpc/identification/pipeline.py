@@ -193,8 +193,9 @@ def _joint_model(
         most_K = _CLEARLY_BETTER * error_K(candidates)
         for slope in DIRECT_SLOPES_K_PER_H:
             direct = judged(config.model_copy(update={"start_slope_K_per_h": slope}))
-            if error_K(direct) < most_K:
-                candidates, most_K = direct, error_K(direct)
+            direct_K = error_K(direct)
+            if direct_K < most_K:
+                candidates, most_K = direct, direct_K
                 told = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
                 notes = [*(note for note in notes if not note.startswith("the zone responds")), told]
     order = choose_order(candidates)
