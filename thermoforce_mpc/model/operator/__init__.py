@@ -1,5 +1,6 @@
 """Forced-response operator: the effect of an action on the zone temperature. Imports neither torch nor casadi."""
 
+from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import FEATURES, feature_matrix, time_of_day
 from thermoforce_mpc.model.operator.feedback import FeedbackBounds, feedback_bounds, modulation_slope
@@ -12,6 +13,7 @@ __all__ = [
     "GAMMA",
     "HIDDEN",
     "IDENTITY",
+    "BuildingOperator",
     "Certificate",
     "FeedbackBounds",
     "HeatInput",
@@ -22,5 +24,6 @@ __all__ = [
     "forced_rollout",
     "linear_operator",
     "modulation_slope",
+    "single",
     "time_of_day",
 ]

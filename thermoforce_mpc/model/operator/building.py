@@ -1,0 +1,198 @@
+"""Operator of a building: one monotone operator per pair of zone and actuator.
+
+F_z = Σ_a F_za with F_za as in `operator.parameters` (paper eq:operator), so the sign of an effect is certified pair by
+pair. What an actuator delivers, v(u, T_out) and its modulation m(x), does not depend on where the heat goes: all pairs
+of one actuator share it, with the features x of the actuator's home zone, and only poles and gains are the pair's own.
+A pair without an effect is None. One zone with one actuator is `single`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.operator.certificate import Certificate, certificate
+from thermoforce_mpc.model.operator.features import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import driven_rollout, forced_rollout
+
+# What all pairs of one actuator have in common.
+_OF_ACTUATOR = (
+    "hidden_weight", "hidden_bias", "output_weight", "output_bias", "feature_mean", "feature_scale", "gamma", "sign",
+    "heat_input", "feedback",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BuildingOperator:
+    """Operators of Z zones and A actuators.
+
+    Attributes:
+        zones: names of the zones (Z,).
+        actuators: names of the actuators (A,).
+        pairs: `pairs[z][a]`, the operator of actuator a on zone z, or None where it has no effect. All have one step
+            and one order r.
+        home: zone whose features enter the modulation of each actuator (A,); the actuator must have an effect there.
+
+    Raises:
+        DataError: names are missing or double, or the pairs do not fit together; says which.
+    """
+
+    zones: tuple[str, ...]
+    actuators: tuple[str, ...]
+    pairs: tuple[tuple[OperatorParameters | None, ...], ...]
+    home: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for what, names in (("zone", self.zones), ("actuator", self.actuators)):
+            if not names or len(set(names)) != len(names):
+                raise DataError(f"building operator: names of {what}s {list(names)}: need one or more, each once")
+        Z, A = len(self.zones), len(self.actuators)
+        if len(self.pairs) != Z or any(len(row) != A for row in self.pairs):
+            raise DataError(f"building operator: pairs are not {Z} zones of {A} actuators each")
+        if len(self.home) != A or not all(0 <= z < Z for z in self.home):
+            raise DataError(f"building operator: home {self.home}: expected a zone's number below {Z} per actuator")
+        first = self._home_pair(0)
+        for z, a, pair in self.each():
+            where = f"building operator: {self.actuators[a]} on {self.zones[z]}"
+            if pair.order != first.order or pair.step_s != first.step_s:
+                raise DataError(f"{where}: order {pair.order} and step {pair.step_s:g} s differ from the first pair's")
+            home = self._home_pair(a)
+            for name in _OF_ACTUATOR:
+                if not np.array_equal(getattr(pair, name), getattr(home, name)):
+                    raise DataError(f"{where}: {name} differs from that of its home zone")
+            if pair.feedback_active and (Z > 1 or A > 1):
+                raise DataError(f"{where}: feedback of the predicted temperature is for one zone and one actuator")
+
+    def _home_pair(self, a: int) -> OperatorParameters:
+        pair = self.pairs[self.home[a]][a]
+        if pair is None:
+            raise DataError(
+                f"building operator: {self.actuators[a]} has no effect in its home zone {self.zones[self.home[a]]}"
+            )
+        return pair
+
+    def each(self) -> Iterator[tuple[int, int, OperatorParameters]]:
+        """Zone, actuator and operator of every pair with an effect."""
+        for z, row in enumerate(self.pairs):
+            for a, pair in enumerate(row):
+                if pair is not None:
+                    yield z, a, pair
+
+    def of_actuator(self, a: int) -> OperatorParameters:
+        """The operator of actuator `a` on its home zone: its sign, heat input and modulation."""
+        return self._home_pair(a)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Zones Z, actuators A, order r."""
+        return len(self.zones), len(self.actuators), self.of_actuator(0).order
+
+    @property
+    def step_s(self) -> float:
+        """Step of poles and gains, s."""
+        return self.of_actuator(0).step_s
+
+    @property
+    def signs(self) -> Array:
+        """Sign of each actuator (A,): +1 heating, −1 cooling."""
+        return np.array([float(self.of_actuator(a).sign) for a in range(len(self.actuators))])
+
+    @property
+    def lowest(self) -> Array:
+        """Lowest level of each actuator (A,): 0, or below where it heats and cools."""
+        return np.array([self.of_actuator(a).heat_input.lowest for a in range(len(self.actuators))])
+
+    @property
+    def gains(self) -> Array:
+        """g (Z, A, r), K per step; 0 where there is no effect."""
+        return self._stacked("gains", 0.0)
+
+    @property
+    def poles(self) -> Array:
+        """a (Z, A, r); 0 where there is no effect."""
+        return self._stacked("poles", 0.0)
+
+    @property
+    def steady_gains_K(self) -> Array:
+        """Steady effect of full level (Z, A, r), K; 0 where there is no effect."""
+        return self._stacked("steady_gains_K", 0.0)
+
+    def _stacked(self, name: str, otherwise: float) -> Array:
+        out = np.full(self.shape, otherwise)
+        for z, a, pair in self.each():
+            out[z, a] = getattr(pair, name)
+        return out
+
+    def drive(self, u: Array, features: Array) -> Array:
+        """Drive m(x)·v of each actuator: `u` (..., A, N), `features` (Z, N, 4) with T − F → (..., A, N)."""
+        u, features = np.asarray(u, dtype=np.float64), np.asarray(features, dtype=np.float64)
+        return np.stack(
+            [self.of_actuator(a).drive(u[..., a, :], features[z]) for a, z in enumerate(self.home)], axis=-2
+        )
+
+    def rollout(self, F0: Array, u: Array, features: Array) -> Array:
+        """Forced state of every pair at the end of each of N steps (paper eq:operator).
+
+        Args:
+            F0: forced state now, shape (Z, A, r), K.
+            u: planned levels, shape (..., A, N).
+            features: x_t of each zone at the start of each step, shape (Z, N, 4); the zone's column is T − F.
+
+        Returns:
+            Shape (..., Z, A, N, r), K; the sum over actuators and modes is the forced response of a zone.
+
+        Raises:
+            DataError: shapes do not fit together, or a value is not finite.
+        """
+        u, F0, features = (np.asarray(value, dtype=np.float64) for value in (u, F0, features))
+        Z, A, r = self.shape
+        n = u.shape[-1] if u.ndim > 1 else -1
+        if u.shape[-2:] != (A, n) or features.shape != (Z, n, N_FEATURES) or F0.shape != (Z, A, r):
+            raise DataError(
+                f"forced rollout of {Z} zones and {A} actuators: u {u.shape}, features {features.shape} and "
+                f"F0 {F0.shape} do not describe the same steps"
+            )
+        if not (np.isfinite(u).all() and np.isfinite(F0).all() and np.isfinite(features).all()):
+            raise DataError("forced rollout: u, F0 and features must be finite")
+        if self.of_actuator(0).feedback_active:
+            return forced_rollout(self.of_actuator(0), F0[0, 0], u[..., 0, :], features[0])[..., None, None, :, :]
+        return self.driven(F0, self.drive(u, features))
+
+    def driven(self, F0: Array, drive: Array) -> Array:
+        """Forced state for known drives: `F0` (Z, A, r) K, `drive` (..., A, N) → (..., Z, A, N, r) K."""
+        Z, A, r = self.shape
+        out = np.zeros((*drive.shape[:-2], Z, A, drive.shape[-1], r))
+        for z, a, pair in self.each():
+            out[..., z, a, :, :] = driven_rollout(pair, F0[z, a], drive[..., a, :])
+        return out
+
+    def resampled(self, step_s: float) -> BuildingOperator:
+        """The operator at another step, pair by pair."""
+        if step_s == self.step_s:
+            return self
+        return self.map(lambda pair: pair.resampled(step_s))
+
+    def map(self, change: Callable[[OperatorParameters], OperatorParameters]) -> BuildingOperator:
+        """The operator with `change` applied to every pair."""
+        pairs = tuple(tuple(None if pair is None else change(pair) for pair in row) for row in self.pairs)
+        return replace(self, pairs=pairs)
+
+    def certificates(self, n_steps: int = 48) -> dict[tuple[str, str], Certificate]:
+        """Certificate of every pair with an effect, by names of zone and actuator (paper, proposition)."""
+        return {(self.zones[z], self.actuators[a]): certificate(pair, n_steps) for z, a, pair in self.each()}
+
+    @property
+    def n_trained(self) -> int:
+        """Trained parameters: poles and gains of each pair, and each actuator's modulation once."""
+        heads = [self.of_actuator(a) for a in range(len(self.actuators))]
+        return sum(2 * pair.order for *_, pair in self.each()) + sum(head.n_trained - 2 * head.order for head in heads)
+
+
+def single(operator: OperatorParameters, zone: str = "zone", actuator: str = "actuator") -> BuildingOperator:
+    """One zone with one actuator."""
+    return BuildingOperator((zone,), (actuator,), ((operator,),), (0,))
