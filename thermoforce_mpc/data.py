@@ -3,12 +3,16 @@
 Time is in seconds since 1 January 00:00 (BOPTEST's clock). `N` steps have `N + 1` boundaries: what is *sampled*
 (temperatures, weather, comfort bounds) has `N + 1` values, what *acts over a step* (u, power, heat) has `N`.
 Temperatures are in °C, differences and effects in K, powers and heat flows in W, energies in kWh, u in [0, 1].
+
+A building has Z zones, A actuators and M machines, whose names travel with the arrays (`Names`). Time is the last axis:
+zone temperatures and bounds are (Z, …), levels and heat (A, …), power and prices (M, …), the weather (…). Where there is
+one of them, constructors also take arrays without that axis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +37,96 @@ _CLOCK_ROUNDING_S = 0.01
 SAMPLED = ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
 ACTING = ("u", "power_W", "heat_W", "T_return_C")
 SIGNALS = (*SAMPLED, *ACTING)
+# Arrays of a `Plan` over its horizon.
+_PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
+# Signals of a `Boundary`.
+CONDITIONS = (
+    "time_s", "T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh", "emission_kg_per_kWh",
+    "heating_price_per_kWh",
+)  # fmt: skip
 
 
-def _freeze(value: object, name: str, length: int) -> Array:
+# The first axis of each signal that has one: zones, actuators or machines.
+_AXIS = {
+    "T_zone_C": "zones",
+    "occupancy": "zones",
+    "lower_C": "zones",
+    "upper_C": "zones",
+    "u": "actuators",
+    "heat_W": "actuators",
+    "power_W": "machines",
+    "T_return_C": "machines",
+    "price_per_kWh": "machines",
+    "emission_kg_per_kWh": "machines",
+    "heating_price_per_kWh": "machines",
+    **dict.fromkeys(("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "T_low_C", "T_high_C"), "zones"),
+    **dict.fromkeys(("slack_K", "T_free_now_C"), "zones"),
+}
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of the zones (Z), actuators (A) and machines (M) of a building, in the order of the arrays.
+
+    Raises:
+        DataError: a kind has no name, or one twice.
+    """
+
+    zones: tuple[str, ...] = ("zone",)
+    actuators: tuple[str, ...] = ("actuator",)
+    machines: tuple[str, ...] = ("machine",)
+
+    def __post_init__(self) -> None:
+        for kind in ("zones", "actuators", "machines"):
+            names = tuple(getattr(self, kind))
+            if not names or len(set(names)) != len(names):
+                raise DataError(f"{kind} are {list(names)}: expected one name or more, each once")
+            object.__setattr__(self, kind, names)
+
+    @property
+    def single(self) -> bool:
+        """Whether there is one zone, one actuator and one machine."""
+        return len(self.zones) == len(self.actuators) == len(self.machines) == 1
+
+    def label(self, signal: str, row: int) -> str:
+        """Name of a row of a signal for people: 'T_zone_C' of one zone, 'T_zone_C[bath]' of several."""
+        names = getattr(self, _AXIS[signal])
+        return signal if len(names) == 1 else f"{signal}[{names[row]}]"
+
+    def columns(self, **signals: Array) -> dict[str, Array]:
+        """The rows of `signals` (rows, n) by `label`, as columns of a table."""
+        return {self.label(name, row): values for name, rows in signals.items() for row, values in enumerate(rows)}
+
+    def rows(self, signal: str) -> int:
+        """Number of rows of a signal: of its zones, actuators or machines."""
+        return len(getattr(self, _AXIS[signal]))
+
+
+SINGLE = Names()
+"""One zone with one actuator and one machine."""
+
+
+def _freeze(value: object, name: str, length: int, names: Names) -> Array:
+    """An array (length,) or, with an axis of its own, (rows, length); raises `DataError` for another shape."""
     array = np.array(value, dtype=np.float64)
-    if array.shape != (length,):
-        raise DataError(f"{name} has shape {array.shape}, expected ({length},)")
+    expected: tuple[int, ...] = (length,)
+    if name in _AXIS:
+        rows = len(getattr(names, _AXIS[name]))
+        expected = (rows, length)
+        if rows == 1 and array.shape == (length,):
+            array = array[None]
+    if array.shape != expected:
+        raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+    array.setflags(write=False)
+    return array
+
+
+def _of_each(value: object, name: str, names: Names) -> Array:
+    """Values (rows,) of one instant; a number where there is one row. Raises `DataError` for another shape."""
+    array = np.atleast_1d(np.array(value, dtype=np.float64))
+    rows = len(getattr(names, _AXIS[name]))
+    if array.shape != (rows,):
+        raise DataError(f"{name} has shape {array.shape}, expected ({rows},)")
     array.setflags(write=False)
     return array
 
@@ -58,28 +146,59 @@ def _check_clock(time_s: Array, what: str) -> None:
     )
 
 
-@dataclass(frozen=True)
-class Block:
-    """One stretch of constant actuation: level `u` in [0, 1], or None for the plant's native control.
+Levels = float | None | Sequence[float | None]
+"""Levels of the actuators: one each, or a number for one actuator; None for native control (of all, if alone)."""
 
-    A plant that heats and cools takes levels in [−1, 1]. `band_C` are the heating and the cooling set-point that its
-    own loops are to keep meanwhile, °C; u is then the mean level that the plan expects of them.
+Bands = Sequence[Any] | None
+"""Room set-points (heating, cooling) of the actuators, °C: one pair each, or one pair for one actuator."""
+
+
+@dataclass(frozen=True, init=False)
+class Block:
+    """One stretch of constant actuation: `u` (A,) holds the level of each actuator in [0, 1], None for native control.
+
+    An actuator that heats and cools takes levels in [−1, 1]. `band_C` (A,) are the heating and the cooling set-point
+    that the plant's own loops are to keep meanwhile, °C, None where there are none; u is then the mean level that the
+    plan expects of them. One actuator's level and band may be given without a tuple.
     """
 
-    u: float | None
+    u: tuple[float | None, ...]
     duration_s: float
-    band_C: tuple[float, float] | None = None
+    band_C: tuple[tuple[float, float] | None, ...]
+
+    def __init__(self, u: Levels, duration_s: float, band_C: Bands = None) -> None:
+        levels = (u,) if u is None or isinstance(u, int | float) or np.ndim(u) == 0 else tuple(u)  # type: ignore[arg-type]
+        if band_C is None:
+            bands: tuple[Any, ...] = (None,) * len(levels)
+        elif len(levels) == 1 and len(band_C) == 2:
+            bands = (band_C,)
+        else:
+            bands = tuple(band_C)
+        if len(bands) != len(levels):
+            raise DataError(f"a block of {len(levels)} levels has {len(bands)} bands")
+        object.__setattr__(self, "u", tuple(None if level is None else float(level) for level in levels))
+        object.__setattr__(self, "duration_s", duration_s)
+        object.__setattr__(self, "band_C", bands)
+
+    @classmethod
+    def native(cls, n_actuators: int, duration_s: float) -> Block:
+        """All actuators under the plant's own control."""
+        return cls((None,) * n_actuators, duration_s)
+
+    def as_array(self) -> Array:
+        """Levels (A,), NaN under native control."""
+        return np.array([np.nan if level is None else level for level in self.u])
 
 
 @dataclass(frozen=True)
 class Boundary:
     """Boundary conditions at `N + 1` equally spaced instants, the first being *now*.
 
-    Every array has shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m²,
-    `occupancy` persons,
-    `lower_C` and `upper_C` comfort bounds °C, `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg
-    CO2/kWh. Where heating has an energy carrier of its own (gas beside electric cooling), `heating_price_per_kWh` is
-    its price; by default it is `price_per_kWh`.
+    Shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m².
+    Shape (Z, N + 1): `occupancy` persons, `lower_C` and `upper_C` comfort bounds °C.
+    Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy. Where
+    the heating of a machine that also cools has a carrier of its own (gas beside electric cooling),
+    `heating_price_per_kWh` is its price; by default it is `price_per_kWh`.
 
     Raises:
         DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
@@ -94,6 +213,7 @@ class Boundary:
     price_per_kWh: Array
     emission_kg_per_kWh: Array
     heating_price_per_kWh: Array = field(default_factory=lambda: np.empty(0))
+    names: Names = SINGLE
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
@@ -101,8 +221,8 @@ class Boundary:
             raise DataError("a boundary needs at least one instant")
         if not np.size(self.heating_price_per_kWh):
             object.__setattr__(self, "heating_price_per_kWh", self.price_per_kWh)
-        for item in fields(self):
-            object.__setattr__(self, item.name, _freeze(getattr(self, item.name), item.name, n))
+        for name in CONDITIONS:
+            object.__setattr__(self, name, _freeze(getattr(self, name), name, n, self.names))
         _check_clock(self.time_s, "boundary")
 
     @classmethod
@@ -173,28 +293,30 @@ class Boundary:
     def check(self, *names: str) -> None:
         """Raises `DataError` where one of the signals `names` has a value that is no number; says which and when."""
         for name in names:
-            missing = np.flatnonzero(~np.isfinite(getattr(self, name)))
-            if missing.size:
-                raise DataError(
-                    f"boundary forecast: {name} is missing at {missing.size} of {self.time_s.size} instants, first at "
-                    f"{self.time_s[missing[0]]:.10g} s ({(self.time_s[missing[0]] - self.time_s[0]) / HOUR_S:g} h "
-                    "ahead): check its source"
-                )
+            for row, values in enumerate(np.atleast_2d(getattr(self, name))):
+                missing = np.flatnonzero(~np.isfinite(values))
+                if missing.size:
+                    label = self.names.label(name, row) if name in _AXIS else name
+                    raise DataError(
+                        f"boundary forecast: {label} is missing at {missing.size} of {self.time_s.size} instants, "
+                        f"first at {self.time_s[missing[0]]:.10g} s "
+                        f"({(self.time_s[missing[0]] - self.time_s[0]) / HOUR_S:g} h ahead): check its source"
+                    )
 
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
-        return Boundary(**{f.name: getattr(self, f.name)[: n_steps + 1] for f in fields(self)})
+        return Boundary(**{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS}, names=self.names)
 
 
 @dataclass(frozen=True)
 class Record:
     """What was measured over `n` past steps of equal length, the last boundary being *now*.
 
-    Shape (n + 1,), sampled at the boundaries: `time_s`, `T_zone_C` (NaN where the sensor was silent),
-    `T_out_C`, `solar_W_m2`.
-    Shape (n,), mean over each step: `u` in [0, 1] (in [−1, 1], cooling below 0, where one plant heats and cools),
-    `power_W` total electric, `heat_W` delivered heat, `T_return_C`
-    return water from the emitters (NaN where not measured; all of `T_return_C` where it is not given).
+    Sampled at the boundaries: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,) and `T_zone_C` (Z, n + 1), NaN where the sensor
+    was silent.
+    Mean over each step: `u` (A, n) in [0, 1] (in [−1, 1], cooling below 0, where one actuator heats and cools), `heat_W`
+    (A, n) delivered heat, `power_W` (M, n) total electric, `T_return_C` (M, n) return water from the emitters (NaN where
+    not measured; all of `T_return_C` where it is not given).
     `origin` is the `pandas.Timestamp` with `time_s` 0 where the record came from a table with time stamps.
 
     Raises:
@@ -210,17 +332,18 @@ class Record:
     heat_W: Array
     T_return_C: Array = field(default_factory=lambda: np.empty(0))
     origin: Any = None
+    names: Names = SINGLE
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
         if n < 1:
             raise DataError("a history needs at least one instant")
         if not np.size(self.T_return_C):
-            object.__setattr__(self, "T_return_C", np.full(n - 1, np.nan))
+            object.__setattr__(self, "T_return_C", np.full((len(self.names.machines), n - 1), np.nan))
         for name in SAMPLED:
-            object.__setattr__(self, name, _freeze(getattr(self, name), name, n))
+            object.__setattr__(self, name, _freeze(getattr(self, name), name, n, self.names))
         for name in ACTING:
-            object.__setattr__(self, name, _freeze(getattr(self, name), name, n - 1))
+            object.__setattr__(self, name, _freeze(getattr(self, name), name, n - 1, self.names))
         _check_clock(self.time_s, "history")
 
     @classmethod
@@ -295,36 +418,75 @@ class Record:
     def slice(self, start: int, stop: int) -> Record:
         """Steps `start` … `stop` − 1, with the samples at both their ends."""
         return Record(
-            **{name: getattr(self, name)[start : stop + 1] for name in SAMPLED},
-            **{name: getattr(self, name)[start:stop] for name in ACTING},
+            **{name: getattr(self, name)[..., start : stop + 1] for name in SAMPLED},
+            **{name: getattr(self, name)[..., start:stop] for name in ACTING},
             origin=self.origin,
+            names=self.names,
+        )
+
+    def part(self, zone: int, actuators: Sequence[int], machines: Sequence[int] = ()) -> Record:
+        """The record of one zone with some of the actuators and machines; without machines, power is not measured."""
+        names = Names(
+            (self.names.zones[zone],),
+            tuple(self.names.actuators[a] for a in actuators),
+            tuple(self.names.machines[m] for m in machines) or ("machine",),
+        )
+        unknown = np.full((1, self.n_steps), np.nan)
+        chosen, fed = list(actuators), list(machines)
+        return replace(
+            self,
+            T_zone_C=self.T_zone_C[zone],
+            u=self.u[chosen],
+            heat_W=self.heat_W[chosen],
+            power_W=self.power_W[fed] if fed else unknown,
+            T_return_C=self.T_return_C[fed] if fed else unknown,
+            names=names,
         )
 
     def resample(self, every: int) -> Record:
         """Steps of `every` steps each, from the first on: samples at their ends, means over them; a rest is cut."""
         n = self.n_steps // every
         return Record(
-            **{name: getattr(self, name)[: n * every + 1 : every] for name in SAMPLED},
-            **{name: getattr(self, name)[: n * every].reshape(n, every).mean(axis=1) for name in ACTING},
+            **{name: getattr(self, name)[..., : n * every + 1 : every] for name in SAMPLED},
+            **{
+                name: getattr(self, name)[:, : n * every].reshape(-1, n, every).mean(axis=-1)
+                if n
+                else getattr(self, name)[:, :0]
+                for name in ACTING
+            },
             origin=self.origin,
+            names=self.names,
         )
 
     def weather(self) -> Boundary:
         """Measured weather as a perfect forecast; the other boundary conditions are NaN."""
-        unknown = np.full(self.time_s.size, np.nan)
-        return Boundary(self.time_s, self.T_out_C, self.solar_W_m2, unknown, unknown, unknown, unknown, unknown)
+        of_zone, of_machine = (
+            np.full((len(n), self.time_s.size), np.nan) for n in (self.names.zones, self.names.machines)
+        )
+        return Boundary(
+            self.time_s, self.T_out_C, self.solar_W_m2, of_zone, of_zone, of_zone, of_machine, of_machine,
+            names=self.names,
+        )  # fmt: skip
 
     @classmethod
     def beginning(cls, measurement: Measurement) -> Record:
         """Record of one instant, without a step."""
-        none = np.empty(0)
-        return cls(**{name: np.array([getattr(measurement, name)]) for name in SAMPLED}, **dict.fromkeys(ACTING, none))
+        rows = {name: len(getattr(measurement.names, _AXIS[name])) for name in ACTING}
+        return cls(
+            **{name: np.asarray(getattr(measurement, name))[..., None] for name in SAMPLED},
+            **{name: np.empty((n, 0)) for name, n in rows.items()},
+            names=measurement.names,
+        )
 
     def extended(self, measurement: Measurement) -> Record:
         """This record with the step that ends at `measurement` appended."""
         return Record(
-            **{name: np.append(getattr(self, name), getattr(measurement, name)) for name in SIGNALS},
+            **{
+                name: np.concatenate([getattr(self, name), np.asarray(getattr(measurement, name))[..., None]], axis=-1)
+                for name in SIGNALS
+            },
             origin=self.origin,
+            names=self.names,
         )
 
 
@@ -332,27 +494,35 @@ class Record:
 class Measurement:
     """Measured values at one instant.
 
-    `time_s` s; `T_zone_C`, `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `power_W` (total
-    electric), `heat_W` and `T_return_C` (return water) are means over the interval just advanced (NaN right after a
-    reset, and where not measured). `points` holds the plant's own signals by their own names and units, as at the wire.
+    `time_s` s; `T_zone_C` (Z,), `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `heat_W` (A,),
+    `power_W` (total electric) and `T_return_C` (return water) (M,) are means over the interval just advanced (NaN right
+    after a reset, and where not measured). Where there is one zone, actuator or machine, a number will do. `points` holds the plant's own signals by their own names and units, as at the wire.
     """
 
     time_s: float
-    T_zone_C: float
+    T_zone_C: Array
     T_out_C: float
     solar_W_m2: float
-    u: float = float("nan")
-    power_W: float = float("nan")
-    heat_W: float = float("nan")
-    T_return_C: float = float("nan")
+    u: Array = field(default_factory=lambda: np.empty(0))
+    power_W: Array = field(default_factory=lambda: np.empty(0))
+    heat_W: Array = field(default_factory=lambda: np.empty(0))
+    T_return_C: Array = field(default_factory=lambda: np.empty(0))
     points: Mapping[str, float] = field(default_factory=dict)
+    names: Names = SINGLE
+
+    def __post_init__(self) -> None:
+        for name in ("T_zone_C", *ACTING):
+            value = getattr(self, name)
+            if not np.size(value):
+                value = np.full(len(getattr(self.names, _AXIS[name])), np.nan)
+            object.__setattr__(self, name, _of_each(value, name, self.names))
 
     def averaged_with(self, parts: list[tuple[float, Measurement]]) -> Measurement:
         """This measurement with the means of what acts over a step taken over `(duration_s, part)`."""
         weights = np.array([duration for duration, _ in parts])
 
-        def mean(name: str) -> float:
-            return float(np.average([getattr(part, name) for _, part in parts], weights=weights))
+        def mean(name: str) -> Array:
+            return np.average([getattr(part, name) for _, part in parts], weights=weights, axis=0)
 
         return replace(self, u=mean("u"), power_W=mean("power_W"), heat_W=mean("heat_W"), T_return_C=mean("T_return_C"))
 
@@ -370,30 +540,42 @@ class Observation:
         return float(self.history.time_s[-1])
 
     @property
-    def T_zone_C(self) -> float:
-        """Zone temperature now, °C (NaN when the sensor is silent)."""
-        return float(self.history.T_zone_C[-1])
+    def T_zone_C(self) -> Array:
+        """Zone temperatures now (Z,), °C (NaN when the sensor is silent)."""
+        return np.asarray(self.history.T_zone_C[:, -1])
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self.history.names
 
 
 @dataclass(frozen=True)
 class FreeForecast:
-    """A free response over `N` steps.
+    """A free response over `N` steps, of one zone as a method gives it, or of all Z zones (`stacked`).
 
-    `quantiles_C` °C has shape (Q, N) for the increasing `levels` (Q,); `note` says what made it.
+    `quantiles_C` °C has shape (Q, N) or (Q, Z, N) for the increasing `levels` (Q,); `note` says what made it.
     """
 
     levels: Array
     quantiles_C: Array
     note: str = ""
 
+    @classmethod
+    def stacked(cls, zones: Sequence[FreeForecast]) -> FreeForecast:
+        """The forecasts of all zones as one; levels that not all zones have are interpolated."""
+        levels = np.asarray(zones[0].levels, dtype=np.float64)
+        rows = [np.stack([zone.quantile_C(float(level)) for level in levels]) for zone in zones]
+        return cls(levels, np.stack(rows, axis=1), "; ".join(dict.fromkeys(zone.note for zone in zones)))
+
     @property
     def median_C(self) -> Array:
-        """The 0.5 quantile, shape (N,), °C."""
+        """The 0.5 quantile, shape (N,) or (Z, N), °C."""
         index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
         return np.asarray(self.quantiles_C[index], dtype=np.float64)
 
     def quantile_C(self, level: float) -> Array:
-        """The quantile of `level`, shape (N,), °C: between levels that were forecast by a straight line, beyond the
+        """The quantile of `level`, shape (N,) or (Z, N), °C: between levels that were forecast by a straight line, beyond the
         outermost theirs.
         """
         levels = np.asarray(self.levels, dtype=np.float64)
@@ -420,10 +602,11 @@ class PlanStatus(StrEnum):
 class Plan:
     """A decision and its reason.
 
-    `blocks` is what to apply until the next plan. The arrays (N,) describe the whole horizon for reports: planned `u`,
-    predicted `T_free_C` and `T_forced_K` at the end of each step, comfort `slack_K` (violation allowed for), and
-    predicted `power_W`; they are empty for rules. `time_s` (N,) is the start of each step, counted from `origin` where
-    the record has time stamps. `T_free_now_C` is the control-free temperature the plan starts from.
+    `blocks` is what to apply until the next plan. The arrays describe the whole horizon of N steps for reports: planned
+    `u` (A, N), predicted `T_free_C` and `T_forced_K` at the end of each step and comfort `slack_K` (violation allowed
+    for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step, counted
+    from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan starts
+    from.
     `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` goes to the
     controller's next plan of this run and is opaque to others.
     """
@@ -432,7 +615,7 @@ class Plan:
     status: PlanStatus
     why: str
     u: Array = field(default_factory=lambda: np.empty(0))
-    T_free_now_C: float = float("nan")
+    T_free_now_C: Array = field(default_factory=lambda: np.empty(0))
     T_free_C: Array = field(default_factory=lambda: np.empty(0))
     T_forced_K: Array = field(default_factory=lambda: np.empty(0))
     T_free_low_C: Array = field(default_factory=lambda: np.empty(0))
@@ -444,24 +627,33 @@ class Plan:
     solver_status: str = ""
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
+    names: Names = SINGLE
     state: object = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in _PLANNED:
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            if not values.size:
+                values = np.empty((self.names.rows(name), 0))
+            object.__setattr__(self, name, values[None] if values.ndim == 1 else values)
+        now = self.T_free_now_C if np.size(self.T_free_now_C) else np.full(len(self.names.zones), np.nan)
+        object.__setattr__(self, "T_free_now_C", _of_each(now, "T_free_now_C", self.names))
 
     @property
     def T_zone_C(self) -> Array:
-        """Predicted zone temperature at the end of each step, free plus forced (paper eq:compose), shape (N,), °C."""
+        """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), shape (Z, N), °C."""
         return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The planned horizon, one row per step at its start; no rows where nothing was solved.
 
         Columns: `u` and mean electric `power_W` over the step; at its end `T_zone_C`, the 80 % band `T_low_C` to
-        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`.
+        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`. With several zones,
+        actuators or machines, one of each per name: `T_zone_C[bath]`.
         """
         from thermoforce_mpc.dataframes import table
 
-        return table(
-            self.time_s,
-            self.origin,
+        columns = self.names.columns(
             u=self.u,
             power_W=self.power_W,
             T_zone_C=self.T_zone_C,
@@ -471,6 +663,7 @@ class Plan:
             T_forced_K=self.T_forced_K,
             slack_K=self.slack_K,
         )
+        return table(self.time_s, self.origin, **columns)
 
 
 @dataclass(frozen=True)

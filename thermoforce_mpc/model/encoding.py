@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from thermoforce_mpc.data import Array
@@ -13,6 +13,7 @@ from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -32,52 +33,88 @@ _FREE_ARRAYS = ("poles", "weights", "process_sd_K")
 
 
 def encode(
-    operator: OperatorParameters, power: PowerModel | None, free: RcParameters | None, card: ModelCard
+    operator: BuildingOperator,
+    power: Sequence[PowerModel | None],
+    free: Sequence[RcParameters | None],
+    cards: Sequence[ModelCard],
+    machines: Sequence[str],
+    machine_of: Sequence[int],
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the parts of a thermal model as values of a JSON document, and its arrays by name."""
-    arrays = {f"operator.{name}": getattr(operator, name) for name in _OPERATOR_ARRAYS}
-    if free is not None:
-        arrays |= {f"free.{name}": getattr(free, name) for name in _FREE_ARRAYS}
+    arrays: dict[str, Array] = {}
+    pairs = []
+    for z, a, pair in operator.each():
+        arrays |= {f"pair.{z}.{a}.{name}": getattr(pair, name) for name in _OPERATOR_ARRAYS}
+        pairs.append({"zone": z, "actuator": a, **_pair_content(pair)})
+    zones = []
+    for z, (name, linear, card) in enumerate(zip(operator.zones, free, cards, strict=True)):
+        found = None
+        if linear is not None:
+            arrays |= {f"zone.{z}.{key}": getattr(linear, key) for key in _FREE_ARRAYS}
+            found = {"step_s": linear.step_s, "sensor_sd_K": linear.sensor_sd_K}
+        zones.append({"name": name, "free": found, "card": dataclasses.asdict(card)})
     content = {
-        "operator": {
-            "order": operator.order,
-            "n_trained": operator.n_trained,
-            "output_bias": operator.output_bias,
-            "gamma": operator.gamma,
-            "sign": operator.sign,
-            "step_s": operator.step_s,
-            "feedback": operator.feedback,
-            "heat_input": dataclasses.asdict(operator.heat_input),
-            "time_constants_h": operator.time_constants_h,
-            "steady_gains_K": operator.steady_gains_K,
-        },
-        "free": None if free is None else {"step_s": free.step_s, "sensor_sd_K": free.sensor_sd_K},
-        "power": None if power is None else dataclasses.asdict(power),
-        "card": dataclasses.asdict(card),
+        "zones": zones,
+        "actuators": [
+            {"name": name, "home": home, "machine": machine}
+            for name, home, machine in zip(operator.actuators, operator.home, machine_of, strict=True)
+        ],
+        "machines": [
+            {"name": name, "power": None if one is None else dataclasses.asdict(one)}
+            for name, one in zip(machines, power, strict=True)
+        ],
+        "n_trained": operator.n_trained,
+        "pairs": pairs,
     }
     return content, arrays
 
 
-def decode(
-    content: Mapping[str, Any], arrays: Mapping[str, Array]
-) -> tuple[OperatorParameters, PowerModel | None, RcParameters | None, ModelCard]:
-    """Return the parts of a thermal model from the values and arrays of `encode`, after writing and reading.
+def _pair_content(operator: OperatorParameters) -> dict[str, Any]:
+    return {
+        "order": operator.order,
+        "n_trained": operator.n_trained,
+        "output_bias": operator.output_bias,
+        "gamma": operator.gamma,
+        "sign": operator.sign,
+        "step_s": operator.step_s,
+        "feedback": operator.feedback,
+        "heat_input": dataclasses.asdict(operator.heat_input),
+        "time_constants_h": operator.time_constants_h,
+        "steady_gains_K": operator.steady_gains_K,
+    }
+
+
+def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the parts of a thermal model by the arguments of `encode`, from its values after writing and reading.
 
     Raises:
         KeyError, TypeError, ValueError, AttributeError, DataError: the content was damaged or edited.
     """
-    return (
-        _operator(content["operator"], arrays),
-        _power(content["power"]),
-        _free(content["free"], arrays),
-        _card(content["card"]),
+    zones, actuators, machines = content["zones"], content["actuators"], content["machines"]
+    pairs: list[list[OperatorParameters | None]] = [[None] * len(actuators) for _ in zones]
+    for one in content["pairs"]:
+        z, a = int(one["zone"]), int(one["actuator"])
+        pairs[z][a] = _operator(one, arrays, f"pair.{z}.{a}.")
+    operator = BuildingOperator(
+        tuple(str(zone["name"]) for zone in zones),
+        tuple(str(actuator["name"]) for actuator in actuators),
+        tuple(tuple(row) for row in pairs),
+        tuple(int(actuator["home"]) for actuator in actuators),
     )
+    return {
+        "operator": operator,
+        "power": tuple(_power(machine["power"]) for machine in machines),
+        "free": tuple(_free(zone["free"], arrays, f"zone.{z}.") for z, zone in enumerate(zones)),
+        "cards": tuple(_card(zone["card"]) for zone in zones),
+        "machines": tuple(str(machine["name"]) for machine in machines),
+        "machine_of": tuple(int(actuator["machine"]) for actuator in actuators),
+    }
 
 
-def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array]) -> OperatorParameters:
+def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str) -> OperatorParameters:
     heat = data["heat_input"]["heat"]
     return OperatorParameters(
-        **{name: arrays[f"operator.{name}"] for name in _OPERATOR_ARRAYS},
+        **{name: arrays[prefix + name] for name in _OPERATOR_ARRAYS},
         output_bias=float(data["output_bias"]),
         gamma=float(data["gamma"]),
         sign=int(data["sign"]),
@@ -91,11 +128,11 @@ def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array]) -> OperatorP
     )
 
 
-def _free(data: Mapping[str, Any] | None, arrays: Mapping[str, Array]) -> RcParameters | None:
+def _free(data: Mapping[str, Any] | None, arrays: Mapping[str, Array], prefix: str) -> RcParameters | None:
     if data is None:
         return None
     return RcParameters(
-        **{name: arrays[f"free.{name}"] for name in _FREE_ARRAYS},
+        **{name: arrays[prefix + name] for name in _FREE_ARRAYS},
         step_s=float(data["step_s"]),
         sensor_sd_K=float(data["sensor_sd_K"]),
     )

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.limits import ROUNDING
-from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
 
 InitialForce = Literal["steady", "zero"]
 
@@ -19,8 +18,8 @@ InitialForce = Literal["steady", "zero"]
 _START_ROUNDS = 5
 
 
-def forced_history(operator: OperatorParameters, history: Record, *, initial_force: InitialForce = "steady") -> Array:
-    """Return the forced state of each mode at each boundary of `history` (paper, below eq:arx), shape (n + 1, r), K.
+def forced_history(operator: BuildingOperator, history: Record, *, initial_force: InitialForce = "steady") -> Array:
+    """Return the forced state of each pair at each boundary of `history` (paper, below eq:arx), (Z, A, n + 1, r), K.
 
     The modulation uses T − F of the rollout; a missing temperature is held at its last value. If the operator is driven
     by heat, measured heat is used instead of the map of u, under native control too.
@@ -29,64 +28,75 @@ def forced_history(operator: OperatorParameters, history: Record, *, initial_for
         DataError: the weather has gaps, u has gaps without measured heat, or u is outside [0, 1]; says where.
     """
     n = history.n_steps
+    Z, A, r = operator.shape
     if n == 0:
-        return np.zeros((1, operator.order))
+        return np.zeros((Z, A, 1, r))
     operator = operator.resampled(history.step_s)
     heat = heat_drive(operator, history, 0, n)
-    T_zone = _held(history.T_zone_C)
-    features = feature_matrix(T_zone[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
-    forced = np.empty((n + 1, operator.order))
-    forced[0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
-    if not operator.output_weight.any():  # constant modulation: all steps at once
-        drive = operator.modulation(features[0]) * heat
-        for i, (a, g) in enumerate(zip(operator.poles, operator.gains, strict=True)):
-            forced[1:, i] = lfilter([g], [1.0, -a], drive, zi=[a * forced[0, i]])[0]
+    T_zone = np.stack([_held(row) for row in history.T_zone_C])
+    features = feature_matrix(T_zone[:, :-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
+    forced = np.empty((Z, A, n + 1, r))
+    forced[:, :, 0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
+    if operator.constant_modulation:  # all steps at once
+        drive = heat * operator.modulated(np.ones(A), features[:, 0], forced[:, :, 0])[:, None]
+        forced[:, :, 1:] = operator.driven(forced[:, :, 0], drive)
         return forced
     for t in range(n):
-        features[t, 0] = T_zone[t] - forced[t].sum()
-        forced[t + 1] = operator.advance(forced[t], heat[t], features[t])
+        features[:, t, ZONE] = T_zone[:, t] - forced[:, :, t].sum(axis=(1, 2))
+        forced[:, :, t + 1] = operator.advance(
+            forced[:, :, t], operator.modulated(heat[:, t], features[:, t], forced[:, :, t])
+        )
     return forced
 
 
-def heat_drive(operator: OperatorParameters, history: Record, start: int, stop: int) -> Array:
-    """Return v of the steps `start` … `stop` − 1 of `history`, shape (stop − start,), from measured heat if available.
+def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: int) -> Array:
+    """Return v of each actuator over the steps `start` … `stop` − 1, shape (A, stop − start), from measured heat if any.
 
     Identification is driven by v(u) instead; `identification.regression_data.run_regression` says why.
 
     Raises:
         DataError: the weather has gaps, u has gaps without measured heat, or u is outside [0, 1]; says where.
     """
-    steps = slice(start, stop)
-    heat_W, u = history.heat_W[steps], history.u[steps]
     T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]
-    measured = np.isfinite(heat_W) & (operator.heat_input.heat is not None)
-    u = np.where(measured & ~np.isfinite(u), 0.0, u)  # u is not used there
-    for name, values in (("u", u), ("T_out_C", T_out), ("solar_W_m2", solar)):
-        gaps = np.flatnonzero(~np.isfinite(values))
-        if gaps.size:
-            raise DataError(
-                f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
-                "bridge it first (thermoforce_mpc.model.gaps)"
-            )
-    # Means over a step can exceed 1 by rounding.
-    lowest = operator.heat_input.lowest
-    outside = np.flatnonzero((u < lowest - ROUNDING) | (u > 1 + ROUNDING))
-    if outside.size:
-        at = start + outside[0]
-        raise DataError(f"history: u is {u[outside[0]]:g} at step {at}, expected values in [{lowest:g}, 1]")
-    heat = operator.heat_input(np.clip(u, lowest, 1.0), T_out[:-1])
-    return np.where(measured, operator.sign * heat_W / operator.heat_input.reference_W, heat)
+    rows = []
+    for a in range(len(operator.actuators)):
+        head = operator.of_actuator(a)
+        heat_W, u = history.heat_W[a, start:stop], history.u[a, start:stop]
+        measured = np.isfinite(heat_W) & (head.heat_input.heat is not None)
+        u = np.where(measured & ~np.isfinite(u), 0.0, u)  # u is not used there
+        label = history.names.label("u", a)
+        for name, values in ((label, u), ("T_out_C", T_out), ("solar_W_m2", solar)):
+            gaps = np.flatnonzero(~np.isfinite(values))
+            if gaps.size:
+                raise DataError(
+                    f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
+                    "bridge it first (thermoforce_mpc.model.gaps)"
+                )
+        # Means over a step can exceed 1 by rounding.
+        lowest = head.heat_input.lowest
+        outside = np.flatnonzero((u < lowest - ROUNDING) | (u > 1 + ROUNDING))
+        if outside.size:
+            at = start + outside[0]
+            raise DataError(f"history: {label} is {u[outside[0]]:g} at step {at}, expected values in [{lowest:g}, 1]")
+        heat = head.heat_input(np.clip(u, lowest, 1.0), T_out[:-1])
+        rows.append(np.where(measured, head.sign * heat_W / head.heat_input.reference_W, heat))
+    return np.stack(rows)
 
 
-def _steady_start(operator: OperatorParameters, heat: Array, features: Array) -> Array:
-    """Return the steady forced state under the first day's mean drive, shape (r,), K."""
-    day = max(1, min(heat.size, round(DAY_S / operator.step_s)))
-    heat, features = heat[:day], features[:day].copy()
-    T_zone = features[:, 0].copy()
-    forced = operator.steady_gains_K * heat.mean()
+def _steady_start(operator: BuildingOperator, heat: Array, features: Array) -> Array:
+    """Return the steady forced state under the first day's mean drive, shape (Z, A, r), K."""
+    day = max(1, min(heat.shape[-1], round(DAY_S / operator.step_s)))
+    heat, features = heat[:, :day], features[:, :day].copy()
+    T_zone = features[..., ZONE].copy()
+    forced = operator.steady_gains_K * heat.mean(axis=1)[:, None]
     for _ in range(_START_ROUNDS):
-        features[:, 0] = T_zone - forced.sum()
-        forced = operator.steady_gains_K * np.mean(operator.modulation(operator.seen(features, forced)) * heat)
+        features[..., ZONE] = T_zone - forced.sum(axis=(1, 2))[:, None]
+        heads = [operator.of_actuator(a) for a in range(len(operator.actuators))]
+        drive = [
+            float(np.mean(head.modulation(head.seen(features[z], forced[z, a])) * heat[a]))
+            for a, (z, head) in enumerate(zip(operator.home, heads, strict=True))
+        ]
+        forced = operator.steady_gains_K * np.array(drive)[:, None]
     return np.asarray(forced)
 
 

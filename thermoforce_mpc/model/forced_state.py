@@ -17,8 +17,8 @@ from pydantic import Field
 
 from thermoforce_mpc.data import Array, FreeForecast, Record
 from thermoforce_mpc.model.forced_history import InitialForce, forced_history, heat_drive
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Lower limit of the forecast's standard deviation, K: that of a sensor.
@@ -40,15 +40,15 @@ class EstimatorConfig(StrictModel):
 class ForcedState:
     """Estimated forced state of a run so far.
 
-    `time_s` (n + 1,): boundaries of the processed history. `forced_K` (n + 1, r): forced state of each mode there.
-    `covariance` (r, r) K²: that of the last one. `expected`: free response forecast for a later boundary, as time s,
-    median °C and standard deviation K.
+    `time_s` (n + 1,): boundaries of the processed history. `forced_K` (Z, A, n + 1, r): forced state of each pair there.
+    `covariance` (Z, A r, A r) K²: that of the last one, zone by zone. `expected`: free response forecast for a later
+    boundary, as time s, medians °C (Z,) and standard deviations K (Z,).
     """
 
     time_s: Array
     forced_K: Array
     covariance: Array
-    expected: tuple[float, float, float] | None = None
+    expected: tuple[float, Array, Array] | None = None
 
     def __post_init__(self) -> None:
         for array in (self.time_s, self.forced_K, self.covariance):
@@ -68,7 +68,7 @@ class ForcedStateEstimator:
 
     def __init__(
         self,
-        operator: OperatorParameters,
+        operator: BuildingOperator,
         initial_force: InitialForce = "steady",
         config: EstimatorConfig | None = None,
     ) -> None:
@@ -89,50 +89,71 @@ class ForcedStateEstimator:
             or (known == 1 and history.n_steps)  # F starts from the first day, not yet known
         ):
             forced = forced_history(self._operator, history, initial_force=self._initial_force)
-            return ForcedState(history.time_s, forced, np.zeros((self._operator.order, self._operator.order)))
+            zones, actuators, order = self._operator.shape
+            return ForcedState(history.time_s, forced, np.zeros((zones, actuators * order, actuators * order)))
         if known == history.time_s.size:
             return state
         operator = self._operator.resampled(history.step_s)
-        rows, covariance = [state.forced_K[-1]], state.covariance
+        rows, covariance = [state.forced_K[:, :, -1]], state.covariance
         for t in range(known - 1, history.n_steps):
             forced, covariance = self._advanced(operator, history, t, rows[-1], covariance, state.expected)
             rows.append(forced)
-        return ForcedState(history.time_s, np.vstack([state.forced_K, *rows[1:]]), covariance, state.expected)
+        forced_K = np.concatenate([state.forced_K, np.stack(rows[1:], axis=2)], axis=2)
+        return ForcedState(history.time_s, forced_K, covariance, state.expected)
 
     def expect(self, state: ForcedState, time_s: float, free: FreeForecast) -> ForcedState:
         """Return `state` with the free response forecast for the boundary at `time_s`, the first of `free`."""
-        spread = float(free.quantile_C(0.9)[0] - free.quantile_C(0.1)[0])
-        return replace(state, expected=(time_s, float(free.median_C[0]), max(spread / _SD_PER_80_PERCENT, _LEAST_SD_K)))
+        spread = free.quantile_C(0.9)[:, 0] - free.quantile_C(0.1)[:, 0]
+        sd_K = np.maximum(spread / _SD_PER_80_PERCENT, _LEAST_SD_K)
+        return replace(state, expected=(time_s, free.median_C[:, 0], sd_K))
 
     def _advanced(
         self,
-        operator: OperatorParameters,
+        operator: BuildingOperator,
         history: Record,
         t: int,
         before: Array,
         covariance: Array,
-        expected: tuple[float, float, float] | None,
+        expected: tuple[float, Array, Array] | None,
     ) -> tuple[Array, Array]:
-        """Return forced state (r,) and covariance (r, r) after step `t` of `history`, from those before it."""
-        heat = heat_drive(operator, history, t, t + 1)
-        T_zone = history.T_zone_C[: t + 1]
-        T_zone = T_zone[np.isfinite(T_zone)]
-        free_C = (float(T_zone[-1]) if T_zone.size else 0.0) - before.sum()
-        features = feature_matrix(
-            np.array([free_C]), history.T_out_C[t : t + 1], history.solar_W_m2[t : t + 1], history.time_s[t : t + 1]
-        )
-        added = operator.gains * operator.modulation(operator.seen(features, before)) * heat
+        """Return forced state (Z, A, r) and covariance (Z, A r, A r) after step `t`, from those before it."""
+        heat = heat_drive(operator, history, t, t + 1)[:, 0]
+        T_zone = np.array([_last_finite(row[: t + 1]) for row in history.T_zone_C])
+        free_C = T_zone - before.sum(axis=(1, 2))
+        features = feature_matrix(free_C, history.T_out_C[t], history.solar_W_m2[t], history.time_s[t])
+        added = operator.gains * operator.modulated(heat, features, before)[:, None]
         forced = operator.poles * before + added
         if not self.config.correct:
             return np.asarray(forced), covariance
-        # The gain error is common to all modes, so their errors are fully correlated.
+        zones = operator.shape[0]
+        poles, forced = operator.poles.reshape(zones, -1), forced.reshape(zones, -1)
+        # The gain error is common to all modes of a pair; pairs are independent.
         error = self.config.heat_error * added
-        covariance = np.outer(operator.poles, operator.poles) * covariance + np.outer(error, error)
-        T_now = float(history.T_zone_C[t + 1])
-        if expected is None or not math.isfinite(T_now) or abs(expected[0] - history.time_s[t + 1]) > 1.0:
-            return np.asarray(forced), covariance
+        covariance = poles[:, :, None] * poles[:, None, :] * covariance + _by_pairs(error)
+        if expected is None or abs(expected[0] - history.time_s[t + 1]) > 1.0:
+            return forced.reshape(before.shape), covariance
         _, free_C, free_sd = expected
-        share = covariance.sum(axis=1)
-        gain = share / (share.sum() + free_sd**2)
-        corrected = forced + gain * (T_now - free_C - forced.sum())
-        return np.asarray(corrected), covariance - np.outer(gain, share)
+        out, after = forced.copy(), covariance.copy()
+        for z, T_now in enumerate(history.T_zone_C[:, t + 1]):
+            if not math.isfinite(T_now):
+                continue
+            share = covariance[z].sum(axis=1)
+            gain = share / (share.sum() + free_sd[z] ** 2)
+            out[z] += gain * (T_now - free_C[z] - forced[z].sum())
+            after[z] -= np.outer(gain, share)
+        return out.reshape(before.shape), after
+
+
+def _last_finite(values: Array) -> float:
+    """The last finite of `values` (n,), or 0."""
+    known = values[np.isfinite(values)]
+    return float(known[-1]) if known.size else 0.0
+
+
+def _by_pairs(error: Array) -> Array:
+    """Covariance (Z, A r, A r) of errors (Z, A, r) that are fully correlated within a pair and independent between."""
+    zones, actuators, order = error.shape
+    out = np.zeros((zones, actuators, order, actuators, order))
+    for a in range(actuators):
+        out[:, a, :, a, :] = error[:, a, :, None] * error[:, a, None, :]
+    return out.reshape(zones, actuators * order, actuators * order)

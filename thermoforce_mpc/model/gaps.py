@@ -43,8 +43,9 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
             notes.append(note)
     unknown = ~np.isfinite(history.u)
     if unknown.any():
-        filled["u"] = _levels(history.u, history.step_s)
-        notes.append(f"u: {_count(unknown)} filled with the mean level around")
+        filled["u"] = np.array([_levels(row, history.step_s) for row in history.u])
+        for a in np.flatnonzero(unknown.any(axis=1)):
+            notes.append(f"{history.names.label('u', a)}: {_count(unknown[a])} filled with the mean level around")
     return (replace(history, **filled), "bridged " + ", ".join(notes)) if filled else (history, "")
 
 

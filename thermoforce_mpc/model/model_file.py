@@ -26,7 +26,7 @@ from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
@@ -17,9 +17,8 @@ from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.gaps import WEATHER, bridged
 from thermoforce_mpc.model.limits import ROUNDING
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.operator.rollout import forced_rollout
 from thermoforce_mpc.protocols import FreeResponse
 
 if TYPE_CHECKING:  # loaded only where tables go out
@@ -30,7 +29,7 @@ if TYPE_CHECKING:  # loaded only where tables go out
 class Prediction:
     """Free and forced parts of a prediction over N steps, at the end of each step.
 
-    `free_C` °C and its 80 % band `free_low_C` to `free_high_C` have shape (N,), `forced_K` K shape (..., N), one row
+    `free_C` °C and its 80 % band `free_low_C` to `free_high_C` have shape (Z, N), `forced_K` K shape (..., Z, N), one
     per candidate; `time_s` (N,) is the end of each step, counted from `origin` where the record has time stamps.
     """
 
@@ -40,41 +39,42 @@ class Prediction:
     free_high_C: Array
     time_s: Array
     origin: pd.Timestamp | None = None
+    names: Names = SINGLE
 
     @property
     def total_C(self) -> Array:
-        """Free plus forced (paper eq:compose), shape (..., N), °C."""
+        """Free plus forced (paper eq:compose), shape (..., Z, N), °C."""
         return np.asarray(self.free_C + self.forced_K)
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
 
-        The band is that of the free response; the uncertainty of the gain is on the model's card.
+        The band is that of the free response; the uncertainty of the gain is on the model's card. With several zones, one
+        of each per name: `T_zone_C[bath]`.
 
         Raises:
             DataError: the prediction is of several candidates at once.
         """
-        if self.forced_K.ndim != 1:
-            raise DataError(f"the prediction has {self.forced_K.shape[:-1]} candidates: predict one to get a table")
+        if self.forced_K.ndim != 2:
+            raise DataError(f"the prediction has {self.forced_K.shape[:-2]} candidates: predict one to get a table")
         from thermoforce_mpc.dataframes import table
 
-        return table(
-            self.time_s,
-            self.origin,
+        columns = self.names.columns(
             T_zone_C=self.total_C,
             T_low_C=self.free_low_C + self.forced_K,
             T_high_C=self.free_high_C + self.forced_K,
             T_free_C=self.free_C,
             T_forced_K=self.forced_K,
         )
+        return table(self.time_s, self.origin, **columns)
 
 
 @dataclass(frozen=True)
 class PredictorState:
-    """What a predictor has learned in one run: the forced state so far, and what the free response keeps."""
+    """What a predictor has learned in one run: the forced state so far, and what each zone's free response keeps (Z,)."""
 
     forced: ForcedState | None = None
-    free: object = None
+    free: tuple[object, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class PredictionContext:
 
     Attributes:
         operator: the operator at the step of `boundary`.
-        forced_K: forced state now, shape (r,), K.
-        free: forecast of the free response, N steps.
-        features: x_t at the start of each step, shape (N, 4).
+        forced_K: forced state now, shape (Z, A, r), K.
+        free: forecast of the free response of all zones, N steps.
+        features: x_t of each zone at the start of each step, shape (Z, N, 4).
         boundary: boundary conditions of the N steps.
         bridged: which gaps of the history were filled and how, in words; empty where there were none.
         origin: time stamp that the seconds count from, where the history has one.
@@ -93,7 +93,7 @@ class PredictionContext:
         state: what to give to the next context of this run.
     """
 
-    operator: OperatorParameters
+    operator: BuildingOperator
     forced_K: Array
     free: FreeForecast
     features: Array
@@ -102,6 +102,7 @@ class PredictionContext:
     origin: pd.Timestamp | None = None
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     state: PredictorState | None = field(default=None, compare=False)
+    names: Names = SINGLE
 
     @property
     def n_steps(self) -> int:
@@ -109,20 +110,25 @@ class PredictionContext:
         return self.boundary.n_steps
 
     def predict(self, u: Array) -> Prediction:
-        """Temperature under `u` (..., N) in [0, 1], free and forced apart; all candidates at once.
+        """Temperature under `u` (..., A, N) in [0, 1], free and forced apart; all candidates at once.
+
+        One actuator's levels may be given as (..., N).
 
         Raises:
-            DataError: `u` has another number of steps, is not finite, or leaves [0, 1] (its lower end where the
-                operator's levels are signed).
+            DataError: `u` has another number of actuators or steps, is not finite, or leaves [0, 1] (its lower end where
+                the operator's levels are signed).
         """
         u = np.asarray(u, dtype=np.float64)
-        if u.shape[-1:] != (self.n_steps,):
-            raise DataError(f"u has shape {u.shape}, expected (..., {self.n_steps})")
-        lowest = self.operator.heat_input.lowest
+        actuators = len(self.operator.actuators)
+        if actuators == 1 and u.shape[-2:] != (1, self.n_steps):
+            u = u[..., None, :]
+        if u.shape[-2:] != (actuators, self.n_steps):
+            raise DataError(f"u has shape {u.shape}, expected (..., {actuators}, {self.n_steps})")
+        lowest = self.operator.lowest[:, None]
         if not ((u >= lowest - ROUNDING) & (u <= 1 + ROUNDING)).all():
-            raise DataError(f"u must be finite and inside [{lowest:g}, 1]")
+            raise DataError(f"u must be finite and inside [{lowest.min():g}, 1]")
         u = np.clip(u, lowest, 1.0)
-        forced = forced_rollout(self.operator, self.forced_K, u, self.features).sum(axis=-1)
+        forced = self.operator.rollout(self.forced_K, u, self.features).sum(axis=(-3, -1))
         return Prediction(
             free_C=self.free.median_C,
             forced_K=forced,
@@ -130,16 +136,18 @@ class PredictionContext:
             free_high_C=self.free.quantile_C(0.9),
             time_s=self.boundary.time_s[1:],
             origin=self.origin,
+            names=self.names,
         )
 
     def effect(self, u_alt: Array, u: Array) -> Array:
-        """What `u_alt` instead of `u` changes (paper eq:effect), shape (..., N), K. The free response cancels."""
+        """What `u_alt` instead of `u` changes (paper eq:effect), shape (..., Z, N), K. The free response cancels."""
         return np.asarray(self.predict(u_alt).forced_K - self.predict(u).forced_K)
 
     def counterfactuals(self, levels: Array) -> Prediction:
-        """Temperature under each constant level, `levels` (L,) in [0, 1]; `forced_K` has shape (L, N)."""
+        """Temperature under each constant level of all actuators, `levels` (L,) in [0, 1]; `forced_K` is (L, Z, N)."""
         levels = np.asarray(levels, dtype=np.float64)
-        return self.predict(np.broadcast_to(levels[:, None], (levels.size, self.n_steps)))
+        shape = (levels.size, len(self.operator.actuators), self.n_steps)
+        return self.predict(np.broadcast_to(levels[:, None, None], shape))
 
 
 class Predictor:
@@ -147,7 +155,8 @@ class Predictor:
 
     Args:
         operator: the identified operator, at any step.
-        free_response: forecaster of the control-free series.
+        free_responses: forecaster of the control-free series of each zone (Z,), or one for all zones that keeps no
+            state of its own.
         initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
             does (F_t0 = 0); with modes of days the difference takes days to fade.
         estimator: follows the forced state of a run step by step.
@@ -155,44 +164,48 @@ class Predictor:
 
     def __init__(
         self,
-        operator: OperatorParameters,
-        free_response: FreeResponse,
+        operator: BuildingOperator,
+        free_responses: FreeResponse | Sequence[FreeResponse],
         *,
         initial_force: InitialForce = "steady",
         estimator: ForcedStateEstimator | None = None,
     ) -> None:
         if initial_force not in ("steady", "zero"):
             raise DataError(f"initial_force is '{initial_force}', expected 'steady' or 'zero'")
+        zones = len(operator.zones)
+        methods = tuple(free_responses) if isinstance(free_responses, Sequence) else (free_responses,) * zones
+        if len(methods) != zones:
+            raise DataError(f"{len(methods)} free responses for {zones} zones")
         self._operator = operator
-        self._free_response = free_response
+        self._free_responses = methods
         self._estimator = estimator or ForcedStateEstimator(operator, initial_force)
 
     @property
-    def free_response(self) -> FreeResponse:
-        """The forecaster of the control-free series."""
-        return self._free_response
+    def free_responses(self) -> tuple[FreeResponse, ...]:
+        """The forecaster of each zone's control-free series (Z,)."""
+        return self._free_responses
 
     @property
-    def operator(self) -> OperatorParameters:
+    def operator(self) -> BuildingOperator:
         """The identified operator, at its own step."""
         return self._operator
 
-    def operator_at(self, step_s: float) -> OperatorParameters:
+    def operator_at(self, step_s: float) -> BuildingOperator:
         """The operator at a step of `step_s` seconds."""
         return self._operator.resampled(step_s)
 
     def forced_history(self, history: Record) -> Array:
-        """Forced state of each mode at each boundary of `history`, shape (n + 1, r), K; gaps are bridged (`gaps`)."""
+        """Forced state of each pair at each boundary of `history`, (Z, A, n + 1, r), K; gaps are bridged (`gaps`)."""
         history, _ = bridged(history)
         return self._estimator.update(None, history).forced_K
 
     def forced_state(self, history: Record) -> Array:
-        """Forced state of each mode now, shape (r,), K."""
-        return np.asarray(self.forced_history(history)[-1])
+        """Forced state of each pair now, shape (Z, A, r), K."""
+        return np.asarray(self.forced_history(history)[:, :, -1])
 
     def free_history(self, history: Record) -> Array:
-        """Control-free temperature T − F at each boundary of `history`, shape (n + 1,), °C; NaN where T is."""
-        return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=1))
+        """Control-free temperature T − F at each boundary of `history`, (Z, n + 1), °C; NaN where T is."""
+        return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=(1, 3)))
 
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
@@ -216,33 +229,45 @@ class Predictor:
         followed = self._checked_estimate(self._estimator.update(before.forced, history), history)
         forced = followed.forced_K
         estimated = time.perf_counter()
-        free_C = history.T_zone_C - forced.sum(axis=1)
-        measured = np.flatnonzero(np.isfinite(free_C))
-        if measured.size == 0:
-            raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
-        answer, free_state = follow(self._free_response, free_C, history, boundary, before.free)
-        free = checked_forecast(answer, boundary.n_steps, self._free_response.name)
+        free_C = history.T_zone_C - forced.sum(axis=(1, 3))
+        zones = range(len(self._free_responses))
+        kept = before.free or (None,) * len(zones)
+        answers, states = [], []
+        for z in zones:
+            if not np.isfinite(free_C[z]).any():
+                which = "" if len(zones) == 1 else f" of {history.names.zones[z]}"
+                raise DataError(
+                    f"the zone temperature{which} was never measured in the history: nothing to forecast from"
+                )
+            method = self._free_responses[z]
+            answer, state_of_zone = follow(method, free_C[z], history, boundary, kept[z])
+            answers.append(checked_forecast(answer, boundary.n_steps, method.name))
+            states.append(state_of_zone)
+        free = FreeForecast.stacked(answers)
         forecast_s = time.perf_counter() - estimated
         followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
-        starts = np.concatenate([[free_C[measured[-1]]], free.median_C[:-1]])
+        now_C = np.array([row[np.isfinite(row)][-1] for row in free_C])
+        starts = np.concatenate([now_C[:, None], free.median_C[:, :-1]], axis=1)
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return PredictionContext(
             operator=self.operator_at(boundary.step_s),
-            forced_K=forced[-1],
+            forced_K=forced[:, :, -1],
             free=free,
             features=features,
             boundary=boundary,
             bridged=note,
             origin=history.origin,
             seconds={"estimate": estimated - began, "forecast": forecast_s},
-            state=PredictorState(followed, free_state),
+            state=PredictorState(followed, tuple(states)),
+            names=history.names,
         )
 
     def _checked_estimate(self, estimate: object, history: Record) -> ForcedState:
         """An estimate that fits `history` and is finite; raises `DataError` for any other."""
         if not isinstance(estimate, ForcedState):
             raise DataError(f"the forced state's estimator gave a {type(estimate).__name__}, expected a ForcedState")
-        expected = (history.time_s.size, self._operator.order)
+        zones, actuators, order = self._operator.shape
+        expected = (zones, actuators, history.time_s.size, order)
         if estimate.forced_K.shape != expected or not np.isfinite(estimate.forced_K).all():
             raise DataError(f"the estimated forced state {estimate.forced_K.shape} is not {expected} finite values")
         return estimate

@@ -29,6 +29,8 @@ _UNITS = {
     "heat_W": " W",
     "T_return_C": " °C",
 }
+# Signals with a row per zone, actuator or machine.
+_BY_ROWS = ("T_zone_C", "u", "power_W", "heat_W", "T_return_C")
 _NOT_MEASURED = "taken as not measured"
 # Signals that every plant reports; a missing value gives a note. Heat and power are not metered everywhere.
 _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
@@ -103,27 +105,45 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
         allowed: plausible ranges.
         history: accepted readings so far, which limit the change of the zone temperature.
     """
-    refused: list[str] = []
+    found: dict[str, Any] = {}
     notes: list[str] = []
+    names = measurement.names
     for name in _UNITS:
-        value = getattr(measurement, name)
-        if _outside(np.array([value]), allowed.range(name))[0]:
-            refused.append(name)
-            notes.append(f"{name} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}")
-        elif name in _ALWAYS and np.isnan(value):
-            notes.append(f"{name} was not measured")
-    accepted = np.flatnonzero(np.isfinite(history.T_zone_C))
-    if accepted.size and "T_zone_C" not in refused:
-        before_C = float(history.T_zone_C[accepted[-1]])
-        since_s = measurement.time_s - float(history.time_s[accepted[-1]])
-        if abs(measurement.T_zone_C - before_C) > _reach_K(since_s):
-            refused.append("T_zone_C")
-            notes.append(
-                f"T_zone_C of {measurement.T_zone_C:.6g} °C is more than {_reach_K(since_s):.3g} K from {before_C:.2f} "
-                f"°C {since_s:g} s before: {_NOT_MEASURED}"
-            )
-    unknown: dict[str, Any] = dict.fromkeys(refused, np.nan)
-    return replace(measurement, **unknown), tuple(notes)
+        given = np.atleast_1d(getattr(measurement, name))
+        refused = np.zeros(given.size, dtype=bool)
+        for row, value in enumerate(given):
+            label = names.label(name, row) if name in _BY_ROWS else name
+            note = _refusal(measurement, name, row, float(value), label, allowed, history)
+            refused[row] = note is not None
+            if note is not None:
+                notes.append(note)
+            elif name in _ALWAYS and np.isnan(value):
+                notes.append(f"{label} was not measured")
+        if refused.any():
+            kept = np.where(refused, np.nan, given)
+            found[name] = kept if name in _BY_ROWS else float(kept[0])
+    return replace(measurement, **found), tuple(notes)
+
+
+def _refusal(
+    measurement: Measurement, name: str, row: int, value: float, label: str, allowed: Limits, history: Record
+) -> str | None:
+    """Why a reading is refused; None where it is plausible."""
+    if _outside(np.array([value]), allowed.range(name))[0]:
+        return f"{label} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}"
+    if name != "T_zone_C":
+        return None
+    accepted = np.flatnonzero(np.isfinite(history.T_zone_C[row]))
+    if not accepted.size:
+        return None
+    before_C = float(history.T_zone_C[row, accepted[-1]])
+    since_s = measurement.time_s - float(history.time_s[accepted[-1]])
+    if abs(value - before_C) <= _reach_K(since_s) or np.isnan(value):
+        return None
+    return (
+        f"{label} of {value:.6g} °C is more than {_reach_K(since_s):.3g} K from {before_C:.2f} °C {since_s:g} s before: "
+        f"{_NOT_MEASURED}"
+    )
 
 
 def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[str, ...]]:
@@ -131,21 +151,31 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
     refused: dict[str, Array] = {}
     notes: list[str] = []
     for name in _UNITS:
-        values = getattr(history, name)
-        outside = _outside(values, allowed.range(name))
-        what = _words(allowed, name)
-        if name == "T_zone_C":
-            left = _jumps(history.time_s, np.where(outside, np.nan, values))
-            what += f", or more than {limits.ZONE_JUMP_K:g} K from one instant to the next" if left.any() else ""
-            outside |= left
-        if outside.any():
-            first = int(np.argmax(outside))
-            refused[name] = np.where(outside, np.nan, values)
+        rows = np.atleast_2d(getattr(history, name))
+        wrong = np.array([_implausible(name, values, history.time_s, allowed) for values in rows])
+        for row, outside in enumerate(wrong):
+            if not outside.any():
+                continue
+            first, values = int(np.argmax(outside)), rows[row]
+            what = _words(allowed, name)
+            if not _outside(values, allowed.range(name))[outside].all():
+                what += f", or more than {limits.ZONE_JUMP_K:g} K from one instant to the next"
+            label = history.names.label(name, row) if name in _BY_ROWS else name
             notes.append(
-                f"{name} at {outside.sum()} of {values.size} places of the record is not {what} "
+                f"{label} at {outside.sum()} of {values.size} places of the record is not {what} "
                 f"(first {values[first]:.6g}{_UNITS[name]} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
             )
+        if wrong.any():
+            refused[name] = np.where(wrong, np.nan, rows).reshape(np.shape(getattr(history, name)))
     return (replace(history, **refused), tuple(notes)) if refused else (history, ())
+
+
+def _implausible(name: str, values: Array, time_s: Array, allowed: Limits) -> NDArray[np.bool_]:
+    """Which values (n,) of one signal are refused."""
+    outside = _outside(values, allowed.range(name))
+    if name == "T_zone_C":
+        outside |= _jumps(time_s, np.where(outside, np.nan, values))
+    return outside
 
 
 def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, Observation, Record
+from thermoforce_mpc.data import SINGLE, Array, Boundary, Names, Observation, Record
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.encoding import decode, encode
@@ -15,60 +16,146 @@ from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.model_file import JSON_NAME, check_target, read_model_file, write_model_file
-from thermoforce_mpc.model.operator.certificate import certificate
+from thermoforce_mpc.model.operator.building import BuildingOperator, single
+from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
+from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
 
 
 @dataclass(frozen=True)
 class ThermalModel:
-    """Everything identified on one building: operator, electric power, linear free model, and where it comes from."""
+    """Everything identified on one building of Z zones, A actuators and M machines.
 
-    operator: OperatorParameters
-    power: PowerModel | None = None
-    free: RcParameters | None = None
-    card: ModelCard = field(default_factory=ModelCard)
+    Attributes:
+        operator: operators of all pairs of zone and actuator.
+        power: electric power (or that of another carrier) of each machine (M,); None where it was not measured.
+        free: linear free model of each zone (Z,); None where it was identified from pairs alone.
+        cards: source and quality of each zone's model (Z,).
+        machines: names of the machines (M,).
+        machine_of: number of the machine that feeds each actuator (A,).
+
+    Raises:
+        DataError: a part has not as many entries as there are zones, actuators or machines.
+    """
+
+    operator: BuildingOperator
+    power: tuple[PowerModel | None, ...]
+    free: tuple[RcParameters | None, ...]
+    cards: tuple[ModelCard, ...]
+    machines: tuple[str, ...] = SINGLE.machines
+    machine_of: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        zones, actuators, _ = self.operator.shape
+        for what, found, expected in (
+            ("free", len(self.free), zones),
+            ("cards", len(self.cards), zones),
+            ("power", len(self.power), len(self.machines)),
+            ("machine_of", len(self.machine_of), actuators),
+        ):
+            if found != expected:
+                raise DataError(f"thermal model: {what} has {found} entries, expected {expected}")
+        if not all(0 <= m < len(self.machines) for m in self.machine_of):
+            raise DataError(f"thermal model: machine_of {self.machine_of}: there are {len(self.machines)} machines")
+
+    @classmethod
+    def single(
+        cls,
+        operator: OperatorParameters,
+        power: PowerModel | None = None,
+        free: RcParameters | None = None,
+        card: ModelCard | None = None,
+    ) -> ThermalModel:
+        """The model of one zone with one actuator."""
+        return cls.of_zone(ZoneModel(operator, power, free, card or ModelCard()))
+
+    @classmethod
+    def of_zone(cls, zone: ZoneModel, names: Names = SINGLE) -> ThermalModel:
+        """The building of one zone with one actuator, by their `names`."""
+        operator = single(zone.operator, names.zones[0], names.actuators[0])
+        return cls(operator, (zone.power,), (zone.free,), (zone.card,), names.machines)
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return Names(self.operator.zones, self.operator.actuators, self.machines)
+
+    def actuator(self, a: int) -> ZoneModel:
+        """Actuator `a` on its home zone."""
+        z = self.operator.home[a]
+        return ZoneModel(self.operator.of_actuator(a), self.power[self.machine_of[a]], self.free[z], self.cards[z])
+
+    @property
+    def only(self) -> ZoneModel:
+        """The zone of a building that has one, with one actuator.
+
+        Raises:
+            DataError: there are several.
+        """
+        if not self.names.single:
+            raise DataError(f"the model has {self.names}: name the zone and the actuator")
+        return self.actuator(0)
 
     def predict(
-        self, record: Record, weather: Boundary, u: Array | float, *, free_response: FreeResponse | None = None
+        self,
+        record: Record,
+        weather: Boundary,
+        u: Array | float,
+        *,
+        free_response: FreeResponse | Sequence[FreeResponse] | None = None,
     ) -> Prediction:
-        """Temperature over the steps of `weather`, free and forced response apart, with its 80 % band.
+        """Temperatures over the steps of `weather`, free and forced response apart, with their 80 % band.
 
         Args:
             record: what was measured until now, at any step; a week or more for the best free response.
             weather: boundary conditions from now on, N steps; only outdoor temperature and irradiance count.
-            u: actuator levels in [0, 1], shape (N,) or (..., N) for several candidates, or one level for all steps.
-            free_response: forecaster of the free response; by default the controllers' (`residual`).
+            u: actuator levels in [0, 1], shape (A, N) or (..., A, N) for several candidates, (N,) for one actuator, or
+                one level for all steps of all actuators.
+            free_response: forecaster of the free response, one per zone or one for all; by default the controllers'
+                (`residual`).
 
         Raises:
             DataError: `u` has another shape or leaves [0, 1], the record cannot be split into free and forced
                 response, or the weather has gaps.
         """
-        method = free_response or build_free_response("residual", rc=self.free)
+        methods = free_response or [build_free_response("residual", rc=free) for free in self.free]
         levels = np.asarray(u, dtype=np.float64)
         if levels.ndim == 0:
-            levels = np.full(weather.n_steps, levels)
-        return Predictor(self.operator, method).context(Observation(record, weather)).predict(levels)
+            levels = np.full((len(self.operator.actuators), weather.n_steps), levels)
+        return Predictor(self.operator, methods).context(Observation(record, weather)).predict(levels)
 
     def summary(self) -> str:
         """The model in a few lines: source, operator, effect of a day with its uncertainty, verdict, notes."""
-        operator, uncertainty = self.operator, self.card.uncertainty
+        lines = [f"identified from {self.cards[0].source}"]
+        for a, name in enumerate(self.operator.actuators):
+            lines += self._of_actuator(a, "" if self.names.single else f"{name}: ")
+        if not self.names.single:
+            pairs = len(list(self.operator.each()))
+            lines.append(f"{pairs} pairs with an effect, {self.operator.n_trained} trained parameters in all")
+        for m, power in enumerate(self.power):
+            of = "" if len(self.power) == 1 else f"{self.machines[m]}: "
+            if power is None:
+                lines.append(f"{of}electric power was not measured: the model predicts, but energy cannot be planned")
+            else:
+                lines.append(f"{of}electric power: RMSE {power.rmse_W:.0f} W, R² {power.r2:.3f}")
+        for z, card in enumerate(self.cards):
+            of = "" if len(self.cards) == 1 else f"{self.operator.zones[z]}: "
+            verdict = card.competence
+            lines.append(of + ("competence: not judged" if verdict is None else verdict.in_words()))
+            lines += [f"{of}note: {note}" for note in card.notes]
+        return "\n".join(lines)
+
+    def _of_actuator(self, a: int, who: str) -> list[str]:
+        zone = self.actuator(a)
+        operator, uncertainty = zone.operator, zone.card.uncertainty
         hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
-        lines = [
-            f"identified from {self.card.source}",
-            f"operator of order {operator.order} ({hours}), {operator.parameters_in_words}",
-        ]
+        lines = [f"{who}operator of order {operator.order} ({hours}), {operator.parameters_in_words}"]
         if "step_response_24h_K" in uncertainty:
             effect, sd = uncertainty["step_response_24h_K"], uncertainty["step_response_24h_sd_K"]
-            lines.append(f"a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
-        if self.power is None:
-            lines.append("electric power was not measured: the model predicts, but energy cannot be planned")
-        else:
-            lines.append(f"electric power: RMSE {self.power.rmse_W:.0f} W, R² {self.power.r2:.3f}")
-        verdict = self.card.competence
-        lines.append("competence: not judged" if verdict is None else verdict.in_words())
-        return "\n".join([*lines, *(f"note: {note}" for note in self.card.notes)])
+            lines.append(f"{who}a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
+        return lines
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write the model to `folder`; the same model gives the same bytes.
@@ -79,11 +166,13 @@ class ThermalModel:
         """
         folder = Path(folder)
         check_target(folder, overwrite=overwrite)
-        proof = certificate(self.operator)
-        if not proof.certified:
-            raise ArtifactError(f"{folder}: not saved, the operator fails its certificate: {'; '.join(proof.reasons)}")
-        content, arrays = encode(self.operator, self.power, self.free, self.card)
-        write_model_file(folder, content | {"certificate": proof.to_json()}, arrays)
+        proofs = self.operator.certificates()
+        _check_proofs(proofs, f"{folder}: not saved, ")
+        content, arrays = encode(self.operator, self.power, self.free, self.cards, self.machines, self.machine_of)
+        certificates = [
+            {"zone": zone, "actuator": actuator, **proof.to_json()} for (zone, actuator), proof in proofs.items()
+        ]
+        write_model_file(folder, content | {"certificates": certificates}, arrays)
         return folder
 
 
@@ -98,12 +187,18 @@ def load_model(folder: Path | str) -> ThermalModel:
     content, arrays = read_model_file(folder)
     path = folder / JSON_NAME
     try:
-        model = ThermalModel(*decode(content, arrays))
+        model = ThermalModel(**decode(content, arrays))
     except KeyError as error:
         raise ArtifactError(f"{path}: key {error} is missing; the file is damaged or was edited") from error
     except (DataError, TypeError, ValueError, AttributeError) as error:
         raise ArtifactError(f"{path}: {error}") from error
-    proof = certificate(model.operator)
-    if not proof.certified:
-        raise ArtifactError(f"{path}: the operator fails its certificate: {'; '.join(proof.reasons)}")
+    _check_proofs(model.operator.certificates(), f"{path}: ")
     return model
+
+
+def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> None:
+    """Raise `ArtifactError` for the first pair that fails its certificate."""
+    for (zone, actuator), proof in proofs.items():
+        if not proof.certified:
+            of = "" if len(proofs) == 1 else f" of {actuator} on {zone}"
+            raise ArtifactError(f"{where}the operator{of} fails its certificate: {'; '.join(proof.reasons)}")

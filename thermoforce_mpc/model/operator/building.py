@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -107,17 +108,17 @@ class BuildingOperator:
         """Lowest level of each actuator (A,): 0, or below where it heats and cools."""
         return np.array([self.of_actuator(a).heat_input.lowest for a in range(len(self.actuators))])
 
-    @property
+    @cached_property
     def gains(self) -> Array:
         """g (Z, A, r), K per step; 0 where there is no effect."""
         return self._stacked("gains", 0.0)
 
-    @property
+    @cached_property
     def poles(self) -> Array:
         """a (Z, A, r); 0 where there is no effect."""
         return self._stacked("poles", 0.0)
 
-    @property
+    @cached_property
     def steady_gains_K(self) -> Array:
         """Steady effect of full level (Z, A, r), K; 0 where there is no effect."""
         return self._stacked("steady_gains_K", 0.0)
@@ -170,6 +171,24 @@ class BuildingOperator:
         for z, a, pair in self.each():
             out[..., z, a, :, :] = driven_rollout(pair, F0[z, a], drive[..., a, :])
         return out
+
+    def modulated(self, heat: Array, features: Array, forced_K: Array) -> Array:
+        """Drive of one step: v = `heat` (A,), `features` (Z, 4) with T − F, forced state (Z, A, r) K → m·v (A,)."""
+        return np.array(
+            [
+                self.of_actuator(a).modulation(self.of_actuator(a).seen(features[z], forced_K[z, a])) * heat[a]
+                for a, z in enumerate(self.home)
+            ]
+        )
+
+    def advance(self, forced_K: Array, drive: Array) -> Array:
+        """Advance one step of eq:operator: `forced_K` (Z, A, r) K under `drive` m·v (A,) → (Z, A, r) K."""
+        return np.asarray(self.poles * forced_K + self.gains * drive[:, None])
+
+    @property
+    def constant_modulation(self) -> bool:
+        """Whether no modulation depends on the features."""
+        return not any(self.of_actuator(a).output_weight.any() for a in range(len(self.actuators)))
 
     def resampled(self, step_s: float) -> BuildingOperator:
         """The operator at another step, pair by pair."""
