@@ -17,8 +17,8 @@ def history(n: int) -> Record:
 def test_a_part_has_the_samples_at_both_its_ends():
     part = history(10).slice(3, 6)
     np.testing.assert_array_equal(part.time_s, 900.0 * np.arange(3, 7))
-    np.testing.assert_array_equal(part.power_W, [300, 400, 500])
-    np.testing.assert_array_equal(part.T_return_C, [33, 34, 35])
+    np.testing.assert_array_equal(part.power_W, [[300, 400, 500]])
+    np.testing.assert_array_equal(part.T_return_C, [[33, 34, 35]])
     tail = history(10).last(2)
     for name in (*SAMPLED, *ACTING):
         np.testing.assert_array_equal(getattr(tail, name), getattr(history(10).slice(8, 10), name))
@@ -37,9 +37,9 @@ def test_its_weather_is_a_forecast_of_which_nothing_else_is_known():
 def test_coarser_steps_sample_at_their_ends_average_between_and_cut_the_rest():
     coarse = history(10).resample(4)
     assert coarse.step_s == 3600.0
-    np.testing.assert_array_equal(coarse.T_zone_C, [20, 24, 28])
-    np.testing.assert_array_equal(coarse.power_W, [150, 550])
-    np.testing.assert_array_equal(coarse.T_return_C, [31.5, 35.5])
+    np.testing.assert_array_equal(coarse.T_zone_C, [[20, 24, 28]])
+    np.testing.assert_array_equal(coarse.power_W, [[150, 550]])
+    np.testing.assert_array_equal(coarse.T_return_C, [[31.5, 35.5]])
 
 
 def boundary(time_s: np.ndarray) -> Boundary:

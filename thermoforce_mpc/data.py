@@ -4,9 +4,9 @@ Time is in seconds since 1 January 00:00 (BOPTEST's clock). `N` steps have `N + 
 (temperatures, weather, comfort bounds) has `N + 1` values, what *acts over a step* (u, power, heat) has `N`.
 Temperatures are in °C, differences and effects in K, powers and heat flows in W, energies in kWh, u in [0, 1].
 
-A building has Z zones, A actuators and M machines, whose names travel with the arrays (`Names`). Time is the last axis:
-zone temperatures and bounds are (Z, …), levels and heat (A, …), power and prices (M, …), the weather (…). Where there is
-one of them, constructors also take arrays without that axis.
+A building has Z zones, A actuators and M machines, whose names travel with the arrays (`Names`). Time is the last
+axis: zone temperatures and bounds are (Z, …), levels and heat (A, …), power and prices (M, …), the weather (…). Where
+there is one of them, constructors also take arrays without that axis.
 """
 
 from __future__ import annotations
@@ -104,6 +104,56 @@ class Names:
 
 SINGLE = Names()
 """One zone with one actuator and one machine."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What acts where in a building of Z zones, A actuators and M machines.
+
+    Attributes:
+        names: names of zones, actuators and machines.
+        signs: +1 for an actuator that heats (or heats and cools), −1 for one that cools (A,).
+        home: zone that each actuator serves (A,).
+        machine_of: machine that feeds each actuator (A,).
+        lowest: lowest level of each actuator, 0, or below where it heats and cools (A,).
+        shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
+        floor_area_m2: of each zone, m² (Z,); NaN where it is not known.
+
+    Raises:
+        DataError: a number of entries is wrong, or one names no zone or machine.
+    """
+
+    names: Names = SINGLE
+    signs: tuple[int, ...] = (1,)
+    home: tuple[int, ...] = (0,)
+    machine_of: tuple[int, ...] = (0,)
+    lowest: tuple[float, ...] = (0.0,)
+    shares: tuple[float, ...] = (0.0,)
+    floor_area_m2: tuple[float, ...] = (float("nan"),)
+
+    def __post_init__(self) -> None:
+        Z, A, M = (len(names) for names in (self.names.zones, self.names.actuators, self.names.machines))
+        for what, expected in (
+            ("signs", A), ("home", A), ("machine_of", A), ("lowest", A), ("shares", A), ("floor_area_m2", Z),
+        ):  # fmt: skip
+            if len(getattr(self, what)) != expected:
+                raise DataError(f"layout: {what} has {len(getattr(self, what))} entries, expected {expected}")
+        if not all(0 <= z < Z for z in self.home) or not all(0 <= m < M for m in self.machine_of):
+            raise DataError(f"layout: home {self.home} or machine_of {self.machine_of} names what is not there")
+
+    @classmethod
+    def single(cls, mode: str = "heating", lowest: float = 0.0, floor_area_m2: float | None = None) -> Layout:
+        """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed)."""
+        area = float("nan") if floor_area_m2 is None else floor_area_m2
+        return cls(signs=(-1 if mode == "cooling" else 1,), lowest=(lowest,), floor_area_m2=(area,))
+
+    def actuators_of(self, zone: int) -> list[int]:
+        """The actuators that serve a zone."""
+        return [a for a, home in enumerate(self.home) if home == zone]
+
+    def fed_by(self, machine: int) -> list[int]:
+        """The actuators that a machine feeds."""
+        return [a for a, m in enumerate(self.machine_of) if m == machine]
 
 
 def _freeze(value: object, name: str, length: int, names: Names) -> Array:
@@ -312,11 +362,11 @@ class Boundary:
 class Record:
     """What was measured over `n` past steps of equal length, the last boundary being *now*.
 
-    Sampled at the boundaries: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,) and `T_zone_C` (Z, n + 1), NaN where the sensor
-    was silent.
-    Mean over each step: `u` (A, n) in [0, 1] (in [−1, 1], cooling below 0, where one actuator heats and cools), `heat_W`
-    (A, n) delivered heat, `power_W` (M, n) total electric, `T_return_C` (M, n) return water from the emitters (NaN where
-    not measured; all of `T_return_C` where it is not given).
+    Sampled at the boundaries: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,) and `T_zone_C` (Z, n + 1), NaN where the
+    sensor was silent.
+    Mean over each step: `u` (A, n) in [0, 1] (in [−1, 1], cooling below 0, where one actuator heats and cools),
+    `heat_W` (A, n) delivered heat, `power_W` (M, n) total electric, `T_return_C` (M, n) return water from the emitters
+    (NaN where not measured; all of `T_return_C` where it is not given).
     `origin` is the `pandas.Timestamp` with `time_s` 0 where the record came from a table with time stamps.
 
     Raises:
@@ -496,7 +546,8 @@ class Measurement:
 
     `time_s` s; `T_zone_C` (Z,), `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `heat_W` (A,),
     `power_W` (total electric) and `T_return_C` (return water) (M,) are means over the interval just advanced (NaN right
-    after a reset, and where not measured). Where there is one zone, actuator or machine, a number will do. `points` holds the plant's own signals by their own names and units, as at the wire.
+    after a reset, and where not measured). Where there is one zone, actuator or machine, a number will do. `points`
+    holds the plant's own signals by their own names and units, as at the wire.
     """
 
     time_s: float
@@ -575,8 +626,8 @@ class FreeForecast:
         return np.asarray(self.quantiles_C[index], dtype=np.float64)
 
     def quantile_C(self, level: float) -> Array:
-        """The quantile of `level`, shape (N,) or (Z, N), °C: between levels that were forecast by a straight line, beyond the
-        outermost theirs.
+        """The quantile of `level`, shape (N,) or (Z, N), °C: between levels that were forecast by a straight line,
+        beyond the outermost theirs.
         """
         levels = np.asarray(self.levels, dtype=np.float64)
         place = float(np.interp(level, levels, np.arange(levels.size)))
@@ -604,9 +655,9 @@ class Plan:
 
     `blocks` is what to apply until the next plan. The arrays describe the whole horizon of N steps for reports: planned
     `u` (A, N), predicted `T_free_C` and `T_forced_K` at the end of each step and comfort `slack_K` (violation allowed
-    for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step, counted
-    from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan starts
-    from.
+    for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
+    counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
+    starts from.
     `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` goes to the
     controller's next plan of this run and is opaque to others.
     """
@@ -641,15 +692,15 @@ class Plan:
 
     @property
     def T_zone_C(self) -> Array:
-        """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), shape (Z, N), °C."""
+        """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), (Z, N), °C."""
         return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The planned horizon, one row per step at its start; no rows where nothing was solved.
 
         Columns: `u` and mean electric `power_W` over the step; at its end `T_zone_C`, the 80 % band `T_low_C` to
-        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`. With several zones,
-        actuators or machines, one of each per name: `T_zone_C[bath]`.
+        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`. With several
+        zones, actuators or machines, one of each per name: `T_zone_C[bath]`.
         """
         from thermoforce_mpc.dataframes import table
 

@@ -9,8 +9,10 @@ from typing import Protocol, runtime_checkable
 
 from thermoforce_mpc.data import (
     Array,
+    Bands,
     Boundary,
     FreeForecast,
+    Levels,
     Measurement,
     Observation,
     Period,
@@ -37,8 +39,8 @@ class Plant(Protocol):
         """Start at `start_s` (s since 1 January) after `warmup_s` s of native control; KPIs count from `start_s`."""
         ...
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
-        """Apply the actuator level `u` in [0, 1] (None: native control) for `duration_s` s."""
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
+        """Apply the levels `u` (A,) in [0, 1] (None: native control) for `duration_s` s; a number for one actuator."""
         ...
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
@@ -62,17 +64,17 @@ class Plant(Protocol):
 class RoomSetpointPlant(Plant, Protocol):
     """Plant whose own loops keep a heating and a cooling set-point of the room."""
 
-    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
-        """Let the loops keep `band_C`, heating and cooling set-point, °C, for `duration_s` s.
+    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
+        """Let the loops keep `band_C` (A,), heating and cooling set-point of each actuator, °C, for `duration_s` s.
 
-        `u` is the level that is planned, below 0 for cooling; its sign says which loop may act, 0 both.
+        `u` (A,) are the levels that are planned, below 0 for cooling; their sign says which loop may act, 0 both.
         """
         ...
 
 
 @runtime_checkable
 class FreeResponse(Protocol):
-    """Forecaster of the free response, the zone temperature without control action. It never receives the control."""
+    """Forecaster of the free response, a zone's temperature without control action. It never receives the control."""
 
     @property
     def name(self) -> str:
@@ -80,7 +82,7 @@ class FreeResponse(Protocol):
         ...
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """Forecast the free response over the steps of `boundary`.
+        """Forecast the free response of one zone over the steps of `boundary`.
 
         `free_C` (n + 1,), °C, is the past free response T − F at the times of `history` (NaN gaps allowed). Only time
         and weather of `history` may be used. Returns N = `boundary.n_steps` values, one at the end of each step.
@@ -102,7 +104,7 @@ class FollowingFreeResponse(FreeResponse, Protocol):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Controller: decides the actuator level. It holds no state of a run; `Plan.state` carries it."""
+    """Controller: decides the actuators' levels. It holds no state of a run; `Plan.state` carries it."""
 
     @property
     def name(self) -> str:

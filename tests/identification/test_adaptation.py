@@ -29,7 +29,7 @@ def measured(request):
 def model(measured):
     return identify(
         [record(HOUSE, 5.0, noise_K=0.01, heat_measured=measured)], config=LINEAR, floor_area_m2=190.0, step_s=STEP_S
-    )
+    ).only
 
 
 def _degrading(measured: bool, to: float = 0.8, days: float = 24.0, u=None):
@@ -105,7 +105,7 @@ def test_bounds_are_kept_whatever_happens(model, measured):
 
 def test_a_silent_sensor_is_not_learned_from(model, measured):
     run = _degrading(measured, days=2.0)
-    T = np.array(run.T_zone_C)
+    T = np.array(run.T_zone_C[0])
     T[1:] = np.nan
     adaptation = OnlineAdaptation(model, ON).update(None, replace(run, T_zone_C=T))
     assert {s.outcome for s in adaptation.steps} == {"not measured"}

@@ -21,8 +21,8 @@ LINEAR = IdentificationConfig(modulation="linear")
 
 def _verdict(run: Record, **options) -> Competence:
     model = identify([run], config=LINEAR, floor_area_m2=190.0, **options)
-    assert model.card.competence is not None
-    return model.card.competence
+    assert model.only.card.competence is not None
+    return model.only.card.competence
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -40,31 +40,21 @@ def test_a_good_record_passes_with_margin(seed):
 
 def test_the_verdict_is_saved_and_said(tmp_path):
     model = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0)
-    assert load_model(model.save(tmp_path / "m")).card.competence == model.card.competence
+    assert load_model(model.save(tmp_path / "m")).only.card.competence == model.only.card.competence
     assert "competent: the effect of 8 h" in model.summary()
-    unjudged = replace(model, card=replace(model.card, competence=None))
-    assert load_model(unjudged.save(tmp_path / "old")).card.competence is None
+    unjudged = replace(model, cards=(replace(model.only.card, competence=None),))
+    assert load_model(unjudged.save(tmp_path / "old")).only.card.competence is None
     assert "not judged" in unjudged.summary()
-
-
-def test_a_file_from_before_the_verdict_is_read_as_not_judged(tmp_path):
-    folder = identify([record(HOUSE, 3.0)], config=LINEAR, floor_area_m2=190.0).save(tmp_path / "m")
-    import json
-
-    content = json.loads((folder / "model.json").read_text())
-    del content["card"]["competence"]
-    (folder / "model.json").write_text(json.dumps(content))
-    assert load_model(folder).card.competence is None
 
 
 def test_held_out_errors_are_those_of_the_predictor():
     """The shortcut over one Cholesky factor gives what predicting from every start would: checked on persistence."""
     run = record(HOUSE, 3.0, noise_K=0.01)
     verdict = _verdict(run)
-    first = round(0.75 * run.T_zone_C.size)
+    first = round(0.75 * run.T_zone_C[0].size)
     for score in verdict.horizons:
         steps = round(score.hours * 4)
-        change = run.T_zone_C[first:] - run.T_zone_C[first - steps : -steps]
+        change = run.T_zone_C[0, first:] - run.T_zone_C[0, first - steps : -steps]
         assert score.persistence_K == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-9)
 
 
@@ -104,7 +94,7 @@ def test_little_excitation_is_condemned_with_levels_and_hours():
     for start in range(0, 192, 12):
         u[start : start + 4] = 0.2
     model = identify([record(HOUSE, 2.0, u=u, noise_K=0.02, heat_measured=False)], config=LINEAR)
-    verdict = model.card.competence
+    verdict = model.only.card.competence
     assert not verdict.competent
     assert "known to" in verdict.reasons[0]
     advice = " | ".join(verdict.advice)
@@ -116,8 +106,8 @@ def test_what_cannot_be_judged_is_not_judged():
     from test_identify import make_pair
 
     pairs_only = identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=LINEAR, floor_area_m2=190.0)
-    assert pairs_only.card.competence is None
-    assert ThermalModel(pairs_only.operator).card.competence is None
+    assert pairs_only.only.card.competence is None
+    assert ThermalModel.single(pairs_only.only.operator).card.competence is None
 
 
 def test_well_known_is_more_than_competent():

@@ -23,14 +23,14 @@ def _write_run(path, days: float) -> None:
     frame = pd.DataFrame(
         {
             "time": h.time_s,
-            "reaTZon_y": h.T_zone_C,
+            "reaTZon_y": h.T_zone_C[0],
             "weaSta_reaWeaTDryBul_y": h.T_out_C,
             "weaSta_reaWeaHGloHor_y": h.solar_W_m2,
-            "oveHeaPumY_u": np.append(0.0, h.u),
-            "reaPHeaPum_y": np.append(0.0, h.power_W),
+            "oveHeaPumY_u": np.append(0.0, h.u[0]),
+            "reaPHeaPum_y": np.append(0.0, h.power_W[0]),
             "reaPFan_y": 0.0,
             "reaPPumEmi_y": 0.0,
-            "reaQHeaPumCon_y": np.append(0.0, h.heat_W),
+            "reaQHeaPumCon_y": np.append(0.0, h.heat_W[0]),
         }
     )
     frame.to_csv(path, index=False)
@@ -57,8 +57,8 @@ def reference(tmp_path_factory):
             row = {"pair": number, "start_day": day, "kind": "random", "h0": 2, "hour": hour}
             for side, run in runs.items():
                 k = first + hour
-                row |= {f"u{side}": run.u[k], f"T{side}_start": run.T_zone_C[k], f"T{side}_end": run.T_zone_C[k + 1]}
-                row |= {f"Q{side}_W": run.heat_W[k], f"P{side}_W": run.power_W[k]}
+                row |= {f"u{side}": run.u[0, k], f"T{side}_start": run.T_zone_C[0, k], f"T{side}_end": run.T_zone_C[0, k + 1]}
+                row |= {f"Q{side}_W": run.heat_W[0, k], f"P{side}_W": run.power_W[0, k]}
             rows.append(row)
     pd.DataFrame(rows).to_csv(folder / "pairs" / "pairs_1h.csv.gz", index=False)
     year = pd.DataFrame({"TDryBul": np.zeros(24 * 40), "HGloHor": np.zeros(24 * 40)})
@@ -109,7 +109,7 @@ def test_cut_keeps_boundaries_and_steps_together(reference):
     part = cut(run, 1.0, 2.0)
     assert part.n_steps == 192
     assert part.time_s[0] == run.time_s[96]
-    np.testing.assert_array_equal(part.u, run.u[96:288])
+    np.testing.assert_array_equal(part.u[0], run.u[0, 96:288])
 
 
 def test_own_factors_are_what_a_gain_of_each_pair_could_still_explain(reference):

@@ -59,14 +59,14 @@ def _identified(house, days, **options):
 def test_probing_goes_on_day_by_day_until_the_bar_is_reached():
     short, record, _ = _identified(Watched(), 1.0)
     assert record.n_steps == 96
-    assert not short.card.competence.competent, "a day is not enough on this house"
+    assert not short.only.card.competence.competent, "a day is not enough on this house"
     house = Watched()
     model, record, progress = _identified(house, 1.0, most_days=10.0)
-    assert model.card.competence.competent
+    assert model.only.card.competence.competent
     assert record.n_steps == 192
     assert house.resets == 1, "on the same run of the plant"
-    assert any("probing went on from 1 to 2 days" in note for note in model.card.notes)
-    assert "2 days of probing" in model.card.source
+    assert any("probing went on from 1 to 2 days" in note for note in model.only.card.notes)
+    assert "2 days of probing" in model.only.card.source
     assert [round(24 * p.days) for p in progress] == list(range(1, 49)), "every hour"
     assert progress[-1].information_nats > progress[23].information_nats > progress[0].information_nats
     assert progress[-1].expected_sd < progress[0].expected_sd
@@ -89,11 +89,11 @@ def test_probing_ends_early_where_the_effect_is_known_well():
     model, record, _ = _identified(Watched(), 4.0, end_early=True)
     assert 1.5 * 96 <= record.n_steps < 4 * 96
     assert record.n_steps % 48 == 0
-    assert model.card.competence.relative_sd < 0.1
-    assert any("since the effect was known well" in note for note in model.card.notes)
+    assert model.only.card.competence.relative_sd < 0.1
+    assert any("since the effect was known well" in note for note in model.only.card.notes)
     _, whole, _ = _identified(Watched(), 4.0, end_early=False)
     assert whole.n_steps == 4 * 96
-    np.testing.assert_array_equal(whole.u[: record.n_steps], record.u)
+    np.testing.assert_array_equal(whole.u[0, : record.n_steps], record.u[0])
 
 
 def test_a_probing_continued_is_the_same_probing():
@@ -102,8 +102,8 @@ def test_a_probing_continued_is_the_same_probing():
     run = Probing(plant, 20 * DAY_S, seed=1, config=SHORT)
     run.go_on(1.0)
     run.go_on(1.0)
-    np.testing.assert_array_equal(run.record.u, at_once.u)
-    np.testing.assert_array_equal(run.record.T_zone_C, at_once.T_zone_C)
+    np.testing.assert_array_equal(run.record.u[0], at_once.u[0])
+    np.testing.assert_array_equal(run.record.T_zone_C[0], at_once.T_zone_C[0])
 
 
 class LightHouse(SimpleHouse):
@@ -132,18 +132,18 @@ class LightHouse(SimpleHouse):
 def test_a_light_zone_is_probed_inside_its_band():
     polite = probe(LightHouse(), 20 * DAY_S, 2.0, seed=1, config=SHORT)
     rude = probe(LightHouse(), 20 * DAY_S, 2.0, seed=1, config=SHORT.model_copy(update={"margin_K": 50.0}))
-    assert rude.T_zone_C.max() > 29.0, "what one full step does here"
-    assert polite.T_zone_C.max() < 25.0 + 0.2, "comfort band to 24 °C, margin 1 K"
-    assert polite.T_zone_C[12:].min() > 20.0 - 0.5
-    assert np.std(polite.u) > 0.03, "still excited"
-    assert len(np.unique(polite.u.round(3))) > 5
+    assert rude.T_zone_C[0].max() > 29.0, "what one full step does here"
+    assert polite.T_zone_C[0].max() < 25.0 + 0.2, "comfort band to 24 °C, margin 1 K"
+    assert polite.T_zone_C[0, 12:].min() > 20.0 - 0.5
+    assert np.std(polite.u[0]) > 0.03, "still excited"
+    assert len(np.unique(polite.u[0].round(3))) > 5
 
 
 def test_a_heavy_zone_is_probed_as_if_nobody_looked_ahead(monkeypatch):
     plant = EmbeddedPlant(synthetic_weather())
     looked = probe(plant, 20 * DAY_S, 1.0, seed=1)
     monkeypatch.setattr(Probing, "_polite", lambda self, level, centre, band: level)
-    np.testing.assert_array_equal(looked.u, probe(plant, 20 * DAY_S, 1.0, seed=1).u)
+    np.testing.assert_array_equal(looked.u[0], probe(plant, 20 * DAY_S, 1.0, seed=1).u)
 
 
 def test_foresight_learns_what_a_level_does():

@@ -25,18 +25,18 @@ def test_pairs_of_other_days_are_predicted(pairs):
     config = IdentificationConfig(modulation="linear")
     selected = identify(pairs=training, config=config, floor_area_m2=AREA_M2)
     first = identify(pairs=training, config=IdentificationConfig(modulation="linear", order=1), floor_area_m2=AREA_M2)
-    scores = score_pairs(selected.operator, testing)
-    assert selected.operator.order == 3
+    scores = score_pairs(selected.only.operator, testing)
+    assert selected.only.operator.order == 3
     assert scores.rmse_K <= 0.035
     assert scores.sign_accuracy >= 0.995
-    assert scores.rmse_K <= 0.5 * score_pairs(first.operator, testing).rmse_K
+    assert scores.rmse_K <= 0.5 * score_pairs(first.only.operator, testing).rmse_K
 
 
 @pytest.mark.parametrize(("days", "limit_K"), [(1, 0.12), (3, 0.08)])
 def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
     run = read_run(shared / "boptest_hp" / "excite_jan.csv.gz")
     model = identify([cut(run, 0, days)], config=IdentificationConfig(epochs=150), floor_area_m2=AREA_M2)
-    scores = score_pairs(model.operator, pairs)
+    scores = score_pairs(model.only.operator, pairs)
     assert scores.rmse_K <= limit_K
     assert scores.sign_accuracy >= 0.995
 
@@ -46,7 +46,7 @@ def test_the_days_that_tell_least_of_the_machine_are_enough(shared, pairs, month
     """Cold ones with a narrow range outdoors, mild ones that never saw full: what is missing is the heat capacity."""
     run = read_run(shared / "boptest_hp" / f"excite_{month}.csv.gz")
     config = IdentificationConfig(modulation="linear")
-    scores = score_pairs(identify([cut(run, day, 1)], config=config, floor_area_m2=AREA_M2).operator, pairs)
+    scores = score_pairs(identify([cut(run, day, 1)], config=config, floor_area_m2=AREA_M2).only.operator, pairs)
     assert scores.rmse_K <= 0.12
     assert scores.sign_accuracy >= 0.995
 
@@ -57,8 +57,8 @@ def test_feedback_does_not_drop_the_delay(shared, pairs, day):
     run = read_run(shared / "boptest_hp" / "native_d7_28d.csv.gz")
     config = IdentificationConfig(modulation="linear")
     model = identify([cut(run, day, 3)], config=config, floor_area_m2=AREA_M2)
-    assert model.operator.order == 3
-    assert score_pairs(model.operator, pairs).rmse_K <= 0.1
+    assert model.only.operator.order == 3
+    assert score_pairs(model.only.operator, pairs).rmse_K <= 0.1
 
 
 def test_a_day_without_heating_is_refused(shared):

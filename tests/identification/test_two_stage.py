@@ -82,22 +82,22 @@ def test_what_it_cannot_use_is_refused():
 def test_identify_offers_it_as_a_method():
     config = IdentificationConfig(method="two_stage")
     model = identify([arx_run()], config=config)
-    assert model.operator.order == 1
-    np.testing.assert_allclose([model.operator.poles[0], model.operator.gains[0]], [A, G], rtol=1e-5)
-    np.testing.assert_allclose(model.free.weights[0, :3], [C, D, E], rtol=1e-5)
+    assert model.only.operator.order == 1
+    np.testing.assert_allclose([model.only.operator.poles[0], model.only.operator.gains[0]], [A, G], rtol=1e-5)
+    np.testing.assert_allclose(model.only.free.weights[0, :3], [C, D, E], rtol=1e-5)
     run = arx_run()
     with pytest.raises(DataError, match="needs single runs"):
-        identify(pairs=[Pair(run, arx_run(u=1.0 - run.u))], config=config)
+        identify(pairs=[Pair(run, arx_run(u=1.0 - run.u[0]))], config=config)
 
 
 @pytest.mark.parametrize("modulation", ["linear", "neural"])
 def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
     """While the actuator is on, windows are open: the second stage sees too little, a difference of pairs does not."""
     run = arx_run()
-    T = np.array(run.T_zone_C)
+    T = np.array(run.T_zone_C[0])
     for t in range(run.n_steps):
-        loss = 0.4 * G * run.u[t]  # a disturbance that goes with the action
-        T[t + 1] = A * T[t] + C * run.T_out_C[t] + D * run.solar_W_m2[t] + E + G * run.u[t] - loss
+        loss = 0.4 * G * run.u[0, t]  # a disturbance that goes with the action
+        T[t + 1] = A * T[t] + C * run.T_out_C[t] + D * run.solar_W_m2[t] + E + G * run.u[0, t] - loss
     biased = replace(run, T_zone_C=T)
     rng = np.random.default_rng(3)
     pairs = []
@@ -106,16 +106,16 @@ def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
         shift = 86400.0 * 7 * k
         pairs.append(Pair(*(replace(h, time_s=h.time_s + shift) for h in (first, second)), label=str(k)))
     config = IdentificationConfig(method="two_stage", modulation=modulation)
-    alone = identify([biased], config=config).operator
+    alone = identify([biased], config=config).only.operator
     both = identify([biased], pairs, config=config)
-    rows = np.concatenate([pair.a.T_zone_C - pair.b.T_zone_C for pair in pairs])
-    assert both.operator.order == 1
-    assert both.card.scores["held_out_neural"] < 0.5 * both.card.scores["held_out_linear"]
+    rows = np.concatenate([pair.a.T_zone_C[0] - pair.b.T_zone_C[0] for pair in pairs])
+    assert both.only.operator.order == 1
+    assert both.only.card.scores["held_out_neural"] < 0.5 * both.only.card.scores["held_out_linear"]
     assert np.abs(rows).max() > 0.5
-    steady = both.operator.gains[0] * both.operator.modulation(np.zeros((1, 4)))[0] / G
+    steady = both.only.operator.gains[0] * both.only.operator.modulation(np.zeros((1, 4)))[0] / G
     assert alone.gains[0] / G < 0.8
     assert steady == pytest.approx(1.0, abs=0.12)
-    assert len(both.card.data) == 9
+    assert len(both.only.card.data) == 9
 
 
 def test_two_stages_of_another_order_are_refused():
@@ -135,12 +135,12 @@ def test_actions_of_the_wrong_sign_are_refused_as_by_the_joint_method(with_pairs
             identify(runs, pairs, config=IdentificationConfig(method=method, modulation="linear"))
         messages.append(str(refused.value))
     assert all("check the sign of u" in message for message in messages)
-    assert identify(runs, pairs, config=IdentificationConfig(method="two_stage"), mode="cooling").operator.sign == -1
+    assert identify(runs, pairs, config=IdentificationConfig(method="two_stage"), mode="cooling").only.operator.sign == -1
 
 
 def test_actions_without_any_effect_are_refused():
     run = arx_run(noise_K=0.01)
-    idle = replace(run, u=random_levels(run.n_steps, 77, hold=5), T_zone_C=arx_run(0.0 * run.u, noise_K=0.01).T_zone_C)
+    idle = replace(run, u=random_levels(run.n_steps, 77, hold=5), T_zone_C=arx_run(0.0 * run.u[0], noise_K=0.01).T_zone_C)
     for mode in ("heating", "cooling"):
         with pytest.raises(DataError, match=f"no effect of the actuator with the sign of {mode}"):
             identify([idle], config=IdentificationConfig(method="two_stage"), mode=mode)
@@ -148,4 +148,4 @@ def test_actions_without_any_effect_are_refused():
 
 def test_what_its_action_explains_is_on_the_card():
     model = identify([arx_run()], config=IdentificationConfig(method="two_stage"))
-    assert model.card.scores["explained_by_actuation"] > 0.9
+    assert model.only.card.scores["explained_by_actuation"] > 0.9

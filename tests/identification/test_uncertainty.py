@@ -25,7 +25,7 @@ def test_bands_hold_the_truth(models):
     truth = HOUSE.effect_K(np.ones(48), 3600.0)
     inside, widths = [], []
     for model in models:
-        known = model.card.uncertainty
+        known = model.only.card.uncertainty
         for hours in (1, 4, 12, 24):
             sd = known[f"step_response_{hours}h_sd_K"]
             inside.append(abs(known[f"step_response_{hours}h_K"] - truth[hours]) <= 2 * sd)
@@ -41,7 +41,7 @@ def test_bands_allow_for_a_building_that_is_not_what_the_priors_expect(area_m2):
     errors, deviations = [], []
     for seed in range(3):
         run = record(HOUSE, 3.0, seed=seed, noise_K=0.01)
-        known = identify([run], config=LINEAR, floor_area_m2=area_m2).card.uncertainty
+        known = identify([run], config=LINEAR, floor_area_m2=area_m2).only.card.uncertainty
         for hours in (1, 2, 4, 8, 12, 24):
             errors.append((known[f"step_response_{hours}h_K"] - truth[hours]) / truth[hours])
             deviations.append(known[f"step_response_{hours}h_sd_K"] / truth[hours])
@@ -57,7 +57,7 @@ def test_less_is_assumed_where_little_is_left_unexplained():
 
     def error(margin: float) -> float:
         config = IdentificationConfig(order=3, modulation="linear", disturbance_margin=margin)
-        known = identify([run], config=config, floor_area_m2=260.0).card.uncertainty
+        known = identify([run], config=config, floor_area_m2=260.0).only.card.uncertainty
         return abs(known["step_response_12h_K"] / truth[12] - 1)
 
     assert error(5.0) < 0.7 * error(1000.0)
@@ -66,13 +66,13 @@ def test_less_is_assumed_where_little_is_left_unexplained():
 def test_more_days_make_narrower_bands():
     def sd(days: float) -> float:
         model = identify([record(HOUSE, days, seed=3, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
-        return model.card.uncertainty["step_response_24h_sd_K"]
+        return model.only.card.uncertainty["step_response_24h_sd_K"]
 
     assert sd(9.0) < 0.8 * sd(1.5)
 
 
 def test_poles_and_gains_are_reported_at_the_models_step(models):
-    operator, known = models[0].operator, models[0].card.uncertainty
+    operator, known = models[0].only.operator, models[0].only.card.uncertainty
     for i in range(3):
         assert known[f"pole_{i + 1}"] == pytest.approx(operator.poles[i])
         assert known[f"gain_{i + 1}_K"] == pytest.approx(operator.gains[i])
@@ -94,9 +94,9 @@ def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
 
 def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):
     folder = models[0].save(tmp_path / "model")
-    assert load_model(folder).card.uncertainty == dict(models[0].card.uncertainty)
+    assert load_model(folder).only.card.uncertainty == dict(models[0].only.card.uncertainty)
     shown = CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False).output
-    known = models[0].card.uncertainty
+    known = models[0].only.card.uncertainty
     assert f"{known['step_response_24h_K']:.2f}" in shown
     assert f"{known['step_response_24h_K'] + 1.645 * known['step_response_24h_sd_K']:.2f}" in shown
     assert f"± {known['time_constant_3_sd_h']:.2f}" in shown
@@ -106,6 +106,6 @@ def test_a_model_that_knows_little_says_so(models):
     little = np.zeros(96)
     little[[10, 11, 30, 31, 60, 61]] = 1.0
     model = identify([record(HOUSE, 1.0, seed=2, u=little, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
-    assert any("uncertain: the effect of a day of action is known to" in note for note in model.card.notes)
+    assert any("uncertain: the effect of a day of action is known to" in note for note in model.only.card.notes)
     long = identify([record(HOUSE, 9.0, seed=3, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
-    assert not any("uncertain" in note for note in long.card.notes)
+    assert not any("uncertain" in note for note in long.only.card.notes)

@@ -34,7 +34,7 @@ def some_history(n: int = 60, seed: int = 0) -> Record:
 
 def expectation(free_C: float, spread_K: float = 0.1) -> FreeForecast:
     levels = np.arange(1, 10) / 10
-    return FreeForecast(levels, free_C + spread_K * (levels[:, None] - 0.5))
+    return FreeForecast(levels, free_C + spread_K * (levels[:, None, None] - 0.5))
 
 
 def test_step_by_step_is_the_rollout_of_the_whole_history():
@@ -43,7 +43,7 @@ def test_step_by_step_is_the_rollout_of_the_whole_history():
     followed = None
     for n in (0, 1, 2, 3, 30, 31, 60):
         followed = estimator.update(followed, history.slice(0, n))
-    assert followed.forced_K.shape == (61, operator.order)
+    assert followed.forced_K.shape == (1, 1, 61, operator.shape[2])
     # The first day sets the steady start, so the start is known from the first whole rollout on.
     begun = estimator.update(None, history.slice(0, 30))
     np.testing.assert_allclose(estimator.update(begun, history).forced_K, forced_history(operator, history), atol=1e-12)
@@ -83,13 +83,13 @@ def test_a_gap_in_a_new_step_is_refused_with_its_place():
 def surprised(config: EstimatorConfig, spread_K: float) -> float:
     """By how much the forced part moves when the zone is 0.5 K warmer than expected after a step of full heat."""
     history = some_history(30)
-    history = replace(history, u=np.append(history.u[:-1], 1.0))
-    plain = forced_history(simple_model().operator, history)[-1].sum()
+    history = replace(history, u=np.append(history.u[0, :-1], 1.0))
+    plain = forced_history(simple_model().operator, history)[:, :, -1].sum()
     estimator = ForcedStateEstimator(simple_model().operator, config=config)
     state = estimator.update(None, history.slice(0, 29))
-    free_C = history.T_zone_C[-1] - 0.5 - plain
+    free_C = float(history.T_zone_C[0, -1]) - 0.5 - plain
     state = estimator.expect(state, float(history.time_s[-1]), expectation(free_C, spread_K))
-    return float(estimator.update(state, history).forced_K[-1].sum() - plain)
+    return float(estimator.update(state, history).forced_K[:, :, -1].sum() - plain)
 
 
 def test_a_surprise_is_divided_by_who_was_surer():
@@ -104,7 +104,7 @@ def test_free_and_forced_always_add_up_to_what_was_measured():
     estimator = ForcedStateEstimator(model.operator, config=EstimatorConfig(correct=True))
     predictor = Predictor(model.operator, OutdoorResponse(), estimator=estimator)
     free = predictor.free_history(history)
-    np.testing.assert_allclose(free + predictor.forced_history(history).sum(axis=1), history.T_zone_C, atol=1e-12)
+    np.testing.assert_allclose(free + predictor.forced_history(history).sum(axis=(1, 3)), history.T_zone_C, atol=1e-12)
 
 
 class BiasedHouse(SimpleHouse):
@@ -124,7 +124,7 @@ BOTH = pytest.mark.parametrize("correct", [False, True], ids=["output disturbanc
 @pytest.mark.parametrize("gain_error", [0.8, 1.2])
 def test_a_wrong_gain_leaves_no_lasting_offset(gain_error, correct):
     model = simple_model()
-    wrong = replace(model, operator=replace(model.operator, gains=gain_error * model.operator.gains))
+    wrong = replace(model, operator=model.operator.map(lambda pair: replace(pair, gains=gain_error * pair.gains)))
     # A rigid free model, which does not learn from T − F, keeps the error for ever.
     rigid = lasting_offset_K(wrong, SimpleHouse(), correct=False, free=OutdoorResponse())
     assert abs(rigid) > 0.02
@@ -139,8 +139,8 @@ def test_a_biased_outdoor_sensor_leaves_no_lasting_offset(correct):
 def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> float:
     """Mean of what one-step predictions were off on the last day of a closed loop, K."""
     # Blocks shorter than the step would add their own rounding: the level is held here.
-    load = replace(model.power.load, lowest_level=0.01)
-    model = replace(model, power=replace(model.power, load=load))
+    (power,) = model.power
+    model = replace(model, power=(replace(power, load=replace(power.load, lowest_level=0.01)),))
     config = MPCConfig(
         step_s=None,
         horizon_h=24,
@@ -152,4 +152,4 @@ def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> flo
     mpc = ThermoForceMPC(model, config, free_response=free or LinearWeather())
     result = run_closed_loop(house, mpc, house.period("x"))
     pairs = zip(result.steps[-25:-1], result.steps[-24:], strict=True)
-    return float(np.mean([after.T_zone_C - before.plan.T_zone_C[0] for before, after in pairs]))
+    return float(np.mean([after.T_zone_C[0] - before.plan.T_zone_C[0, 0] for before, after in pairs]))

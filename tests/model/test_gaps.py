@@ -96,8 +96,8 @@ def test_unknown_levels_are_the_mean_around_them_or_of_all_or_off():
     values[40:44] = NAN
     found, note = bridged(replace(part, u=values))
     # Of the twelve hours on either side of step 40, those before it and four after it were on, five off.
-    np.testing.assert_allclose(found.u[40], (12 + 4) / (12 + 9))
-    assert (np.diff(found.u[40:44]) < 0).all()
+    np.testing.assert_allclose(found.u[0, 40], (12 + 4) / (12 + 9))
+    assert (np.diff(found.u[0, 40:44]) < 0).all()
     assert note == "bridged u: 4 values filled with the mean level around"
     values[:] = NAN
     values[0] = 0.7

@@ -36,35 +36,35 @@ def model() -> ThermalModel:
     )
     heat = HEAT_MAP.heat
     assert heat is not None
-    return ThermalModel(random_operator(1, 3, heat_input=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card)
+    return ThermalModel.single(random_operator(1, 3, heat_input=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card)
 
 
 def test_a_model_comes_back_bit_for_bit(tmp_path, model):
     back = load_model(model.save(tmp_path / "model"))
     features = random_features(np.random.default_rng(0), 10)
     u = np.linspace(0, 1, 10)
-    for operator in (model.operator, model.operator.resampled(900.0)):
+    for operator in (model.only.operator, model.only.operator.resampled(900.0)):
         step = operator.step_s
         np.testing.assert_array_equal(
-            forced_rollout(back.operator.resampled(step), np.ones(3), u, features),
+            forced_rollout(back.only.operator.resampled(step), np.ones(3), u, features),
             forced_rollout(operator, np.ones(3), u, features),
         )
     assert back.power == model.power
-    assert back.free is not None
-    assert model.free is not None
+    assert back.only.free is not None
+    assert model.only.free is not None
     for name in ("poles", "weights", "process_sd_K"):
-        np.testing.assert_array_equal(getattr(back.free, name), getattr(model.free, name))
-    assert back.card.ranges == model.card.ranges
-    assert back.card.scores["rmse_K"] == 0.02
-    assert np.isnan(back.card.scores["unknown"])
-    assert back.card.notes == ("one", "two")
+        np.testing.assert_array_equal(getattr(back.only.free, name), getattr(model.only.free, name))
+    assert back.only.card.ranges == model.only.card.ranges
+    assert back.only.card.scores["rmse_K"] == 0.02
+    assert np.isnan(back.only.card.scores["unknown"])
+    assert back.only.card.notes == ("one", "two")
 
 
 def test_a_bare_operator_can_be_saved(tmp_path):
-    model = ThermalModel(linear_operator([0.9], [0.1], step_s=3600.0))
+    model = ThermalModel.single(linear_operator([0.9], [0.1], step_s=3600.0))
     back = load_model(model.save(tmp_path / "deep" / "model"))
-    assert back.power is None
-    assert back.free is None
+    assert back.only.power is None
+    assert back.only.free is None
 
 
 def test_same_model_same_bytes(tmp_path, model):
@@ -78,9 +78,9 @@ def test_nothing_is_overwritten_unless_asked(tmp_path, model):
     folder = model.save(tmp_path / "model")
     with pytest.raises(ArtifactError, match="exists already"):
         model.save(folder)
-    other = ThermalModel(linear_operator([0.9], [0.1], step_s=3600.0))
+    other = ThermalModel.single(linear_operator([0.9], [0.1], step_s=3600.0))
     other.save(folder, overwrite=True)
-    assert load_model(folder).operator.order == 1
+    assert load_model(folder).only.operator.order == 1
     precious = tmp_path / "thesis"
     precious.mkdir()
     (precious / "chapter").write_text("words")
@@ -115,9 +115,9 @@ def test_damage_is_named(tmp_path, model):
     [
         ({"format": "something else"}, "not a model of thermoforce-mpc"),
         ({"version": 99}, "version 99"),
-        ({"operator": {}}, "missing"),
-        ({"operator": None}, "model.json"),
-        ({"card": {"source": "x"}}, "missing"),
+        ({"pairs": [{}]}, "missing"),
+        ({"pairs": None}, "model.json"),
+        ({"actuators": [{"name": "x", "home": 0, "machine": 0, "share": 0, "card": {"source": "x"}}]}, "missing"),
     ],
 )
 def test_foreign_or_edited_json_is_refused(tmp_path, model, changes, message):
@@ -130,7 +130,7 @@ def test_foreign_or_edited_json_is_refused(tmp_path, model, changes, message):
 def test_an_edited_sign_fails_at_load(tmp_path, model):
     folder = model.save(tmp_path / "model")
     document = json.loads((folder / JSON_NAME).read_text())
-    _edit(folder, operator=document["operator"] | {"sign": -1})
+    _edit(folder, pairs=[document["pairs"][0] | {"sign": -1}])
     with pytest.raises(ArtifactError, match="gains"):
         load_model(folder)
 
@@ -148,5 +148,5 @@ def test_missing_and_unreadable_folders(tmp_path):
 
 def test_an_operator_without_effect_is_not_saved(tmp_path):
     with pytest.raises(ArtifactError, match="certificate"):
-        ThermalModel(linear_operator([0.9], [0.0], step_s=3600.0)).save(tmp_path / "model")
+        ThermalModel.single(linear_operator([0.9], [0.0], step_s=3600.0)).save(tmp_path / "model")
     assert not (tmp_path / "model").exists()

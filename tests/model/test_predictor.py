@@ -13,7 +13,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
-from thermoforce_mpc.model.operator import forced_rollout, linear_operator, time_of_day
+from thermoforce_mpc.model.operator import forced_rollout, linear_operator, single, time_of_day
 from thermoforce_mpc.model.predictor import Predictor
 
 STEP = 3600.0
@@ -59,22 +59,22 @@ def make_boundary(history: Record, n: int = 24) -> Boundary:
 
 @pytest.fixture
 def predictor() -> Predictor:
-    return Predictor(random_operator(3, 3, heat_input=HEAT_MAP), HoldLast())
+    return Predictor(single(random_operator(3, 3, heat_input=HEAT_MAP)), HoldLast())
 
 
 def test_free_plus_forced_is_what_was_measured(predictor):
     history = make_history()
-    total = predictor.free_history(history) + predictor.forced_history(history).sum(axis=1)
+    total = predictor.free_history(history) + predictor.forced_history(history).sum(axis=(1, 3))
     np.testing.assert_allclose(total, history.T_zone_C, atol=1e-12)
-    np.testing.assert_array_equal(predictor.forced_state(history), predictor.forced_history(history)[-1])
+    np.testing.assert_array_equal(predictor.forced_state(history), predictor.forced_history(history)[:, :, -1])
 
 
 def test_zero_start_is_the_papers_and_steady_start_holds():
     operator = linear_operator([0.5, 0.98], [0.3, 0.05], step_s=STEP)
     history = replace(make_history(), u=np.full(48, 0.6))
-    zero = forced_history(operator, history, initial_force="zero")
+    zero = forced_history(single(operator), history, initial_force="zero")[0, 0]
     assert np.all(zero[0] == 0)
-    steady = forced_history(operator, history, initial_force="steady")
+    steady = forced_history(single(operator), history, initial_force="steady")[0, 0]
     np.testing.assert_allclose(steady, np.broadcast_to(0.6 * operator.steady_gains_K, (49, 2)), rtol=1e-12)
 
 
@@ -86,10 +86,10 @@ def test_exact_recovery_of_a_free_response_under_control():
     free[0], forced[0] = 19.0, 0.0
     for t in range(48):
         free[t + 1] = 0.9 * free[t] + 0.1 * base.T_out_C[t] + 1.2
-        forced[t + 1] = 0.9 * forced[t] + 0.2 * base.u[t]
+        forced[t + 1] = 0.9 * forced[t] + 0.2 * base.u[0, t]
     history = replace(base, T_zone_C=free + forced)
-    predictor = Predictor(operator, HoldLast(), initial_force="zero")
-    np.testing.assert_allclose(predictor.free_history(history), free, atol=1e-12)
+    predictor = Predictor(single(operator), HoldLast(), initial_force="zero")
+    np.testing.assert_allclose(predictor.free_history(history)[0], free, atol=1e-12)
 
 
 def test_predict_effect_and_counterfactuals_agree(predictor):
@@ -102,7 +102,7 @@ def test_predict_effect_and_counterfactuals_agree(predictor):
     )
     levels = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
     fan = context.counterfactuals(levels)
-    assert fan.forced_K.shape == (5, 24)
+    assert fan.forced_K.shape == (5, 1, 24)
     assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
     np.testing.assert_allclose(fan.total_C[1], context.predict(np.full(24, 0.25)).total_C, atol=1e-12)
     np.testing.assert_allclose(context.predict(u).total_C, context.free.median_C + context.predict(u).forced_K)
@@ -144,7 +144,7 @@ def _with_gap(forecast: FreeForecast) -> FreeForecast:
 )
 def test_a_forecast_that_is_not_fit_to_plan_with_is_refused(answer, message):
     history = make_history()
-    predictor = Predictor(random_operator(3, 3), Answering(answer))
+    predictor = Predictor(single(random_operator(3, 3)), Answering(answer))
     with pytest.raises(DataError, match=message):
         predictor.context(Observation(history, make_boundary(history)))
 
@@ -165,12 +165,12 @@ class Estimating(ForcedStateEstimator):
     [
         (lambda state: None, "gave a NoneType, expected a ForcedState"),
         (lambda state: replace(state, forced_K=state.forced_K * np.nan), "is not .* finite values"),
-        (lambda state: replace(state, forced_K=state.forced_K[:-1]), "is not .* finite values"),
+        (lambda state: replace(state, forced_K=state.forced_K[:, :, :-1]), "is not .* finite values"),
     ],
     ids=["none", "not finite", "too short"],
 )
 def test_an_estimate_that_is_not_fit_to_plan_with_is_refused(answer, message):
-    history, operator = make_history(), random_operator(3, 3)
+    history, operator = make_history(), single(random_operator(3, 3))
     predictor = Predictor(operator, HoldLast(), estimator=Estimating(operator, answer))
     with pytest.raises(DataError, match=message):
         predictor.context(Observation(history, make_boundary(history)))
@@ -180,18 +180,18 @@ def test_plan_continues_the_history(predictor):
     """Splitting time into past and future must not change the forced response."""
     history = make_history(72)
     operator = linear_operator([0.3, 0.97], [0.2, 0.05], step_s=STEP, heat_input=HEAT_MAP)
-    predictor = Predictor(operator, HoldLast())
+    predictor = Predictor(single(operator), HoldLast())
     past = history.slice(0, 48)
     context = predictor.context(Observation(past, make_boundary(past)))
-    whole = forced_history(operator, history).sum(axis=1)[49:]
-    np.testing.assert_allclose(context.predict(history.u[48:]).forced_K, whole, atol=1e-9)
+    whole = forced_history(single(operator), history).sum(axis=(1, 3))[:, 49:]
+    np.testing.assert_allclose(context.predict(history.u[:, 48:]).forced_K, whole, atol=1e-9)
 
 
 def test_silent_sensor_leaves_a_hole_and_nothing_else(predictor):
     history = make_history()
     T = np.array(history.T_zone_C)
-    T[10:14] = np.nan
-    free = predictor.free_history(replace(history, T_zone_C=T))
+    T[0, 10:14] = np.nan
+    free = predictor.free_history(replace(history, T_zone_C=T))[0]
     assert np.isnan(free[10:14]).all()
     assert np.isfinite(np.delete(free, range(10, 14))).all()
     silent = Observation(replace(history, T_zone_C=np.full(49, np.nan)), make_boundary(history))
@@ -210,7 +210,7 @@ def test_a_rollout_refuses_broken_histories_with_the_place(predictor, name, valu
 
 def with_value(history: Record, name: str, at: int, value: float) -> Record:
     values = np.array(getattr(history, name))
-    values[at] = value
+    values[..., at] = value
     return replace(history, **{name: values})
 
 
@@ -247,7 +247,7 @@ def test_impossible_actions_are_refused(predictor):
     with pytest.raises(DataError, match=r"inside \[0, 1\]"):
         context.predict(np.full(24, np.nan))
     with pytest.raises(DataError, match="initial_force"):
-        Predictor(random_operator(3, 3), HoldLast(), initial_force="warm")  # type: ignore[arg-type]
+        Predictor(single(random_operator(3, 3)), HoldLast(), initial_force="warm")  # type: ignore[arg-type]
 
 
 RC = RcParameters(
@@ -313,35 +313,35 @@ def test_a_level_that_averaging_rounded_beyond_one_is_one():
         u = np.full(steps, level)
         return Record(time_s, 21.0 + still, still, still, u, u, np.full(steps, np.nan))
 
-    exact, rounded = (forced_history(operator, history(level)) for level in (1.0, np.nextafter(1.0, 2.0)))
+    exact, rounded = (forced_history(single(operator), history(level)) for level in (1.0, np.nextafter(1.0, 2.0)))
     np.testing.assert_array_equal(exact, rounded)
     with pytest.raises(DataError, match=r"expected values in \[0, 1\]"):
-        forced_history(operator, history(1.001))
+        forced_history(single(operator), history(1.001))
 
 
 def test_measured_heat_drives_an_operator_on_heat_whatever_its_sign():
     for sign in (1, -1):
         operator = random_operator(3, 1, heat_input=HEAT_MAP, sign=sign)
         base = make_history()
-        heat = sign * HEAT_MAP.reference_W * HEAT_MAP(base.u, base.T_out_C[:-1])
-        by_map = forced_history(operator, base)
-        np.testing.assert_allclose(forced_history(operator, replace(base, heat_W=heat)), by_map, rtol=1e-9)
-        more = forced_history(operator, replace(base, heat_W=1.5 * heat), initial_force="zero")
-        assert sign * (more - forced_history(operator, base, initial_force="zero"))[-1, 0] > 0
+        heat = sign * HEAT_MAP.reference_W * HEAT_MAP(base.u[0], base.T_out_C[:-1])
+        by_map = forced_history(single(operator), base)
+        np.testing.assert_allclose(forced_history(single(operator), replace(base, heat_W=heat)), by_map, rtol=1e-9)
+        more = forced_history(single(operator), replace(base, heat_W=1.5 * heat), initial_force="zero")
+        assert sign * (more - forced_history(single(operator), base, initial_force="zero"))[0, 0, -1, 0] > 0
 
 
 def test_total_features_see_the_measured_temperature_in_the_past():
     operator = replace(random_operator(3, 2, scale=0.2, heat_input=HEAT_MAP), feedback=True)
     history = make_history()
-    forced = forced_history(operator, history, initial_force="zero")
+    forced = forced_history(single(operator), history, initial_force="zero")[0, 0]
     for t in range(history.n_steps):
-        x = np.array([history.T_zone_C[t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
-        drive = operator.modulation(x) * HEAT_MAP(history.u[t], history.T_out_C[t])
+        x = np.array([history.T_zone_C[0, t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
+        drive = operator.modulation(x) * HEAT_MAP(history.u[0, t], history.T_out_C[t])
         np.testing.assert_allclose(forced[t + 1], operator.poles * forced[t] + operator.gains * drive, atol=1e-12)
-    context = Predictor(operator, HoldLast()).context(Observation(history, make_boundary(history)))
+    context = Predictor(single(operator), HoldLast()).context(Observation(history, make_boundary(history)))
     fan = context.counterfactuals(np.array([0.0, 0.5, 1.0]))
-    one = forced_rollout(operator, context.forced_K, np.full(24, 0.5), context.features).sum(-1)
-    np.testing.assert_allclose(fan.forced_K[1], one, atol=1e-12)
+    one = forced_rollout(operator, context.forced_K[0, 0], np.full(24, 0.5), context.features[0]).sum(-1)
+    np.testing.assert_allclose(fan.forced_K[1, 0], one, atol=1e-12)
 
 
 def test_any_arrangement_of_candidates_at_once(predictor):
@@ -349,7 +349,7 @@ def test_any_arrangement_of_candidates_at_once(predictor):
     context = predictor.context(Observation(history, make_boundary(history)))
     u = np.random.default_rng(5).uniform(0, 1, (3, 4, 24))
     together = context.predict(u)
-    assert together.total_C.shape == (3, 4, 24)
+    assert together.total_C.shape == (3, 4, 1, 24)
     effects = context.effect(u, u[0, 0])
     for i in range(3):
         for j in range(4):

@@ -12,6 +12,7 @@ from thermoforce_mpc.data import HOUR_S, Measurement, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 NAN = float("nan")
 NOW_S = 30 * HOUR_S
@@ -87,14 +88,15 @@ def test_a_sensor_that_was_moved_is_believed_again_after_some_hours():
 
 def test_limits_of_a_model_are_multiples_of_what_its_machine_can_do():
     model = simple_model()
-    power_W = float(model.power(np.array(1.0), 0.0))
+    power_W = float(model.only.power(np.array(1.0), 0.0))
     assert Limits.of(model).heat_W == (-np.inf, np.inf)  # its operator is driven by u: nothing is known of heat
     assert Limits.of(model, 100.0).heat_W == (-50e3, 50e3)
     np.testing.assert_allclose(Limits.of(model, 100.0).power_W, [-0.05 * power_W, 3 * power_W])
     for sign, expected in ((1, (-12e3, 36e3)), (-1, (-36e3, 12e3))):
         heat = HeatInput(MachineLoad((2e3, 0.0, 8e3, 200.0), (-10.0, 10.0)))
-        operator = replace(model.operator, heat_input=heat, gains=sign * model.operator.gains, sign=sign)
-        np.testing.assert_allclose(Limits.of(replace(model, operator=operator)).heat_W, expected)
+        one = model.only.operator
+        operator = replace(one, heat_input=heat, gains=sign * one.gains, sign=sign)
+        np.testing.assert_allclose(Limits.of(ThermalModel.single(operator, model.only.power)).heat_W, expected)
 
 
 def test_limits_come_from_the_model_that_a_controller_plans_with():
@@ -109,19 +111,19 @@ def test_limits_come_from_the_model_that_a_controller_plans_with():
 def test_a_record_is_screened_like_its_readings_one_by_one():
     rng = np.random.default_rng(3)
     history = past(21.0 + np.cumsum(rng.normal(0, 0.3, 31)))
-    T, heat = np.array(history.T_zone_C), np.array(history.heat_W)
+    T, heat = np.array(history.T_zone_C[0]), np.array(history.heat_W[0])
     T[4], T[12:14], T[20], heat[7] = 99.0, -7.0, NAN, 1e7
     record = replace(history, T_zone_C=T, heat_W=heat)
     found, notes = screened_history(record, HOUSE)
-    assert np.flatnonzero(np.isnan(found.T_zone_C)).tolist() == [4, 12, 13, 20]
-    assert np.flatnonzero(np.isnan(found.heat_W)).tolist() == [7]
+    assert np.flatnonzero(np.isnan(found.T_zone_C[0])).tolist() == [4, 12, 13, 20]
+    assert np.flatnonzero(np.isnan(found.heat_W[0])).tolist() == [7]
     assert [note.split(" at ")[0] for note in notes] == ["T_zone_C", "heat_W"]
     assert "heat_W at 1 of 30 places" in notes[1]
     assert "first 1e+07 W at 25200 s" in notes[1]
     grown = record.slice(0, 0)
     for t in range(30):
-        values = {name: getattr(record, name)[t + 1] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
-        values |= {name: getattr(record, name)[t] for name in ("u", "power_W", "heat_W", "T_return_C")}
+        values = {name: getattr(record, name)[..., t + 1] for name in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")}
+        values |= {name: getattr(record, name)[:, t] for name in ("u", "power_W", "heat_W", "T_return_C")}
         grown = grown.extended(screened(Measurement(**values), HOUSE, grown)[0])
     np.testing.assert_equal(vars(grown), vars(found))
     assert screened_history(history, HOUSE) == (history, ())

@@ -114,7 +114,7 @@ def effect_rmse(model, house: House, seed: int = 99, step_s: float = 3600.0, hou
     """RMSE (K) and RMS (K) of the 24-h effect of random plans against none, by the house's own equations."""
     from thermoforce_mpc.model.operator import feature_matrix, forced_rollout
 
-    operator = model.operator.resampled(step_s)
+    operator = model.only.operator.resampled(step_s)
     time_s, T_out, solar = weather(20, step_s, seed)
     errors, effects = [], []
     for start in range(0, 20 * 24 - hours, hours):

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    Array,
+    Boundary,
+    FreeForecast,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+)
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -63,13 +74,14 @@ class SimpleHouse:
         self._rows.append((duration_s, measurement))
         return measurement
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
+        (level,) = u if isinstance(u, tuple) else (u,)
         if self.now_s + duration_s > self.fail_at_s:
             raise PlantError("the simple house lost its connection")
-        self.applied.append((u, duration_s))
-        measurement = self._advance(u, duration_s)
+        self.applied.append((level, duration_s))
+        measurement = self._advance(level, duration_s)
         lower, upper = bounds_C(np.array(self.now_s))
-        self.kWh += measurement.power_W * duration_s / 3.6e6
+        self.kWh += float(measurement.power_W[0]) * duration_s / 3.6e6
         self.Kh += float(max(lower - self.T, self.T - upper, 0.0)) * duration_s / HOUR_S
         return measurement
 
@@ -85,8 +97,9 @@ class SimpleHouse:
         if step_s != HOUR_S:
             m = m[-1:]
         return Record(
-            **{k: [getattr(x, k) for x in m] for k in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")},
-            **{k: [getattr(x, k) for x in m[1:]] for k in ("u", "power_W", "heat_W")},
+            **{k: [getattr(x, k) for x in m] for k in ("time_s", "T_out_C", "solar_W_m2")},
+            T_zone_C=[x.T_zone_C[0] for x in m],
+            **{k: [getattr(x, k)[0] for x in m[1:]] for k in ("u", "power_W", "heat_W")},
         )
 
     def kpis(self) -> dict[str, float]:
@@ -113,4 +126,4 @@ class OutdoorResponse:
 def simple_model() -> ThermalModel:
     """The exact model of the simple house at hourly steps."""
     power = PowerModel(MachineLoad((FIXED_W, 0.0, PER_U_W, 0.0), (-20.0, 30.0), lowest_level=1.0))
-    return ThermalModel(operator=linear_operator(np.array([POLE]), np.array([GAIN_K]), step_s=HOUR_S), power=power)
+    return ThermalModel.single(linear_operator(np.array([POLE]), np.array([GAIN_K]), step_s=HOUR_S), power)

@@ -28,10 +28,11 @@ from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.forced_history import forced_history, heat_drive
 from thermoforce_mpc.model.gaps import WEATHER, bridged
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Level above which a step counts as on, and least hours on to compare measured heat with the map.
@@ -98,7 +99,7 @@ class AdaptationState:
     (2, 2); `log_heat` and `heat_variance` the same for the delivered heat. The next block begins at `done_s`, s.
     """
 
-    model: ThermalModel
+    model: ZoneModel
     log_factors: Array
     covariance: Array
     log_heat: float
@@ -130,7 +131,7 @@ class OnlineAdaptation:
 
     def __init__(
         self,
-        model: ThermalModel,
+        model: ZoneModel,
         config: AdaptationConfig | None = None,
         identification: IdentificationConfig | None = None,
     ) -> None:
@@ -190,9 +191,9 @@ class OnlineAdaptation:
     def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
         """Return the state after one block: steps `start` … `stop` − 1."""
         time_s = float(history.time_s[stop])
-        known_u = np.isfinite(history.u[start:stop])
+        known_u = np.isfinite(history.u[0, start:stop])
         weather = [np.isfinite(getattr(history, name)[start : stop + 1]).mean() for name in WEATHER]
-        if min(np.isfinite(history.T_zone_C[start : stop + 1]).mean(), known_u.mean(), *weather) < _LEAST_MEASURED:
+        if min(np.isfinite(history.T_zone_C[0, start : stop + 1]).mean(), known_u.mean(), *weather) < _LEAST_MEASURED:
             return state.noted(time_s, "not measured", 0.0)
         history, _ = bridged(history)
         fading = float(np.exp((history.time_s[stop] - history.time_s[start]) / DAY_S / self.config.forgetting_days))
@@ -227,12 +228,14 @@ class OnlineAdaptation:
         block = history.slice(start, stop)
         regression = run_regression(block, operator.heat_input, self._assumed)
         rest = residuals(regression, np.log(operator.time_constants_h))
-        forced = forced_history(operator, history)[start:stop]
-        T_zone = _held(block.T_zone_C)[:-1]
+        forced = forced_history(single(operator), history)[0, 0, start:stop]
+        T_zone = _held(block.T_zone_C[0])[:-1]
         features = feature_matrix(
             T_zone - forced.sum(axis=1), block.T_out_C[:-1], block.solar_W_m2[:-1], block.time_s[:-1]
         )
-        drive = operator.modulation(operator.seen(features, forced)) * heat_drive(operator, history, start, stop)
+        drive = (
+            operator.modulation(operator.seen(features, forced)) * heat_drive(single(operator), history, start, stop)[0]
+        )
         effect = _response(operator, drive)[regression.rows]
         slower, faster = (
             _response(_scaled(operator, 0.0, shift), drive)[regression.rows]
@@ -254,7 +257,7 @@ class OnlineAdaptation:
         heat = self._identified.operator.heat_input.heat
         if heat is None:
             return state
-        u, Q = history.u[start:stop], history.heat_W[start:stop] * self._identified.operator.sign
+        u, Q = history.u[0, start:stop], history.heat_W[0, start:stop] * self._identified.operator.sign
         used = np.isfinite(Q) & (u > _ON) & known_u
         if used.sum() * history.step_s < _LEAST_ON_H * HOUR_S:
             return state

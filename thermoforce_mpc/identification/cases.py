@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
@@ -48,7 +48,7 @@ def identified_heat_input(
         return IDENTITY, ["heat input: identity, as configured"]
     if config.heat_capacity is not None:
         return HeatInput(heat=config.heat_capacity.load()), ["heat input: heat, as given"]
-    heat = np.concatenate([h.heat_W for h in histories]) * sign
+    heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:
         if config.heat_input == "heat":
@@ -64,7 +64,7 @@ def identified_heat_input(
             f"record while the building is in use for {mode}, or check the sign of the heat"
         )
     fit = fit_heat(
-        np.concatenate([h.u for h in histories]),
+        np.concatenate([h.u[0] for h in histories]),
         np.concatenate([h.T_out_C[:-1] for h in histories]),
         heat,
         kinds=kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],),
@@ -78,7 +78,7 @@ def identified_heat_input(
 
 def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:
     """Return a warning if the records contain no level of 0.9 or more, else []."""
-    highest = max(float(np.max(h.u)) for h in histories)
+    highest = max(float(np.max(h.u[0])) for h in histories)
     if highest >= _NEARLY_FULL:
         return []
     return [
@@ -94,11 +94,28 @@ def power_model(
 
     `signed`: levels below 0 cool, with a power of their own.
     """
-    if np.isfinite(np.concatenate([h.power_W for h in histories])).mean() < _MEASURED:
+    if np.isfinite(np.concatenate([h.power_W[0] for h in histories])).mean() < _MEASURED:
         return None
     if signed:
         return fit_signed_power(histories)
     return fit_power(histories, lowest_level=config.lowest_level)
+
+
+def machine_record(record: Record, layout: Layout, machine: int) -> Record:
+    """Return the record of a machine: its power over its own level, the levels it feeds by their shares of it.
+
+    Raises:
+        DataError: the machine feeds no actuator.
+    """
+    fed = layout.fed_by(machine)
+    if not fed:
+        raise DataError(f"machine {layout.names.machines[machine]} feeds no actuator")
+    part = record.part(layout.home[fed[0]], fed[:1], [machine])
+    if len(fed) == 1:
+        return part
+    weights = np.array([layout.shares[a] or 1.0 for a in fed])
+    level = np.clip(weights @ record.u[fed], min(0.0, *(layout.lowest[a] for a in fed)), 1.0)
+    return replace(part, u=level, heat_W=record.heat_W[fed].sum(axis=0))
 
 
 def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]:
@@ -138,7 +155,7 @@ def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
     """Return the smallest and largest value of each signal, and (0, days of data)."""
     out = {}
     for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
-        values = np.concatenate([getattr(h, name) for h in histories])
+        values = np.concatenate([np.atleast_2d(getattr(h, name))[0] for h in histories])
         out[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
     out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / (24 * HOUR_S))
     return out

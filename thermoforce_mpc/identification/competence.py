@@ -307,7 +307,7 @@ def _more(hours: float, factor: float) -> str:
 
 def _levels(records: Sequence[Record]) -> str:
     """Advice on levels."""
-    highest = max(float(np.max(r.u)) for r in records)
+    highest = max(float(np.max(r.u[0])) for r in records)
     if highest < _NEARLY_FULL:
         return f"the highest level was {highest:.2g}: probe full level too"
     return "hold full level and off for 4 hours or longer at times, as far as comfort allows: the slow part shows then"

@@ -10,7 +10,7 @@ part cancels (paper eq:paired).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
@@ -28,6 +28,8 @@ from thermoforce_mpc.identification.regression_data import (
     free_prior,
     free_time_constants,
     likely_scale,
+    other_columns,
+    other_prior_sd,
     scaled,
     start_sd,
 )
@@ -47,6 +49,8 @@ class JointFit:
 
     `log_tau` (r,): ln(τ/h). `gains` (r,): [slope K/h, G_2 … G_r K], positive. `covariance` (2r, 2r): posterior of both,
     time constants first. `free_log_tau` (q,); `free_gains` (q, 8): steady free gains per unit of `INPUTS`.
+    `other_gains` (K, r): [slope, G_2 … G_r] of the other actuators, positive in the direction of their sign, with
+    `other_covariance` (K, 2r, 2r) as `covariance`; `other_sd` (K, r): prior standard deviations of these gains.
     `residual_scale`: RMS of the whitened residual (1: disturbances as large as assumed). `objective`: negative log
     posterior at its maximum, up to a constant.
     """
@@ -58,6 +62,13 @@ class JointFit:
     free_gains: Array
     residual_scale: float
     objective: float
+    other_gains: Array = field(default_factory=lambda: np.empty((0, 0)))
+    other_covariance: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    other_sd: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    def of_other(self, k: int) -> JointFit:
+        """The fit as that of the zone's response to other actuator `k`."""
+        return replace(self, gains=self.other_gains[k], covariance=self.other_covariance[k])
 
     def free_model(self, step_s: float, config: IdentificationConfig) -> RcParameters:
         """Return the free part as a linear model at `step_s`."""
@@ -98,18 +109,24 @@ def fit_joint(
         solution = _solve(used, log_tau, priors, sign)
     residual_scale = _residual_scale(regressions, log_tau, solution.values, priors, sign)
     found = min(1.0, likely_scale(residual_scale) / scale)
-    r = priors.order
+    r, K = priors.order, regressions[0].others.shape[0]
     free_log_tau = free_time_constants(log_tau)
+    covariance = _joint_covariance(used, log_tau, solution.values, priors, sign, found)
+    of_tau = np.arange(r)
+    of_others = [np.concatenate([of_tau, r + (1 + k) * r + of_tau]) for k in range(K)]
     return JointFit(
         log_tau=log_tau,
         gains=solution.values[:r],
-        covariance=_joint_covariance(used, log_tau, solution.values, priors, sign, found),
+        covariance=covariance[: 2 * r, : 2 * r],
         free_log_tau=free_log_tau,
         free_gains=_free_gains(
-            solution.values[r:], free_log_tau.size, with_free=any(not b.is_pair for b in regressions)
+            solution.values[r + K * r :], free_log_tau.size, with_free=any(not b.is_pair for b in regressions)
         ),
         residual_scale=residual_scale,
         objective=solution.objective,
+        other_gains=solution.values[r : r + K * r].reshape(K, r),
+        other_covariance=np.array([covariance[np.ix_(i, i)] for i in of_others]).reshape(K, 2 * r, 2 * r),
+        other_sd=other_prior_sd(regressions[0], r).reshape(K, r),
     )
 
 
@@ -151,13 +168,17 @@ def _system(
 ) -> tuple[Array, Array, Array, int]:
     """Return the whitened regression for given time constants: design, target, lower bounds, number of data rows.
 
-    Columns: gains, shared free part, initial states run by run. The last rows are the priors.
+    Columns: gains, those of the other actuators, shared free part, initial states run by run. The last rows are the
+    priors.
     """
-    r = log_tau.size
+    others = regressions[0].others.shape[0] * log_tau.size
+    r = log_tau.size + others
     free_log_tau = free_time_constants(log_tau)
     runs = [i for i, regression in enumerate(regressions) if not regression.is_pair]
     n_starts = free_log_tau.size + 1
     mean, sd = priors.gains_at(log_tau)
+    mean = np.concatenate([mean, np.zeros(others)])
+    sd = np.concatenate([sd, other_prior_sd(regressions[0], log_tau.size)])
     low = np.zeros(r)
     if runs:
         free_mean, free_sd, free_low = free_prior(free_log_tau.size)
@@ -168,7 +189,9 @@ def _system(
     designs, targets = [], []
     for i, regression in enumerate(regressions):
         columns = np.zeros((regression.rows.size, mean.size))
-        columns[:, :r] = forced_columns(regression, log_tau, sign)
+        columns[:, :r] = np.concatenate(
+            [forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)], axis=1
+        )
         if not regression.is_pair:
             shared, start = free_columns(regression, log_tau, free_log_tau)
             columns[:, r : r + shared.shape[1]] = shared
@@ -210,7 +233,7 @@ def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
 def _joint_covariance(
     regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int, found: float
 ) -> Array:
-    """Return the error covariance of [ln τ, gains], shape (2r, 2r), marginalised over all other parameters.
+    """Return the error covariance of [ln τ, gains of the own and the other actuators], marginalised over the rest.
 
     Laplace approximation: H = P + D is the Gauss-Newton Hessian of the negative log posterior at its maximum, with P
     the precision of the priors and D that of the data. If the disturbances of runs are only `found` times the assumed
@@ -218,6 +241,7 @@ def _joint_covariance(
     in the estimate. It is H⁻¹ for found = 1.
     """
     r = log_tau.size
+    acting = 2 * r + regressions[0].others.shape[0] * r
 
     def residual(at: Array) -> Array:
         design, target, _, _ = _system(regressions, at, priors, sign)
@@ -235,4 +259,4 @@ def _joint_covariance(
     data = jacobian[:rows]
     inverse = np.linalg.inv(data.T @ data + prior)
     scaled_data = data * errors[:, None]
-    return np.asarray(inverse @ (scaled_data.T @ scaled_data + prior) @ inverse)[: 2 * r, : 2 * r]
+    return np.asarray(inverse @ (scaled_data.T @ scaled_data + prior) @ inverse)[:acting, :acting]

@@ -1,6 +1,7 @@
 """Likelihood of a forced response, marginalised over the free part and disturbances.
 
-Given the time constants, the rest of the target is Gaussian: prior of free gains and initial state, plus disturbances.
+Given the time constants, the rest of the target is Gaussian: prior of free gains, initial state and gains of the other
+actuators, plus disturbances.
 So the residual r = target − F has a known mean and covariance C = L Lᵀ. Training minimises the whitened residual
 L⁻¹(r − mean). Model choices use its later rows, each conditioned on all rows before: these weigh effects of an action
 within hours, which in a plain error over a day are masked by weather errors. The rollout error over the horizon, the
@@ -21,6 +22,8 @@ from thermoforce_mpc.identification.regression_data import (
     free_columns,
     free_prior,
     free_time_constants,
+    other_columns,
+    other_prior_sd,
     start_sd,
 )
 
@@ -65,9 +68,11 @@ def whitened(regression: RegressionData, values: Array) -> Array:
 
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     """Return mean and covariance of target − F in `regression` for these time constants."""
+    coupled = other_columns(regression, log_tau) * other_prior_sd(regression, log_tau.size)
     if regression.is_pair:
-        return Residuals(np.zeros(regression.rows.size), np.diag(np.diagonal(regression.factor) ** 2))
-    noise = regression.factor @ regression.factor.T
+        noise = np.diag(np.diagonal(regression.factor) ** 2) + coupled @ coupled.T
+        return Residuals(np.zeros(regression.rows.size), noise)
+    noise = regression.factor @ regression.factor.T + coupled @ coupled.T
     shared, start = free_columns(regression, log_tau, free_time_constants(log_tau))
     mean, sd, _ = free_prior(free_time_constants(log_tau).size)
     columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)

@@ -17,6 +17,7 @@ from thermoforce_mpc.identification.likelihood import Split, residuals, whole
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
 from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -30,12 +31,17 @@ _LINEAR_HELD_SD = 0.02
 
 def _features(operator: OperatorParameters, history: Record, feedback: bool) -> Array:
     """Return the features x_t (n, 4) of a run, with T − F (no gradient through F) or, with feedback, measured T."""
-    forced = forced_history(operator, history).sum(axis=1) if not feedback else 0.0
-    free = history.T_zone_C - forced
+    forced = 0.0 if feedback else _own_forced(operator, history)
+    free = history.T_zone_C[0] - forced
     steps = np.arange(free.size)
     known = np.isfinite(free)
     free = np.interp(steps, steps[known], free[known])
     return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
+
+
+def _own_forced(operator: OperatorParameters, history: Record) -> Array:
+    """Return the forced response (n + 1,) K of a zone to its own actuator."""
+    return forced_history(single(operator), history.part(0, [0])).sum(axis=(0, 1, 3))
 
 
 def modulate(

@@ -1,36 +1,24 @@
-"""From recorded runs to a thermal model: heat input, order, linear fit, monotone-neural gain, power.
+"""From recorded runs of a building to its thermal model, zone by zone.
 
-Order: refuse what cannot identify; fit heat and electric power to what was measured; fit every order to the
-first part of the data and keep the one whose rollouts are best on the rest; fit it to everything; train the modulation
-the same way; refuse an operator that explains next to nothing or whose sign is not proven, whatever the method. All
-steps are deterministic for a given seed.
+Refuse what cannot identify; fit heat and power to what was measured; fit each zone with its own actuator and all others
+(`identification.zone`), so that the effects of all pairs of zone and actuator are estimated together; assemble the
+operator of the building. All steps are deterministic for a given seed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Record
+from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import (
-    Case,
-    held_out,
-    identified_heat_input,
-    named,
-    normalisation,
-    power_model,
-    ranges,
-)
-from thermoforce_mpc.identification.competence import held_out_h, held_out_rmse_K, judge
+from thermoforce_mpc.identification.cases import identified_heat_input, machine_record, named, power_model
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit, fit_joint
-from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
-from thermoforce_mpc.identification.modulation import modulate, prove
-from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
+from thermoforce_mpc.identification.couplings import assembled, other_actuator
+from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.records import (
     Pair,
     check_pairs,
@@ -38,25 +26,12 @@ from thermoforce_mpc.identification.records import (
     data_hash,
     prepared_pairs,
     prepared_runs,
-    resolution_K,
 )
-from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
-from thermoforce_mpc.identification.two_stage_model import two_stage_model
-from thermoforce_mpc.identification.uncertainty import uncertainty
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.identification.zone import ZoneTask, identify_zone
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
-
-# Least share of the whitened variance that the forced response must explain to be accepted.
-_LEAST_EXPLAINED = 0.1
-# Held-out hours from which priors of the initial slope are compared: fewer decide by chance.
-_LEAST_HELD_OUT_H = 9.0
-# Share of the held-out error that another prior of the initial slope must undercut to be taken.
-_CLEARLY_BETTER = 0.9
-# Relative standard deviation of the answer after a day from which a model is called uncertain.
-_UNCERTAIN = 0.15
+from thermoforce_mpc.model.zone_model import ZoneModel
 
 
 def identify(
@@ -64,6 +39,7 @@ def identify(
     pairs: Sequence[Pair] = (),
     *,
     config: IdentificationConfig | None = None,
+    layout: Layout | None = None,
     mode: Literal["heating", "cooling", "both"] = "heating",
     lowest: float = 0.0,
     floor_area_m2: float | None = None,
@@ -77,6 +53,7 @@ def identify(
         runs: one recorded run or several, each with its own excitation, of about a day or longer.
         pairs: runs that share start and weather (paper eq:paired). All records have one step.
         config: options.
+        layout: what acts where; by default one zone with one actuator, described by the next three.
         mode: sign of what the actuator does to the zone; both: levels are signed, cooling below 0.
         lowest: lowest level, below 0 with mode both.
         floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on. Readings of heat and
@@ -86,12 +63,13 @@ def identify(
         progress: told each stage in a few words, for example `print`.
 
     Returns:
-        Operator, electric power (where measured), linear free model (where there are runs) and model card. Its notes
-        say which readings were rejected and how gaps were bridged or left out (`prepared_runs`), its `competence`
+        Operator, electric power (where measured), linear free model (where there are runs) and model cards. Their notes
+        say which readings were rejected and how gaps were bridged or left out (`prepared_runs`), their `competence`
         whether the model is good enough to act on; one that is not is returned all the same.
 
     Raises:
-        DataError: there are no data, or they cannot be fitted at all; the message has the numbers and what to do.
+        DataError: there are no data, they do not fit the layout, or they cannot be fitted at all; the message has the
+            numbers and what to do.
     """
     config = config or IdentificationConfig()
     runs = (runs,) if isinstance(runs, Record) else tuple(runs)
@@ -101,153 +79,69 @@ def identify(
         raise DataError(f"mode is {mode} and the lowest level {lowest:g}: mode both needs one below 0, others 0")
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
-    names = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
-    data = {name: data_hash(h) for name, h in named(names, runs, pairs)}
-    allowed = Limits.of(None, floor_area_m2, lowest)
+    if layout is None:
+        given = (runs[0] if runs else pairs[0].a).names
+        if not given.single:
+            raise DataError(f"the records have {given}: say what acts where (layout)")
+        layout = replace(Layout.single(mode, lowest, floor_area_m2), names=given)
+    _check_names(layout, [*runs, *(h for p in pairs for h in (p.a, p.b))])
+    labels = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
+    data = {name: data_hash(h) for name, h in named(labels, runs, pairs)}
+    area_m2 = float(np.sum(layout.floor_area_m2))
+    allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
     runs, gaps = prepared_runs(runs, allowed)
     pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
-    sign = -1 if mode == "cooling" else 1
-    heat_input, notes = identified_heat_input(histories, config, sign, lowest)
-    notes = [*gaps, *pair_gaps, *notes]
-    grid_K = resolution_K(runs)
-    if grid_K:
-        # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
-        sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
-        config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
-        notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-    days = sum(h.n_steps * h.step_s for h in histories) / DAY_S
-    say(f"fitting the forced response to {days:.3g} days at {histories[0].step_s:g} s")
-    cases = [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
-    cases += [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
-    if config.method == "two_stage":
-        model = two_stage_model(runs, pairs, data, config, heat_input, sign, step_s, source, notes)
-    else:
-        model = _joint_model(
-            runs, pairs, data, cases, config, heat_input, floor_area_m2, sign, step_s, source, notes, say
+
+    heat_inputs: list[HeatInput] = []
+    notes: list[list[str]] = []
+    for a, (sign, home) in enumerate(zip(layout.signs, layout.home, strict=True)):
+        parts = [h.part(home, [a], [layout.machine_of[a]]) for h in histories]
+        heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a])
+        heat_inputs.append(heat_input)
+        notes.append([*gaps, *pair_gaps, *told])
+    zones: list[ZoneModel] = []
+    fits: list[JointFit | None] = []
+    for a, home in enumerate(layout.home):
+        order = [a, *(b for b in range(len(layout.home)) if b != a)]
+        area = layout.floor_area_m2[home]
+        task = ZoneTask(
+            [h.part(home, order, [layout.machine_of[a]]) for h in runs],
+            [p.part(home, order, [layout.machine_of[a]]) for p in pairs],
+            heat_inputs[a],
+            layout.signs[a],
+            [other_actuator(layout, heat_inputs, config, a, b) for b in order[1:]],
+            area if np.isfinite(area) else None,
+            step_s,
+            source,
+            data,
+            notes[a],
         )
-    model = _accepted(model, cases, sign)
-    say(f"identified an operator of order {model.operator.order}")
-    return model
+        who = "" if layout.names.single else f"{layout.names.actuators[a]} on {layout.names.zones[home]}: "
+        try:
+            zone, fit = identify_zone(task, config, lambda text, who=who: say(who + text))  # type: ignore[misc]
+        except DataError as error:
+            raise DataError(f"{who}{error}") from error
+        zones.append(zone)
+        fits.append(fit)
+    power = [
+        power_model([machine_record(h, layout, m) for h in histories], config, signed=_signed(layout, m))
+        for m in range(len(layout.names.machines))
+    ]
+    return assembled(layout, zones, fits, power, config)
 
 
-def _accepted(model: ThermalModel, cases: Sequence[Case], sign: int) -> ThermalModel:
-    """`model`, with the share that its actions explain on its card.
-
-    Raises:
-        DataError: they explain too little, or their effect has no proven sign.
-    """
-    explained = explained_share(cases, model.operator)
-    _check_explained(explained, cases, sign)
-    prove(model.operator)
-    scores = {**model.card.scores, "explained_by_actuation": explained}
-    return replace(model, card=replace(model.card, scores=scores))
+def _signed(layout: Layout, machine: int) -> bool:
+    return any(layout.lowest[a] < 0.0 for a in layout.fed_by(machine))
 
 
-def _check_explained(explained: float, cases: Sequence[Case], sign: int) -> None:
-    if explained >= _LEAST_EXPLAINED:
-        return
-    dark = not any(np.any(h.solar_W_m2) for case in cases for h in case.histories)
-    raise DataError(
-        f"no effect of the actuator with the sign of {'heating' if sign > 0 else 'cooling'} was found in the data: it "
-        f"explains {100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; "
-        "check the sign of u, whether the actuator reached the zone, and that the zone sensor is in the room that it "
-        f"serves, or probe harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
-    )
-
-
-def _joint_model(
-    runs: Sequence[Record],
-    pairs: Sequence[Pair],
-    data: Mapping[str, str],
-    cases: Sequence[Case],
-    config: IdentificationConfig,
-    heat_input: HeatInput,
-    floor_area_m2: float | None,
-    sign: int,
-    step_s: float | None,
-    source: str,
-    notes: Sequence[str],
-    say: Callable[[str], None],
-) -> ThermalModel:
-    """The joint estimator as a thermal model: order chosen on held-out data, modulation trained where it pays."""
-    histories = [h for case in cases for h in case.histories]
-    splits = held_out(cases, config)
-
-    def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
-        return {
-            order: fit_and_judge(cases, splits, mode_priors(order, chosen, heat_input, floor_area_m2), config, sign)
-            for order in chosen.orders()
-        }
-
-    def error_K(found: dict[int, Fitted]) -> float:
-        best = found[choose_order(found)]
-        return held_out_rmse_K(cases, splits, best.fit, best.priors, sign)
-
-    candidates = judged(config)
-    if config.start_slope_K_per_h is None and held_out_h(cases, splits) >= _LEAST_HELD_OUT_H:
-        # Heat that reaches the air at once is not that of a slab; which it is shows in the held-out predictions.
-        most_K = _CLEARLY_BETTER * error_K(candidates)
-        for slope in DIRECT_SLOPES_K_PER_H:
-            direct = judged(config.model_copy(update={"start_slope_K_per_h": slope}))
-            direct_K = error_K(direct)
-            if direct_K < most_K:
-                candidates, most_K = direct, direct_K
-                told = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
-                notes = [*(note for note in notes if not note.startswith("the zone responds")), told]
-    order = choose_order(candidates)
-    priors = candidates[order].priors
-    final = fit_joint([c.regression for c in cases], priors, config, sign)
-    base_step = histories[0].step_s
-    mean, scale = normalisation(histories)
-
-    def linear(fit: JointFit) -> OperatorParameters:
-        return to_operator(
-            fit.log_tau,
-            fit.gains,
-            step_s=base_step,
-            bounds_h=priors.bounds_h(),
-            sign=sign,
-            gamma=config.gamma,
-            hidden=config.hidden,
-            heat_input=heat_input,
-            feature_mean=mean,
-            feature_scale=scale,
-        )
-
-    operator = replace(linear(final), feedback=config.feedback)
-    scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
-    scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
-    scores["residual_scale"] = final.residual_scale
-    if config.modulation == "neural":
-        say(f"order {order} is best on held-out data; training the modulation of the gain")
-        operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
-        scores |= neural
-    operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s) | {"sensor_resolution_K": resolution_K(runs)}
-    explained = explained_share(cases, operator)
-    _check_explained(explained, cases, sign)
-    verdict = judge(
-        cases, splits, candidates[order].fit, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0
-    )
-    return ThermalModel(
-        operator=operator,
-        power=power_model(histories, config, signed=heat_input.lowest < 0.0),
-        free=final.free_model(step_s or base_step, config) if runs else None,
-        card=ModelCard(
-            source=source,
-            data=data,
-            ranges=ranges(histories),
-            scores=scores,
-            uncertainty=certainty,
-            config=config.model_dump(mode="json"),
-            notes=(*notes, *_warnings(certainty)),
-            competence=verdict,
-        ),
-    )
+def _check_names(layout: Layout, records: Sequence[Record]) -> None:
+    for record in records:
+        if record.names != layout.names:
+            raise DataError(f"the record is of {record.names}, the layout of {layout.names}: another building?")
 
 
 def _times_of(records: Sequence[Record]) -> str:
@@ -256,11 +150,3 @@ def _times_of(records: Sequence[Record]) -> str:
         return "identified"
     spans = [f"{record.stamps()[0]} to {record.stamps()[-1]}" for record in records]
     return f"records of {'; '.join(spans)}"
-
-
-def _warnings(certainty: Mapping[str, float]) -> list[str]:
-    """What a user should know before trusting the model."""
-    share = certainty["step_response_24h_sd_K"] / max(certainty["step_response_24h_K"], 1e-9)
-    if share <= _UNCERTAIN:
-        return []
-    return [f"uncertain: the effect of a day of action is known to ± {100 * share:.0f} % only; probe longer or harder"]

@@ -47,12 +47,16 @@ class Pair:
             first, second = getattr(self.a, name), getattr(self.b, name)
             if first.shape != second.shape or not np.allclose(first, second, atol=1e-6, equal_nan=True):
                 raise DataError(f"{what}: {name} differs between the two runs; a pair shares clock and weather")
-        start = abs(float(self.a.T_zone_C[0] - self.b.T_zone_C[0]))
+        start = abs(float(self.a.T_zone_C[0, 0] - self.b.T_zone_C[0, 0]))
         if not start <= MAX_START_DIFFERENCE_K:
             raise DataError(
                 f"{what}: the zone starts {start:.3f} K apart, more than {MAX_START_DIFFERENCE_K} K: "
                 "start both runs from the same state"
             )
+
+    def part(self, zone: int, actuators: Sequence[int], machines: Sequence[int] = ()) -> Pair:
+        """The pair of one zone with some of the actuators and machines, see `Record.part`."""
+        return Pair(self.a.part(zone, actuators, machines), self.b.part(zone, actuators, machines), self.label)
 
 
 def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
@@ -132,7 +136,7 @@ def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tupl
 def _usable(history: Record) -> NDArray[np.bool_]:
     """Return which steps have a known level and known or bridged weather, shape (n,)."""
     lost = np.any([long_gaps(history, name) for name in WEATHER], axis=0)
-    return np.asarray(np.isfinite(history.u) & ~lost[:-1] & ~lost[1:])
+    return np.asarray(np.isfinite(history.u[0]) & ~lost[:-1] & ~lost[1:])
 
 
 def _pieces(run: Record) -> list[Record]:
@@ -143,7 +147,7 @@ def _pieces(run: Record) -> list[Record]:
 
 def resolution_K(runs: Sequence[Record]) -> float:
     """Return the resolution of the zone sensor, K: the grid that all readings lie on, 0 where there is none."""
-    readings = np.concatenate([run.T_zone_C for run in runs]) if runs else np.empty(0)
+    readings = np.concatenate([run.T_zone_C[0] for run in runs]) if runs else np.empty(0)
     readings = readings[np.isfinite(readings)]
     values = np.unique(np.round(readings, 6))
     if values.size < 3 or values.size > _GRID_SHARE * readings.size:
@@ -167,7 +171,7 @@ def check_run(history: Record, name: str, levels: tuple[float, float] = LEVEL) -
             f"{name}: {days:.2f} days of data, need at least {MIN_DAYS} to separate the slow part of the response "
             "from the daily cycle of the weather; record one to three days"
         )
-    u = history.u
+    u = history.u[0]
     on_h = float((np.abs(u) > 0.02).sum()) * history.step_s / HOUR_S
     changes = int((np.abs(np.diff(u)) > 0.02).sum())
     spread = float(np.std(u))
@@ -191,7 +195,7 @@ def check_pairs(pairs: Sequence[Pair]) -> None:
         name = f"pair {pair.label or index}"
         _check_signals(pair.a, name + " (first run)")
         _check_signals(pair.b, name + " (second run)")
-    largest = max(float(np.max(np.abs(p.a.u - p.b.u))) for p in pairs)
+    largest = max(float(np.max(np.abs(p.a.u[0] - p.b.u[0]))) for p in pairs)
     if largest < MIN_SD_U:
         raise DataError(
             f"pairs: u differs by at most {largest:.3f} between the runs of any pair, need {MIN_SD_U:g}: "
@@ -213,7 +217,7 @@ def check_steps(histories: Sequence[Record]) -> None:
 def _check_signals(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
-    finite = np.isfinite(history.T_zone_C)
+    finite = np.isfinite(history.T_zone_C[0])
     if not finite.any():
         raise DataError(f"{name}: every zone temperature is NaN; check the point of the sensor")
     if finite.mean() < 0.5:
@@ -226,9 +230,9 @@ def _check_signals(history: Record, name: str, levels: tuple[float, float] = LEV
                 f"{name}: {signal} is not finite at {gaps.size} of {values.size} places, first at {gaps[0]}; "
                 "cut the record there or fill it"
             )
-    if (history.u < levels[0]).any() or (history.u > levels[1]).any():
+    if (history.u[0] < levels[0]).any() or (history.u[0] > levels[1]).any():
         raise DataError(
-            f"{name}: u ranges from {history.u.min():g} to {history.u.max():g}, expected "
+            f"{name}: u ranges from {history.u[0].min():g} to {history.u[0].max():g}, expected "
             f"[{levels[0] + ROUNDING:g}, 1]; rescale it"
         )
 

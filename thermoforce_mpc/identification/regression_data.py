@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,8 @@ class RegressionData:
 
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `factor` (rows, rows) lower Cholesky factor of
     the disturbance covariance, K; `inputs` (n, 8) weather of the steps, empty for a pair; `drives`: sign and drive v
-    (n,) of each run.
+    (n,) of each run. `others` (K, n): drives of the other actuators, signed by their sign, of a pair their difference;
+    `other_sd` (K, 2): prior standard deviations of their initial slope, K/h, and of their steady gains, K.
     """
 
     target: Array
@@ -60,6 +61,8 @@ class RegressionData:
     step_s: float
     drives: tuple[tuple[int, Array], ...]
     inputs: Array
+    others: Array = field(default_factory=lambda: np.empty((0, 0)))
+    other_sd: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def n_steps(self) -> int:
@@ -72,8 +75,29 @@ class RegressionData:
         return self.inputs.size == 0
 
 
-def run_regression(history: Record, heat_input: HeatInput, config: IdentificationConfig) -> RegressionData:
-    """Return a run as a regression; missing temperatures are omitted.
+@dataclass(frozen=True)
+class OtherActuator:
+    """An actuator besides the zone's own: what it delivers, and its sign.
+
+    Its effect on the zone has a prior around zero: standard deviation `slope_sd` of the initial slope, K/h, and
+    `gain_sd` of the steady gain of each slower mode, K. A neighbour's heat comes through walls and doors: less, later.
+    """
+
+    heat_input: HeatInput
+    sign: int
+    slope_sd: float
+    gain_sd: float
+
+
+def run_regression(
+    history: Record,
+    heat_input: HeatInput,
+    config: IdentificationConfig,
+    others: Sequence[OtherActuator] = (),
+) -> RegressionData:
+    """Return a run of one zone as a regression; missing temperatures are omitted.
+
+    The first level of `history` is that of the zone's own actuator, the rest are those of `others`.
 
     The drive is v(u), the heat capacity at the applied level, and not the measured heat that drives the forced history
     of a controlled run (`forced_history.heat_drive`). A plan knows levels only, so the gain is identified per level and
@@ -84,23 +108,37 @@ def run_regression(history: Record, heat_input: HeatInput, config: Identificatio
     n = history.n_steps
     stride = max(1, -(-n // _MAX_ROWS))
     rows = np.arange(0, n + 1, stride)
-    rows = rows[np.isfinite(history.T_zone_C[rows])]
+    rows = rows[np.isfinite(history.T_zone_C[0, rows])]
     return RegressionData(
-        target=history.T_zone_C[rows] - REFERENCE_C,
+        target=history.T_zone_C[0, rows] - REFERENCE_C,
         rows=rows,
         factor=cholesky(disturbance_covariance(history.time_s[rows], config), lower=True),
         step_s=history.step_s,
-        drives=((1, heat_input(history.u, history.T_out_C[:-1])),),
+        drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
+        others=_other_drives(history, others),
+        other_sd=_other_sd(others),
     )
 
 
-def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
-    """Return a pair as a regression of the difference a − b."""
-    difference = pair.a.T_zone_C - pair.b.T_zone_C
+def _other_sd(others: Sequence[OtherActuator]) -> Array:
+    return np.array([[o.slope_sd, o.gain_sd] for o in others]).reshape(len(others), 2)
+
+
+def _other_drives(history: Record, others: Sequence[OtherActuator]) -> Array:
+    """Drives of the other actuators, signed (K, n)."""
+    rows = [o.sign * o.heat_input(u, history.T_out_C[:-1]) for o, u in zip(others, history.u[1:], strict=True)]
+    return np.array(rows).reshape(len(others), history.n_steps)
+
+
+def pair_regression(pair: Pair, heat_input: HeatInput, others: Sequence[OtherActuator] = ()) -> RegressionData:
+    """Return a pair of one zone as a regression of the difference a − b; levels as in `run_regression`."""
+    difference = pair.a.T_zone_C[0] - pair.b.T_zone_C[0]
     rows = np.flatnonzero(np.isfinite(difference))
     rows = rows[rows > 0]
-    drives = tuple((sign, heat_input(history.u, history.T_out_C[:-1])) for sign, history in ((1, pair.a), (-1, pair.b)))
+    drives = tuple(
+        (sign, heat_input(history.u[0], history.T_out_C[:-1])) for sign, history in ((1, pair.a), (-1, pair.b))
+    )
     return RegressionData(
         target=difference[rows],
         rows=rows,
@@ -108,6 +146,8 @@ def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
         step_s=pair.a.step_s,
         drives=drives,
         inputs=np.empty((0, len(INPUTS))),
+        others=_other_drives(pair.a, others) - _other_drives(pair.b, others),
+        other_sd=_other_sd(others),
     )
 
 
@@ -133,6 +173,17 @@ def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Arr
     """Return the forced response of each row per unit of [slope, G_2 … G_r], shape (rows, r), K."""
     total = sum(s * unit_responses(log_tau, regression.step_s, drive) for s, drive in regression.drives)
     return np.asarray(sign * np.asarray(total)[regression.rows])
+
+
+def other_columns(regression: RegressionData, log_tau: Array) -> Array:
+    """Return the response of each row to the other actuators, (rows, K r) K per unit of [slope, G_2 … G_r] of each."""
+    columns = [unit_responses(log_tau, regression.step_s, drive)[regression.rows] for drive in regression.others]
+    return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
+
+
+def other_prior_sd(regression: RegressionData, order: int) -> Array:
+    """Return the prior standard deviations of the columns of `other_columns`, shape (K r,)."""
+    return np.array([[slope, *[gain] * (order - 1)] for slope, gain in regression.other_sd]).ravel()
 
 
 def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:

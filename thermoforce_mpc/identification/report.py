@@ -12,6 +12,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 from thermoforce_mpc.model.gaps import bridged
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -27,80 +28,109 @@ _BAND = 1.645
 
 @dataclass(frozen=True)
 class Rollouts:
-    """Predictions of a record: `predicted_C` (n + 1,) °C, NaN before the first rollout, and their RMSE, K."""
+    """Predictions of a record: `predicted_C` (Z, n + 1) °C, NaN before the first rollout, and their RMSE (Z,), K."""
 
     predicted_C: Array
-    rmse_K: float
+    rmse_K: Array
 
 
 def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> Rollouts | None:
     """Predict a record by consecutive rollouts of `hours`, each from the record before it with the measured weather.
 
-    Gaps in the record's weather and levels are bridged. Returns None if the model has no linear free part (identified
+    Gaps in the record's weather and levels are bridged. Returns None if a zone has no linear free part (identified
     from pairs only) or the record is too short.
     """
     n = max(1, round(hours * HOUR_S / record.step_s))
-    if model.free is None or record.n_steps < 2 * n:
+    known = [free for free in model.free if free is not None]
+    if len(known) < len(model.free) or record.n_steps < 2 * n:
         return None
     record, _ = bridged(record)
-    predictor = Predictor(model.operator, RcFreeResponse(model.free))
-    predicted = np.full(record.n_steps + 1, np.nan)
+    predictor = Predictor(model.operator, [RcFreeResponse(free) for free in known])
+    predicted = np.full(record.T_zone_C.shape, np.nan)
     for start in range(n, record.n_steps, n):
         stop = min(start + n, record.n_steps)
         context = predictor.context(Observation(record.slice(0, start), record.slice(start, stop).weather()))
-        predicted[start + 1 : stop + 1] = context.predict(record.u[start:stop]).total_C
+        predicted[:, start + 1 : stop + 1] = context.predict(record.u[:, start:stop]).total_C
     error = predicted - record.T_zone_C
-    return Rollouts(predicted, float(np.sqrt(np.nanmean(error**2))))
+    return Rollouts(predicted, np.sqrt(np.nanmean(error**2, axis=1)))
 
 
 def plot_identification(path: Path, model: ThermalModel, record: Record) -> None:
-    """Write the figure: record and rollouts, actions, and the step response of the linear fit with its 90 % band."""
+    """Write the figure: record and rollouts of each zone, levels, and the step responses with their 90 % bands.
+
+    The step responses are a matrix, zones by actuators; an empty cell is a pair without an effect.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
-    top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 1, 3])
+    zones, actuators, _ = model.operator.shape
+    figure = Figure(figsize=(max(9.0, 3.0 * actuators), 5.0 + 3.0 * zones), layout="constrained")
+    upper, lower = np.ravel(figure.subfigures(2, 1, height_ratios=[3 * zones + 1, 3 * zones]))
+    courses = upper.subplots(zones + 1, 1, height_ratios=[3] * zones + [1], squeeze=False, sharex=True)[:, 0]
     days = record.time_s / DAY_S
-    top.set_title("Measured and predicted zone temperature", loc="left")
-    top.plot(days, record.T_zone_C, color="black", linewidth=1.2, label="measured")
     found = rollouts(model, record)
-    if found is not None:
-        label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K:.2f} K"
-        top.plot(days, found.predicted_C, color="tab:red", linewidth=1.2, label=label)
-    top.set_ylabel("zone temperature, °C")
-    top.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, frameon=False)
-    middle.stairs(record.u, days, color="tab:blue", fill=True, alpha=0.5)
-    middle.set_ylabel("level u")
-    middle.set_ylim(0, 1.05)
-    middle.set_xlabel("days since 1 January")
-    _plot_answer(bottom, model)
+    for z, axes in enumerate(courses[:-1]):
+        of = "" if zones == 1 else f", {model.operator.zones[z]}"
+        axes.set_title(f"Measured and predicted zone temperature{of}", loc="left")
+        axes.plot(days, record.T_zone_C[z], color="black", linewidth=1.2, label="measured")
+        if found is not None:
+            label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K[z]:.2f} K"
+            axes.plot(days, found.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
+        axes.set_ylabel("zone temperature, °C")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, frameon=False)
+    for a, name in enumerate(model.operator.actuators):
+        courses[-1].stairs(record.u[a], days, color=f"C{a}", fill=actuators == 1, alpha=0.5, label=name)
+    if actuators > 1:
+        courses[-1].legend(loc="upper left", ncols=actuators, frameon=False, fontsize="small")
+    courses[-1].set_ylabel("level u")
+    courses[-1].set_ylim(0, 1.05)
+    courses[-1].set_xlabel("days since 1 January")
+    cells = lower.subplots(zones, actuators, squeeze=False, sharex=True)
+    for z, a, pair in model.operator.each():
+        _plot_answer(cells[z, a], model, z, a, pair)
+    for z in range(zones):
+        for a in range(actuators):
+            if model.operator.pairs[z][a] is None:
+                cells[z, a].set_title(f"{model.operator.actuators[a]} on {model.operator.zones[z]}", loc="left")
+                cells[z, a].text(0.5, 0.5, "no effect", ha="center", transform=cells[z, a].transAxes)
+        cells[z, 0].set_ylabel("change of the zone temperature, K")
+    for axes in cells[-1]:
+        axes.set_xlabel("hours since the step")
     figure.savefig(path, dpi=120, metadata={"Software": None})
 
 
-def _plot_answer(axes: Axes, model: ThermalModel) -> None:
-    operator, known = model.operator, model.card.uncertainty
-    steps = round(STEP_RESPONSE_H[-1] * HOUR_S / operator.step_s)
-    hours = np.arange(steps + 1) * operator.step_s / HOUR_S
-    answer = np.concatenate([[0.0], np.cumsum(operator.impulse(steps))])
-    heat = operator.heat_input.heat
-    full = "" if heat is None else f" ({operator.heat_input.reference_W / 1000:.1f} kW)"
-    axes.set_title(f"Step response to full level{full}", loc="left")
+def _plot_answer(axes: Axes, model: ThermalModel, z: int, a: int, pair: OperatorParameters) -> None:
+    """Step response of a pair to full level."""
+    operator = model.operator
+    steps = round(STEP_RESPONSE_H[-1] * HOUR_S / pair.step_s)
+    hours = np.arange(steps + 1) * pair.step_s / HOUR_S
+    answer = np.concatenate([[0.0], np.cumsum(pair.impulse(steps))])
+    heat = pair.heat_input.heat
+    full = "" if heat is None else f" ({pair.heat_input.reference_W / 1000:.1f} kW)"
+    if model.names.single:
+        axes.set_title(f"Step response to full level{full}", loc="left")
+    else:
+        axes.set_title(f"{operator.actuators[a]} on {operator.zones[z]}{full}", loc="left")
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.plot(hours, answer, color="tab:red", label="expected")
-    names = [f"step_response_{h}h" for h in STEP_RESPONSE_H]
-    if all(f"{name}_sd_K" in known for name in names):
-        mean = operator.sign * np.array([0.0, *(known[f"{name}_K"] for name in names)])
-        sd = np.array([0.0, *(known[f"{name}_sd_K"] for name in names)])
+    mean, sd = step_response_of(model, z, a)
+    if mean.size:
         at = np.array([0.0, *STEP_RESPONSE_H])
-        axes.fill_between(
-            at,
-            mean - _BAND * sd,
-            mean + _BAND * sd,
-            color="tab:red",
-            alpha=0.2,
-            linewidth=0,
-            label="90 % band",
-        )
+        low, high = mean - _BAND * sd, mean + _BAND * sd
+        axes.fill_between(at, low, high, color="tab:red", alpha=0.2, linewidth=0, label="90 % band")
         axes.plot(at, mean, "o", color="tab:red", markersize=3)
-    axes.set_xlabel("hours since the step")
-    axes.set_ylabel("change of the zone temperature, K")
-    axes.legend(loc="best", frameon=False)
+    if model.names.single:
+        axes.legend(loc="best", frameon=False)
+
+
+def step_response_of(model: ThermalModel, z: int, a: int) -> tuple[Array, Array]:
+    """Return the step response of a pair at 0 h and `STEP_RESPONSE_H`, and its standard deviation, K; empty if unknown."""
+    home = model.operator.home[a] == z
+    # Effects between zones stand on the card of the zone's first actuator, by the other actuator's name.
+    card = model.cards[a if home else model.operator.home.index(z) if z in model.operator.home else a]
+    of = "" if home else f"[{model.operator.actuators[a]}]"
+    means = [card.uncertainty.get(f"step_response_{h}h_K{of}") for h in STEP_RESPONSE_H]
+    sds = [card.uncertainty.get(f"step_response_{h}h_sd_K{of}") for h in STEP_RESPONSE_H]
+    if any(value is None for value in (*means, *sds)):
+        return np.empty(0), np.empty(0)
+    sign = model.operator.of_actuator(a).sign if home else 1
+    return sign * np.array([0.0, *means], dtype=np.float64), np.array([0.0, *sds], dtype=np.float64)

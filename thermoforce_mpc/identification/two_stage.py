@@ -145,7 +145,7 @@ def first_stage_bounds(step_s: float, time_constant_h: tuple[float, float]) -> t
 
 def _columns(run: Record) -> tuple[Array, Array, Array, Array, Array]:
     """Return T, its rise, mean T_out, mean solar and u of each step with both ends measured, (steps,) each."""
-    T = run.T_zone_C
+    T = run.T_zone_C[0]
     kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
     T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
-    return T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[kept]
+    return T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]

@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Relative prior standard deviation of pole and gain around the two-stage fit in paired training.
 _TWO_STAGE_SD = 0.3
@@ -35,7 +35,7 @@ def two_stage_model(
     step_s: float | None,
     source: str,
     notes: Sequence[str],
-) -> ThermalModel:
+) -> ZoneModel:
     """Return the thermal model, order 1; with pairs, paired training (eq:paired) starts from the two-stage fit."""
     if not runs:
         raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
@@ -46,9 +46,8 @@ def two_stage_model(
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     if pairs:
         operator, scores = _train_on_pairs(fit, pairs, histories, config)
-    return ThermalModel(
+    return ZoneModel(
         operator=operator.resampled(step_s),
-        power=power_model(histories, config),
         free=fit.free_model().resampled(step_s),
         card=ModelCard(
             source=source,

@@ -39,6 +39,7 @@ def encode(
     cards: Sequence[ModelCard],
     machines: Sequence[str],
     machine_of: Sequence[int],
+    shares: Sequence[float],
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the parts of a thermal model as values of a JSON document, and its arrays by name."""
     arrays: dict[str, Array] = {}
@@ -47,17 +48,19 @@ def encode(
         arrays |= {f"pair.{z}.{a}.{name}": getattr(pair, name) for name in _OPERATOR_ARRAYS}
         pairs.append({"zone": z, "actuator": a, **_pair_content(pair)})
     zones = []
-    for z, (name, linear, card) in enumerate(zip(operator.zones, free, cards, strict=True)):
+    for z, (name, linear) in enumerate(zip(operator.zones, free, strict=True)):
         found = None
         if linear is not None:
             arrays |= {f"zone.{z}.{key}": getattr(linear, key) for key in _FREE_ARRAYS}
             found = {"step_s": linear.step_s, "sensor_sd_K": linear.sensor_sd_K}
-        zones.append({"name": name, "free": found, "card": dataclasses.asdict(card)})
+        zones.append({"name": name, "free": found})
     content = {
         "zones": zones,
         "actuators": [
-            {"name": name, "home": home, "machine": machine}
-            for name, home, machine in zip(operator.actuators, operator.home, machine_of, strict=True)
+            {"name": name, "home": home, "machine": machine, "share": share, "card": dataclasses.asdict(card)}
+            for name, home, machine, share, card in zip(
+                operator.actuators, operator.home, machine_of, shares, cards, strict=True
+            )
         ],
         "machines": [
             {"name": name, "power": None if one is None else dataclasses.asdict(one)}
@@ -105,9 +108,10 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
         "operator": operator,
         "power": tuple(_power(machine["power"]) for machine in machines),
         "free": tuple(_free(zone["free"], arrays, f"zone.{z}.") for z, zone in enumerate(zones)),
-        "cards": tuple(_card(zone["card"]) for zone in zones),
+        "cards": tuple(_card(actuator["card"]) for actuator in actuators),
         "machines": tuple(str(machine["name"]) for machine in machines),
         "machine_of": tuple(int(actuator["machine"]) for actuator in actuators),
+        "shares": tuple(float(actuator["share"]) for actuator in actuators),
     }
 
 

@@ -14,6 +14,7 @@ its own level if the plant does not report u, so gaps in u occur only before a r
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
     Raises:
         DataError: a weather signal has no value in `history` nor in `ahead`.
     """
-    filled: dict[str, Array] = {}
+    filled: dict[str, Any] = {}
     notes: list[str] = []
     for name in WEATHER:
         if not np.isfinite(getattr(history, name)).all():
@@ -44,7 +45,7 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
     unknown = ~np.isfinite(history.u)
     if unknown.any():
         filled["u"] = np.array([_levels(row, history.step_s) for row in history.u])
-        for a in np.flatnonzero(unknown.any(axis=1)):
+        for a in np.flatnonzero(unknown.any(axis=1)).tolist():
             notes.append(f"{history.names.label('u', a)}: {_count(unknown[a])} filled with the mean level around")
     return (replace(history, **filled), "bridged " + ", ".join(notes)) if filled else (history, "")
 

@@ -40,8 +40,8 @@ _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
 class Limits:
     """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.model.limits`).
 
-    `power_W` and `heat_W` are (lowest, highest) in W, as measured: heat of a cooling machine is negative. `lowest`: the
-    lowest level, below 0 where levels are signed.
+    `power_W` and `heat_W` are (lowest, highest) in W of any machine and actuator, as measured: heat of a cooling machine
+    is negative. `lowest`: the lowest level, below 0 where levels are signed.
     """
 
     power_W: tuple[float, float] = _INFINITE
@@ -58,19 +58,20 @@ class Limits:
         found = cls((-most_W, most_W), (-most_W, most_W), lowest)
         if model is None:
             return found
-        heat_input, power = model.operator.heat_input, model.power
-        found = replace(found, lowest=heat_input.lowest)
-        if heat_input.heat is not None:
-            full_W = model.operator.sign * heat_input.largest() * heat_input.reference_W
-            low, high = sorted(share * full_W for share in limits.LOAD_RANGE)
-            found = replace(found, heat_W=(low, high))
-        if power is not None:
-            full_W = max(
+        heads = [model.operator.of_actuator(a) for a in range(len(model.operator.actuators))]
+        found = replace(found, lowest=min(head.heat_input.lowest for head in heads))
+        if all(head.heat_input.heat is not None for head in heads):
+            full_W = [head.sign * head.heat_input.largest() * head.heat_input.reference_W for head in heads]
+            ends = [share * each for share in limits.LOAD_RANGE for each in full_W]
+            found = replace(found, heat_W=(min(ends), max(ends)))
+        if all(power is not None for power in model.power):
+            most_W = max(
                 float(np.sum(load.parts(np.array(load.T_out_range_C)), axis=0).max())
-                for load in (power.load, power.cooling)
+                for power in model.power
+                for load in (power.load, power.cooling)  # type: ignore[union-attr]
                 if load is not None
             )
-            found = replace(found, power_W=(limits.POWER_RANGE[0] * full_W, limits.POWER_RANGE[1] * full_W))
+            found = replace(found, power_W=(limits.POWER_RANGE[0] * most_W, limits.POWER_RANGE[1] * most_W))
         return found
 
     def range(self, name: str) -> tuple[float, float]:
@@ -148,7 +149,7 @@ def _refusal(
 
 def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[str, ...]]:
     """Return a record with implausible readings set to NaN, and one note per signal."""
-    refused: dict[str, Array] = {}
+    refused: dict[str, Any] = {}
     notes: list[str] = []
     for name in _UNITS:
         rows = np.atleast_2d(getattr(history, name))

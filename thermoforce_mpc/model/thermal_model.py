@@ -32,9 +32,10 @@ class ThermalModel:
         operator: operators of all pairs of zone and actuator.
         power: electric power (or that of another carrier) of each machine (M,); None where it was not measured.
         free: linear free model of each zone (Z,); None where it was identified from pairs alone.
-        cards: source and quality of each zone's model (Z,).
+        cards: source and quality of each actuator's model on its home zone (A,).
         machines: names of the machines (M,).
         machine_of: number of the machine that feeds each actuator (A,).
+        shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
 
     Raises:
         DataError: a part has not as many entries as there are zones, actuators or machines.
@@ -46,14 +47,16 @@ class ThermalModel:
     cards: tuple[ModelCard, ...]
     machines: tuple[str, ...] = SINGLE.machines
     machine_of: tuple[int, ...] = (0,)
+    shares: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
         zones, actuators, _ = self.operator.shape
         for what, found, expected in (
             ("free", len(self.free), zones),
-            ("cards", len(self.cards), zones),
+            ("cards", len(self.cards), actuators),
             ("power", len(self.power), len(self.machines)),
             ("machine_of", len(self.machine_of), actuators),
+            ("shares", len(self.shares), actuators),
         ):
             if found != expected:
                 raise DataError(f"thermal model: {what} has {found} entries, expected {expected}")
@@ -84,8 +87,8 @@ class ThermalModel:
 
     def actuator(self, a: int) -> ZoneModel:
         """Actuator `a` on its home zone."""
-        z = self.operator.home[a]
-        return ZoneModel(self.operator.of_actuator(a), self.power[self.machine_of[a]], self.free[z], self.cards[z])
+        free = self.free[self.operator.home[a]]
+        return ZoneModel(self.operator.of_actuator(a), self.power[self.machine_of[a]], free, self.cards[a])
 
     @property
     def only(self) -> ZoneModel:
@@ -140,8 +143,8 @@ class ThermalModel:
                 lines.append(f"{of}electric power was not measured: the model predicts, but energy cannot be planned")
             else:
                 lines.append(f"{of}electric power: RMSE {power.rmse_W:.0f} W, R² {power.r2:.3f}")
-        for z, card in enumerate(self.cards):
-            of = "" if len(self.cards) == 1 else f"{self.operator.zones[z]}: "
+        for a, card in enumerate(self.cards):
+            of = "" if len(self.cards) == 1 else f"{self.operator.actuators[a]}: "
             verdict = card.competence
             lines.append(of + ("competence: not judged" if verdict is None else verdict.in_words()))
             lines += [f"{of}note: {note}" for note in card.notes]
@@ -168,7 +171,9 @@ class ThermalModel:
         check_target(folder, overwrite=overwrite)
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
-        content, arrays = encode(self.operator, self.power, self.free, self.cards, self.machines, self.machine_of)
+        content, arrays = encode(
+            self.operator, self.power, self.free, self.cards, self.machines, self.machine_of, self.shares
+        )
         certificates = [
             {"zone": zone, "actuator": actuator, **proof.to_json()} for (zone, actuator), proof in proofs.items()
         ]

@@ -129,16 +129,16 @@ def test_the_note_says_that_full_was_never_seen_and_the_kind_can_be_given():
 
 def test_a_day_of_the_real_machine_tells_full_heat_of_other_months(shared):
     runs = [read_run(shared / "boptest_hp" / f"excite_{month}.csv.gz") for month in ("jan", "mar", "apr")]
-    u = np.concatenate([run.u for run in runs])
+    u = np.concatenate([run.u[0] for run in runs])
     T = np.concatenate([run.T_out_C[:-1] for run in runs])
-    heat = np.concatenate([run.heat_W for run in runs])
+    heat = np.concatenate([run.heat_W[0] for run in runs])
     full = u > 0.98
     errors = []
     for run in runs:
         for day in range(27):
             part = cut(run, day, 1)
             try:
-                fit = _fit(part.u, part.T_out_C[:-1], part.heat_W)
+                fit = _fit(part.u[0], part.T_out_C[:-1], part.heat_W[0])
             except DataError:
                 continue
             errors.append(np.sqrt(np.mean((fit.load(u[full], T[full]) / heat[full] - 1) ** 2)))

@@ -65,8 +65,8 @@ def test_the_return_water_explains_what_level_and_weather_leave_over():
     assert model.water.per_K == pytest.approx(0.008, rel=0.15)
     assert model.rmse_W < 0.2 * blind.rmse_W
     other = _water_history(rng)
-    missed = model(other.u, other.T_out_C[:-1], other.T_return_C) - other.power_W
-    assert np.abs(missed).max() < 0.02 * other.power_W.max()
+    missed = model(other.u[0], other.T_out_C[:-1], other.T_return_C[0]) - other.power_W[0]
+    assert np.abs(missed).max() < 0.02 * other.power_W[0].max()
     # Not measured: the load as at the reference, and no NaN.
     assert model(np.array([1.0]), np.array([0.0])) == pytest.approx(model.load(np.array([1.0]), np.array([0.0])))
     fixed, per_u = model.parts(np.array([0.0]), np.array([model.water.reference_C + 2.0]))
@@ -82,8 +82,8 @@ def test_return_water_ahead_is_as_far_above_the_zone_as_yesterday():
     water = ReturnWater(0.008, 30.0, (25.0, 35.0), above_zone_K=9.0)
     history = _water_history(np.random.default_rng(6))
     day = 96
-    on = history.u[-day:] > 0
-    above = np.average((history.T_return_C[-day:] - 21.0)[on], weights=history.u[-day:][on])
+    on = history.u[0, -day:] > 0
+    above = np.average((history.T_return_C[0, -day:] - 21.0)[on], weights=history.u[0, -day:][on])
     np.testing.assert_allclose(water.expected_C(history, np.array([20.0, 22.0])), np.array([20.0, 22.0]) + above)
     silent = replace(history, T_return_C=np.full(history.n_steps, np.nan))
     np.testing.assert_allclose(water.expected_C(silent, np.array([20.0])), [29.0])
@@ -127,8 +127,8 @@ def test_real_machine_within_one_percent_with_its_return_water(shared):
         for frame in frames
     )
     model = fit_power([january])
-    on = march.u > 0
-    missed = (model(march.u, march.T_out_C[:-1], march.T_return_C) - march.power_W)[on]
-    blind = (model.load(march.u, march.T_out_C[:-1]) - march.power_W)[on]
-    assert np.sqrt(np.mean(missed**2)) < 0.01 * march.power_W[on].mean()
+    on = march.u[0] > 0
+    missed = (model(march.u[0], march.T_out_C[:-1], march.T_return_C[0]) - march.power_W[0])[on]
+    blind = (model.load(march.u[0], march.T_out_C[:-1]) - march.power_W[0])[on]
+    assert np.sqrt(np.mean(missed**2)) < 0.01 * march.power_W[0, on].mean()
     assert np.sqrt(np.mean(missed**2)) < 0.5 * np.sqrt(np.mean(blind**2))

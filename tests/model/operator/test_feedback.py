@@ -184,13 +184,13 @@ def test_feedback_that_is_no_truth_value_is_refused():
 
 def test_artifact_keeps_the_choice_and_refuses_what_is_not_proven(tmp_path):
     mild = total(3, 2, scale=0.03, gamma=0.3)
-    folder = ThermalModel(mild).save(tmp_path / "mild")
-    assert load_model(folder).operator.feedback
+    folder = ThermalModel.single(mild).save(tmp_path / "mild")
+    assert load_model(folder).only.operator.feedback
     assert '"feedback_slope_per_K"' in (folder / "model.json").read_text()
     with pytest.raises(ArtifactError, match=r"within \[-12, 0\] per K.*could reverse the effect of an action: 2 steps"):
-        ThermalModel(_turns_around()).save(tmp_path / "turns")
+        ThermalModel.single(_turns_around()).save(tmp_path / "turns")
     # The same weights edited in from outside.
-    free = ThermalModel(replace(_turns_around(), feedback=False)).save(tmp_path / "edited")
+    free = ThermalModel.single(replace(_turns_around(), feedback=False)).save(tmp_path / "edited")
     text = (free / "model.json").read_text()
     (free / "model.json").write_text(text.replace('"feedback": false', '"feedback": true', 1))
     with pytest.raises(ArtifactError, match="fails its certificate"):

@@ -84,19 +84,19 @@ class Designer:
         nothing = np.zeros(n)
         planned = Record(weather[0], np.zeros(n + 1), weather[1], weather[2], nothing, nothing, nothing)
         whitener, rows = self._whitener(planned, step_s)
-        holding = float(history.u.mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
-        start_K = sign * (centre_C - float(history.T_zone_C[-1]))
+        holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
+        start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
         worth = []
         for candidate in candidates:
             going_on = excitation.resumed(candidate.law, candidate.seed)
             levels = self._imagined(going_on, ahead.n_steps, step_s, start_K, holding)
-            worth.append(self._criterion(np.concatenate([history.u, levels]), step_s, whitener, rows))
+            worth.append(self._criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
         return candidates[int(np.argmax(worth))], np.array(worth)
 
     def information(self, history: Record) -> float:
         """Return the criterion of a record, nats."""
         whitener, rows = self._whitener(history, history.step_s)
-        return self._criterion(history.u, history.step_s, whitener, rows)
+        return self._criterion(history.u[0], history.step_s, whitener, rows)
 
     def known(self, history: Record) -> tuple[float, float]:
         """Return what is expected to be known after a record: its criterion, nats, and a relative standard deviation.
@@ -105,7 +105,7 @@ class Designer:
         of the assumed size; actual ones are mostly smaller.
         """
         whitener, rows = self._whitener(history, history.step_s)
-        S = solve_triangular(whitener, self._sensitivities(history.u, history.step_s)[rows], lower=True)
+        S = solve_triangular(whitener, self._sensitivities(history.u[0], history.step_s)[rows], lower=True)
         precision = np.eye(S.shape[1]) + S.T @ S
         day = np.ones(round(DAY_S / history.step_s))
         slope = self._sensitivities(day, history.step_s)[-1]

@@ -39,7 +39,7 @@ class Foresight:
         self._weights: Array = np.array([0.5 * bound, 0.0, 0.0, 0.0])
         self._covariance: Array = np.diag([0.5 * bound, *_REST_SD]) ** 2
         self._mean_C = float("nan")
-        for T in past.T_zone_C:
+        for T in past.T_zone_C[0]:
             self._remember(float(T))
 
     @property
@@ -49,8 +49,8 @@ class Foresight:
 
     def learn(self, record: Record) -> None:
         """Learn from the last step of `record`, where its readings are complete."""
-        start, end = record.T_zone_C[-2:]
-        x = np.concatenate([[record.u[-1]], self._rest(start, record.T_out_C[-2], record.solar_W_m2[-2])])
+        start, end = record.T_zone_C[0, -2:]
+        x = np.concatenate([[record.u[0, -1]], self._rest(start, record.T_out_C[-2], record.solar_W_m2[-2])])
         change = self._sign * (end - start)
         if np.isfinite(x).all() and np.isfinite(change):
             gain = self._covariance @ x / (x @ self._covariance @ x + _NOISE_K**2)
@@ -88,8 +88,8 @@ def _bound_K(past: Record) -> float:
     """Return the largest change of the zone over a step per unit of level in `past`, K."""
     if past.n_steps * (past.step_s if past.n_steps else 0.0) < _LEAST_PAST_S:
         return _UNSEEN_K
-    used = past.u[np.isfinite(past.u)]
-    changes = np.abs(np.diff(past.T_zone_C))
+    used = past.u[0, np.isfinite(past.u[0])]
+    changes = np.abs(np.diff(past.T_zone_C[0]))
     changes = changes[np.isfinite(changes)]
     if not (used.size and changes.size) or used.max() < _LEAST_LEVEL:
         return _UNSEEN_K

@@ -173,7 +173,7 @@ class Probing:
         """Apply the next room set-points."""
         step_s, plant = self.config.step_s, cast(RoomSetpointPlant, self._plant)
         ahead = plant.forecast(step_s, step_s)
-        block = excitation.next(self._now.T_zone_C, ahead.lower_C, ahead.upper_C, step_s)
+        block = excitation.next(float(self._now.T_zone_C[0]), ahead.lower_C[0], ahead.upper_C[0], step_s)
         return plant.advance(block.u, block.duration_s, block.band_C)
 
     def _level_step(self, done: int, end: int) -> Measurement:
@@ -189,7 +189,7 @@ class Probing:
             )
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
-        level = self._excitation.next(self._sign * (centre - self._now.T_zone_C))
+        level = self._excitation.next(self._sign * (centre - float(self._now.T_zone_C[0])))
         if self._trial:
             level = self._trial.applied(level, self._applied, max(c.levels))
         self._applied = self._polite(level, centre, band)
@@ -207,7 +207,7 @@ class Probing:
             return level
         # Inside the limits of the excursions, so that levels can be held, and never beyond the margin.
         low, high = max(centre - below, low), min(centre + above, high)
-        return self._foresight.polite(level, highest, now.T_zone_C, now.T_out_C, now.solar_W_m2, low, high)
+        return self._foresight.polite(level, highest, float(now.T_zone_C[0]), now.T_out_C, now.solar_W_m2, low, high)
 
 
 def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:

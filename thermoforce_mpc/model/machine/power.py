@@ -101,11 +101,11 @@ def fit_power(
     u, T_out, power, T_return, T_zone = (
         np.concatenate([values(history) for history in histories])
         for values in (
-            lambda h: h.u,
+            lambda h: h.u[0],
             lambda h: h.T_out_C[:-1],
-            lambda h: h.power_W,
-            lambda h: h.T_return_C,
-            lambda h: h.T_zone_C[:-1],
+            lambda h: h.power_W[0],
+            lambda h: h.T_return_C[0],
+            lambda h: h.T_zone_C[0, :-1],
         )
     )
 
@@ -130,7 +130,7 @@ def fit_signed_power(histories: Sequence[Record]) -> PowerModel:
     """
     u, T_out, power = (
         np.concatenate([values(h) for h in histories])
-        for values in (lambda h: h.u, lambda h: h.T_out_C[:-1], lambda h: h.power_W)
+        for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
     )
     heating, cooling = (
         fit_load(

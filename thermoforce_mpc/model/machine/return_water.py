@@ -51,7 +51,7 @@ class ReturnWater:
         """
         if history.n_steps:
             last_day = history.last(max(1, round(DAY_S / history.step_s)))
-            above_K = above_zone(last_day.T_return_C, last_day.T_zone_C[:-1], last_day.u)
+            above_K = above_zone(last_day.T_return_C[0], last_day.T_zone_C[0, :-1], last_day.u[0])
         else:
             above_K = float("nan")
         return np.asarray(T_zone_C + (above_K if np.isfinite(above_K) else self.above_zone_K))

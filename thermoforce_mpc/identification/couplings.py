@@ -1,0 +1,112 @@
+"""Assembly of a building's operator from the fits of its zones, and the priors of effects between zones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Layout
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import JointFit
+from thermoforce_mpc.identification.modes import mode_priors
+from thermoforce_mpc.identification.regression_data import OtherActuator
+from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H, step_response
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.zone_model import ZoneModel
+
+# Prior standard deviation of a neighbour's initial slope and steady gains, as shares of the own actuator's prior mean
+# plus standard deviation: heat through walls and doors comes late, and a third of the own effect is much.
+_NEIGHBOUR_SLOPE, _NEIGHBOUR_GAIN = 0.05, 0.3
+# Prior standard deviation of the initial slope of a second actuator of the same zone, K/h: any, see `modes`.
+_SAME_ZONE_SLOPE_K_PER_H = 60.0
+# A neighbour's effect below this after a day at full level, K, is none.
+_LEAST_EFFECT_K = 0.02
+# Share of the prior standard deviation that must be left for a pair to count as not told by the record.
+_NOT_TOLD = 0.9
+
+
+def other_actuator(
+    layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig, own: int, other: int
+) -> OtherActuator:
+    """What actuator `other` may do to the home zone of `own`, before the data are seen."""
+    area = layout.floor_area_m2[layout.home[own]]
+    prior = mode_priors(3, config, heat_inputs[own], area if np.isfinite(area) else None)
+    mean, sd = prior.gains_at(prior.log_tau)
+    gain = float((mean[1:] + sd[1:]).sum())
+    heat_input, sign = heat_inputs[other], layout.signs[other]
+    if layout.home[other] == layout.home[own]:
+        return OtherActuator(heat_input, sign, _SAME_ZONE_SLOPE_K_PER_H, gain)
+    slope = float(mean[0] + sd[0])
+    return OtherActuator(heat_input, sign, _NEIGHBOUR_SLOPE * slope, _NEIGHBOUR_GAIN * gain)
+
+
+def assembled(
+    layout: Layout,
+    zones: Sequence[ZoneModel],
+    fits: Sequence[JointFit | None],
+    power: Sequence[PowerModel | None],
+    config: IdentificationConfig,
+) -> ThermalModel:
+    """The building from each actuator's model on its home zone (A,), its fit (A,), and the power of machines (M,)."""
+    Z, A = len(layout.names.zones), len(layout.names.actuators)
+    order = max(zone.operator.order for zone in zones)
+    heads = [_padded(zone.operator, order) for zone in zones]
+    pairs: list[list[OperatorParameters | None]] = [[None] * A for _ in range(Z)]
+    free = [zones[(layout.actuators_of(z) or [0])[0]].free for z in range(Z)]
+    cards = [zone.card for zone in zones]
+    for a, (home, fit) in enumerate(zip(layout.home, fits, strict=True)):
+        pairs[home][a] = heads[a]
+        if fit is None or layout.actuators_of(home)[0] != a:
+            continue  # effects of the others on a zone are those of the fit of its first actuator
+        told = dict(cards[a].uncertainty)
+        notes = list(cards[a].notes)
+        for k, b in enumerate(b for b in range(A) if b != a):
+            if layout.home[b] == home:
+                continue
+            answer = step_response(fit.of_other(k), STEP_RESPONSE_H[-1], HOUR_S)
+            name = layout.names.actuators[b]
+            for hours in STEP_RESPONSE_H:
+                told[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(answer.mean_K[hours])
+                told[f"step_response_{hours}h_sd_K[{name}]"] = float(answer.sd_K[hours])
+            sd = np.sqrt(np.diagonal(fit.other_covariance[k]))[fit.log_tau.size :]
+            if (sd[1:] > _NOT_TOLD * fit.other_sd[k][1:]).all() and sd.size > 1:
+                notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
+            if answer.mean_K[24] >= _LEAST_EFFECT_K:
+                pairs[home][b] = _padded(_pair(fit, k, zones[a].operator, zones[b].operator, layout.signs[b]), order)
+        cards[a] = replace(cards[a], uncertainty=told, notes=tuple(notes))
+    operator = BuildingOperator(
+        layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
+    )
+    return ThermalModel(
+        operator, tuple(power), tuple(free), tuple(cards), layout.names.machines, layout.machine_of, layout.shares
+    )
+
+
+def _pair(fit: JointFit, k: int, own: OperatorParameters, head: OperatorParameters, sign: int) -> OperatorParameters:
+    """The operator of other actuator `k`, that delivers as `head`, on the zone of `fit`, with the modes of `own`."""
+    tau, found = own.time_constants_h, fit.other_gains[k]
+    steady = np.concatenate([[tau[0] * (found[0] - (found[1:] / tau[1:]).sum())], found[1:]])
+    return replace(head, poles=own.poles, gains=sign * steady * (1.0 - own.poles), pole_bounds=own.pole_bounds)
+
+
+def _padded(operator: OperatorParameters, order: int) -> OperatorParameters:
+    """The operator with slower modes of no gain up to `order`: all pairs of a building have one order."""
+    r = operator.order
+    if r == order:
+        return operator
+    last = operator.poles[-1]
+    slower = 1.0 - (1.0 - last) * 10.0 ** -np.arange(1, order - r + 1)
+    edges = np.concatenate([[operator.pole_bounds[-1, 0]], 0.5 * (np.append(last, slower[:-1]) + slower), [1.0]])
+    bounds = np.concatenate([operator.pole_bounds[:-1], np.stack([edges[:-1], edges[1:]], axis=1)])
+    return replace(
+        operator,
+        poles=np.append(operator.poles, slower),
+        gains=np.append(operator.gains, np.zeros(order - r)),
+        pole_bounds=bounds,
+    )

@@ -1,0 +1,226 @@
+"""Model of one zone from its records: order, linear fit, monotone-neural gain, verdict.
+
+Fit every order to the first part of the data and keep the one whose rollouts are best on the rest; fit it to everything;
+train the modulation the same way; refuse an operator that explains next to nothing or whose sign is not proven, whatever
+the method. The zone's own actuator is the first of its records; the others' effects are estimated with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.cases import Case, held_out, normalisation, ranges
+from thermoforce_mpc.identification.competence import held_out_h, held_out_rmse_K, judge
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.joint import JointFit, fit_joint
+from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
+from thermoforce_mpc.identification.modulation import modulate, prove
+from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
+from thermoforce_mpc.identification.records import Pair, resolution_K
+from thermoforce_mpc.identification.regression_data import OtherActuator, pair_regression, run_regression
+from thermoforce_mpc.identification.two_stage_model import two_stage_model
+from thermoforce_mpc.identification.uncertainty import uncertainty
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.zone_model import ZoneModel
+
+# Least share of the whitened variance that the forced response must explain to be accepted.
+_LEAST_EXPLAINED = 0.1
+# Held-out hours from which priors of the initial slope are compared: fewer decide by chance.
+_LEAST_HELD_OUT_H = 9.0
+# Share of the held-out error that another prior of the initial slope must undercut to be taken.
+_CLEARLY_BETTER = 0.9
+# Relative standard deviation of the answer after a day from which a model is called uncertain.
+_UNCERTAIN = 0.15
+
+
+@dataclass(frozen=True)
+class ZoneTask:
+    """What one zone is identified from.
+
+    Attributes:
+        runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
+            actuator, the rest are those of `others`.
+        heat_input: what the own actuator delivers.
+        sign: +1 if it heats, −1 if it cools.
+        others: the other actuators of the building.
+        floor_area_m2: of the zone; with measured heat it turns the physical priors on.
+        step_s: step of the operator, s; None: that of the data.
+        source, data, notes: for the model card.
+    """
+
+    runs: Sequence[Record]
+    pairs: Sequence[Pair]
+    heat_input: HeatInput
+    sign: int
+    others: Sequence[OtherActuator] = ()
+    floor_area_m2: float | None = None
+    step_s: float | None = None
+    source: str = "identified"
+    data: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+def identify_zone(
+    task: ZoneTask, config: IdentificationConfig, say: Callable[[str], None]
+) -> tuple[ZoneModel, JointFit | None]:
+    """Return the zone's model without power, and the linear fit, None with method two_stage.
+
+    Raises:
+        DataError: the action explains too little, or its effect has no proven sign.
+    """
+    runs, pairs, sign, notes = task.runs, task.pairs, task.sign, list(task.notes)
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
+    grid_K = resolution_K(runs)
+    if grid_K:
+        # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
+        sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
+        config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
+        notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
+    days = sum(h.n_steps * h.step_s for h in histories) / DAY_S
+    say(f"fitting the forced response to {days:.3g} days at {histories[0].step_s:g} s")
+    cases = [Case(run_regression(h, task.heat_input, config, task.others), (h,), float(h.time_s[0])) for h in runs] + [
+        Case(pair_regression(p, task.heat_input, task.others), (p.a, p.b), float(p.a.time_s[0])) for p in pairs
+    ]
+    fit = None
+    if config.method == "two_stage":
+        model = two_stage_model(runs, pairs, task.data, config, task.heat_input, sign, task.step_s, task.source, notes)
+    else:
+        model, fit = _joint_model(
+            runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, sign, task.step_s, task.source,
+            notes, say,
+        )  # fmt: skip
+    model = _accepted(model, cases, sign)
+    say(f"identified an operator of order {model.operator.order}")
+    return model, fit
+
+
+def _accepted(model: ZoneModel, cases: Sequence[Case], sign: int) -> ZoneModel:
+    """`model`, with the share that its actions explain on its card.
+
+    Raises:
+        DataError: they explain too little, or their effect has no proven sign.
+    """
+    explained = explained_share(cases, model.operator)
+    _check_explained(explained, cases, sign)
+    prove(model.operator)
+    scores = {**model.card.scores, "explained_by_actuation": explained}
+    return replace(model, card=replace(model.card, scores=scores))
+
+
+def _check_explained(explained: float, cases: Sequence[Case], sign: int) -> None:
+    if explained >= _LEAST_EXPLAINED:
+        return
+    dark = not any(np.any(h.solar_W_m2) for case in cases for h in case.histories)
+    raise DataError(
+        f"no effect of the actuator with the sign of {'heating' if sign > 0 else 'cooling'} was found in the data: it "
+        f"explains {100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; "
+        "check the sign of u, whether the actuator reached the zone, and that the zone sensor is in the room that it "
+        f"serves, or probe harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
+    )
+
+
+def _joint_model(
+    runs: Sequence[Record],
+    pairs: Sequence[Pair],
+    data: Mapping[str, str],
+    cases: Sequence[Case],
+    config: IdentificationConfig,
+    heat_input: HeatInput,
+    floor_area_m2: float | None,
+    sign: int,
+    step_s: float | None,
+    source: str,
+    notes: Sequence[str],
+    say: Callable[[str], None],
+) -> tuple[ZoneModel, JointFit]:
+    """The joint estimator as a zone's model, and its fit: order chosen on held-out data, modulation trained where it pays."""
+    histories = [h for case in cases for h in case.histories]
+    splits = held_out(cases, config)
+
+    def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
+        return {
+            order: fit_and_judge(cases, splits, mode_priors(order, chosen, heat_input, floor_area_m2), config, sign)
+            for order in chosen.orders()
+        }
+
+    def error_K(found: dict[int, Fitted]) -> float:
+        best = found[choose_order(found)]
+        return held_out_rmse_K(cases, splits, best.fit, best.priors, sign)
+
+    candidates = judged(config)
+    if config.start_slope_K_per_h is None and held_out_h(cases, splits) >= _LEAST_HELD_OUT_H:
+        # Heat that reaches the air at once is not that of a slab; which it is shows in the held-out predictions.
+        most_K = _CLEARLY_BETTER * error_K(candidates)
+        for slope in DIRECT_SLOPES_K_PER_H:
+            direct = judged(config.model_copy(update={"start_slope_K_per_h": slope}))
+            direct_K = error_K(direct)
+            if direct_K < most_K:
+                candidates, most_K = direct, direct_K
+                told = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
+                notes = [*(note for note in notes if not note.startswith("the zone responds")), told]
+    order = choose_order(candidates)
+    priors = candidates[order].priors
+    final = fit_joint([c.regression for c in cases], priors, config, sign)
+    base_step = histories[0].step_s
+    mean, scale = normalisation(histories)
+
+    def linear(fit: JointFit) -> OperatorParameters:
+        return to_operator(
+            fit.log_tau,
+            fit.gains,
+            step_s=base_step,
+            bounds_h=priors.bounds_h(),
+            sign=sign,
+            gamma=config.gamma,
+            hidden=config.hidden,
+            heat_input=heat_input,
+            feature_mean=mean,
+            feature_scale=scale,
+        )
+
+    operator = replace(linear(final), feedback=config.feedback)
+    scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
+    scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
+    scores["residual_scale"] = final.residual_scale
+    if config.modulation == "neural":
+        say(f"order {order} is best on held-out data; training the modulation of the gain")
+        operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
+        scores |= neural
+    operator = operator.resampled(step_s or base_step)
+    certainty = uncertainty(final, operator.step_s) | {"sensor_resolution_K": resolution_K(runs)}
+    explained = explained_share(cases, operator)
+    _check_explained(explained, cases, sign)
+    verdict = judge(
+        cases, splits, candidates[order].fit, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0
+    )
+    model = ZoneModel(
+        operator=operator,
+        power=None,
+        free=final.free_model(step_s or base_step, config) if runs else None,
+        card=ModelCard(
+            source=source,
+            data=data,
+            ranges=ranges(histories),
+            scores=scores,
+            uncertainty=certainty,
+            config=config.model_dump(mode="json"),
+            notes=(*notes, *_warnings(certainty)),
+            competence=verdict,
+        ),
+    )
+    return model, final
+
+
+def _warnings(certainty: Mapping[str, float]) -> list[str]:
+    """What a user should know before trusting the model."""
+    share = certainty["step_response_24h_sd_K"] / max(certainty["step_response_24h_K"], 1e-9)
+    if share <= _UNCERTAIN:
+        return []
+    return [f"uncertain: the effect of a day of action is known to ± {100 * share:.0f} % only; probe longer or harder"]
