@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from controllers.actuation import ActuationState
+from controllers.acting import Acting
 from controllers.actuation_choice import choose_actuation
 from controllers.assembly import Assembly
-from controllers.errors import ControllerConfigError
-from controllers.fallback import FallbackPolicy, GoodPlan
+from controllers.errors import ControllerConfigError, said
+from controllers.fallback import GoodPlan
 from controllers.gate import shut
 from controllers.guard import guard_level
-from controllers.inputs import check_observation, checked_state
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
+from controllers.planner import MPCState, Planner
 from controllers.problem import MPCProblem, Solution
 from controllers.room import room_blocks, within_C
-from controllers.solvers import Solver, build_solver
-from controllers.watch import Track, Watch, WatchState
+from controllers.solvers import build_solver
+from controllers.watch import Watch
+from controllers.watched import WatchedPredictions
 from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Observation, Plan, PlanStatus, Record
-from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
+from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.operator.features import ZONE
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.predictor import Predictor, PredictorState
+from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -41,37 +41,7 @@ _OFFSET_K = 0.3
 _PLANNERS_KEPT = 4
 
 
-@dataclass(frozen=True)
-class MPCState:
-    """Controller state passed from one plan to the next.
-
-    `first_s`: time of the first plan, s; `peak_W`: highest mean power of a step since, W; `actuation`: state of the
-    machine; `good`: last solved plan; `predictor`, `adaptation`: states of predictor and online adaptation; `watch`:
-    what the watch knows of the predictions; `offset_K`: recent mean error of the zone temperature planned for the end
-    of a step.
-    """
-
-    first_s: float
-    peak_W: float = 0.0
-    actuation: ActuationState = field(default_factory=ActuationState)
-    good: GoodPlan | None = None
-    predictor: PredictorState | None = None
-    adaptation: AdaptationState | None = None
-    watch: WatchState = field(default_factory=WatchState)
-    offset_K: float = 0.0
-
-
-@dataclass(frozen=True)
-class Planner:
-    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation mode."""
-
-    model: ThermalModel
-    predictor: Predictor
-    operator: OperatorParameters
-    solver: Solver
-
-
-class ThermoForceMPC:
+class ThermoForceMPC(Acting):
     """Receding-horizon control over the superposition of a free and a forced response (paper eq:compose).
 
     ```python
@@ -104,12 +74,11 @@ class ThermoForceMPC:
             ControllerConfigError: the horizon is shorter than a step, or the actuation does not fit the step.
             BackboneError, ConfigError: the free response cannot be built.
         """
-        self.config, self._name = config or MPCConfig(), name
-        c = self.config
+        self.config = c = config or MPCConfig()
         step_s = c.step_s or model.operator.step_s
         model = replace(model, operator=model.operator.resampled(step_s))
-        self._n_steps = c.n_steps(step_s)
-        if self._n_steps < 1:
+        n_steps = c.n_steps(step_s)
+        if n_steps < 1:
             raise ControllerConfigError(
                 f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one control step"
                 f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
@@ -119,8 +88,8 @@ class ThermoForceMPC:
                 "the model was identified without measured power: energy cost cannot be computed"
             )
         choice = choose_actuation(c.actuation, model.power, model.operator.heat_input)
-        self._actuation, self._actuation_why = choice.actuation, choice.why
-        self._actuation.check_step(step_s)
+        self._actuation_why = choice.why
+        super().__init__(name, step_s, n_steps, choice.actuation, c.fallback, model.operator.mode)
         self._power = model.power.at_lowest_level(self._actuation.lowest_level)
         if self._actuation.by_rooms != (model.operator.heat_input.lowest < 0.0):
             raise ControllerConfigError(
@@ -128,11 +97,10 @@ class ThermoForceMPC:
             )
         self._assembly = Assembly(c, self._actuation, self._power, model.card, step_s)
         self._adaptation = OnlineAdaptation(model, c.adaptation)
-        self._watch = Watch(c.watch, model, self._n_steps, self._expected_power_W)
+        self._watch = WatchedPredictions(Watch(c.watch, model, n_steps, self._expected_power_W), self._planner)
         self._free_response = free_response or _build_free_response(c.free_response, model)
         self._base = self._build_planner(model)
         self._adapted: list[Planner] = []
-        self._fallback = FallbackPolicy(c.fallback, step_s, self._actuation.highest, model.operator.mode)
 
     @property
     def model(self) -> ThermalModel:
@@ -149,21 +117,6 @@ class ThermoForceMPC:
         """How the machine is run, and what decided it."""
         return self._actuation_why
 
-    @property
-    def name(self) -> str:
-        """Name in reports."""
-        return self._name
-
-    @property
-    def step_s(self) -> float:
-        """Control step, s."""
-        return self.model.operator.step_s
-
-    @property
-    def horizon_s(self) -> float:
-        """Prediction horizon, s: required length of the boundary forecast."""
-        return self._n_steps * self.step_s
-
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Plan for the next step.
 
@@ -174,63 +127,23 @@ class ThermoForceMPC:
             DataError: error of the caller: the boundary forecast is too short, its step or that of the history is not
                 `step_s`, or `state` is not from a plan of this controller.
         """
-        before = checked_state(state, MPCState) or MPCState(first_s=observation.time_s)
-        check_observation(observation, self.step_s, self._n_steps)
-        history = observation.history
+        given, actuation = self._begun(observation, state, MPCState)
+        before = given or MPCState(first_s=observation.time_s)
         now = replace(
             before,
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
-            actuation=self._actuation.now(before.actuation if state is not None else None, history),
+            actuation=actuation,
         )
         closed = shut(self.config.gate, self.model.card.competence)
         if closed is not None:
             return self._stand_back(observation, now, PlanStatus.GATE, closed)
-        now = self._watched(now, history)
+        now = self._watch.judged(now, observation.history)
         if now.watch.alarm:
-            reason = f"watch: {now.watch.alarm} (found {(observation.time_s - now.watch.since_s) / HOUR_S:.1f} h ago)"
-            return self._asked(
-                observation, self._stand_back(observation, self._shadowed(observation, now), PlanStatus.WATCH, reason)
-            )
-        return self._asked(observation, self._guarded(observation, now, self._planned(observation, now)))
-
-    def _watched(self, now: MPCState, history: Record) -> MPCState:
-        """The state with the predictions that came due judged; where control returns, with the model that held."""
-        try:
-            watch = self._watch.judged(now.watch, history, now.adaptation, now.predictor)
-        except Exception as error:  # what watches must not stop what it watches
-            return replace(now, watch=replace(now.watch, news=f"predictions could not be judged ({_said(error)})"))
-        if now.watch.alarm and not watch.alarm:
-            now = replace(now, adaptation=watch.tracks[0].adaptation, predictor=watch.tracks[0].predictor)
-        return replace(now, watch=watch)
-
-    def _shadowed(self, observation: Observation, now: MPCState) -> MPCState:
-        """The state with new predictions of the models that are judged while another controller acts."""
-        if not self._watch.due(observation.time_s):
-            return now
-        ahead = Observation(observation.history, observation.boundary.head(self._n_steps))
-
-        def predicted(track: Track) -> Track:
-            assert track.adaptation is not None
-            planner = self._planner(track.adaptation.model)
-            try:
-                context = planner.predictor.context(ahead, track.predictor)
-            except Exception:  # as in `_planned`; without predictions a model does not get control back
-                return track
-            return replace(self._watch.issued(track, context, planner.operator), predictor=context.state)
-
-        return replace(now, watch=replace(now.watch, tracks=tuple(map(predicted, now.watch.tracks))))
-
-    def _asked(self, observation: Observation, plan: Plan) -> Plan:
-        """The plan, its state with the level asked for."""
-        assert isinstance(plan.state, MPCState)
-        # What room set-points ask for is a temperature; its level is expected, not asked.
-        levels = [
-            float("nan") if block.u is None or block.band_C else block.u * block.duration_s for block in plan.blocks
-        ]
-        watch = self._watch.asked(plan.state.watch, observation.time_s, sum(levels) / self.step_s)
-        news = f"watch: {watch.news}; " if watch.news else ""
-        return replace(plan, why=news + plan.why, state=replace(plan.state, watch=watch))
+            now = self._watch.shadowed(self._ahead(observation), now)
+            reason = self._watch.reason(now.watch, observation.time_s)
+            return self._watch.asked(observation, self._stand_back(observation, now, PlanStatus.WATCH, reason))
+        return self._watch.asked(observation, self._guarded(observation, now, self._planned(observation, now)))
 
     def _expected_power_W(self, record: Record) -> Array:
         """Electric power (n,), W, for the levels of a record."""
@@ -247,21 +160,17 @@ class ThermoForceMPC:
             predictor = now.predictor
             if predictor and now.adaptation and adaptation.model is not now.adaptation.model:
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
-            context = planner.predictor.context(
-                Observation(history, observation.boundary.head(self._n_steps)), predictor
-            )
+            context = planner.predictor.context(self._ahead(observation), predictor)
             problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
-            return self._fall_back(observation, now, f"no prediction ({_said(error)})", "not started", {})
+            return self._fall_back(observation, now, f"no prediction ({said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
-        if self._watch.due(observation.time_s):
-            judged = self._watch.issued(now.watch.tracks[0], context, planner.operator)
-            now = replace(now, watch=replace(now.watch, tracks=(judged,)))
+        now = self._watch.put_down(now, context, planner.operator)
         began = time.perf_counter()
         try:
             solution = planner.solver.solve(problem, self._guess(now.good, observation))
         except Exception as error:  # likewise for solvers
-            return self._fall_back(observation, now, f"the solver failed ({_said(error)})", "raised", context.seconds)
+            return self._fall_back(observation, now, f"the solver failed ({said(error)})", "raised", context.seconds)
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
             return self._fall_back(observation, now, solution.problem, solution.status, seconds)
@@ -390,8 +299,7 @@ class ThermoForceMPC:
 
     def _stand_back(self, observation: Observation, now: MPCState, status: PlanStatus, reason: str) -> Plan:
         """A step of native control or of the on/off rule (`fallback.stand_back`); nothing is planned."""
-        u, who = self._fallback.standing_back(observation)
-        blocks, actuation = self._actuation.realise(u, self.step_s, now.actuation)
+        blocks, actuation, who = self._standing_back(observation, now.actuation)
         # The plan before was not followed, so it must not be shifted later.
         return Plan(blocks, status, f"{reason}: {who}", state=replace(now, actuation=actuation, good=None))
 
@@ -414,11 +322,6 @@ class ThermoForceMPC:
             seconds=seconds,
             state=replace(now, actuation=actuation),
         )
-
-
-def _said(error: Exception) -> str:
-    """Message of an error, with the class name if it is not an exception of this package."""
-    return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
 
 
 def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> FreeResponse:
