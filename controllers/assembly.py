@@ -7,7 +7,8 @@ import numpy as np
 from controllers.actuation import Actuation
 from controllers.backoff import backoff_K
 from controllers.mpc_config import MPCConfig
-from controllers.problem import Cooling, MPCProblem, Weights
+from controllers.machinery import Machinery
+from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
 from controllers.reserve import is_fast, reserve_K
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.model.card import ModelCard
@@ -44,7 +45,7 @@ class Assembly:
         """Return the instance of one step.
 
         Args:
-            operator: the operator of the planner, adjusted to the actuation.
+            operator: the operator of the zone's actuator, adjusted to the actuation.
             context: free response, forced state and boundary conditions of the N steps.
             history: the record until now, for the return water.
             peak_W: highest mean power of a step so far, W.
@@ -79,34 +80,44 @@ class Assembly:
         reserve = (
             reserve_K(operator, self._actuation, self._card) if c.reserve and not self._actuation.by_rooms else 0.0
         )
+        machinery = self.machinery(operator)
         # Margins wider than half the band would swap the bounds.
         half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
+        lower_C = lower_C + np.minimum(c.comfort_margin_K + below + (reserve if operator.sign > 0 else 0.0), half)
+        upper_C = upper_C - np.minimum(c.comfort_margin_K + above + (reserve if operator.sign < 0 else 0.0), half)
+        terminal = self._terminal_price(operator, context.features[-1], price[-1] * (fixed_W + per_u_W)[-1])
+        cap_kW = aims.power_cap_kW
+        # One zone with one actuator: the only row of each array.
         return MPCProblem(
-            forced_state_K=context.forced_K,
-            features=context.features,
-            T_free_C=T_free,
-            lower_C=lower_C + np.minimum(c.comfort_margin_K + below + (reserve if operator.sign > 0 else 0.0), half),
-            upper_C=upper_C - np.minimum(c.comfort_margin_K + above + (reserve if operator.sign < 0 else 0.0), half),
-            price_per_kWh=price,
-            power_fixed_W=fixed_W,
-            power_per_u_W=per_u_W,
+            forced_state_K=context.forced_K[None, None],
+            features=context.features[None],
+            T_free_C=T_free[None],
+            lower_C=lower_C[None],
+            upper_C=upper_C[None],
+            price_per_kWh=price[None],
+            power_fixed_W=fixed_W[None],
+            power_per_u_W=per_u_W[None],
             step_s=self._step_s,
-            u_max=self._actuation.highest,
-            lowest_level=self._actuation.lowest_level,
+            machinery=machinery,
             weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
-            terminal_price_per_K=self._terminal_price(
-                operator, context.features[-1], price[-1] * (fixed_W + per_u_W)[-1]
-            ),
+            terminal_price_per_K=terminal[None, None],
             peak_so_far_W=peak_W,
             cooling=self._cooling(operator, boundary, boundary.price_per_kWh[:-1] + carbon),
+            power_cap=None
+            if cap_kW is None
+            else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
         )
+
+    def machinery(self, operator: OperatorParameters) -> Machinery:
+        """The machine of `operator` with its actuator, as the actuation runs it."""
+        return Machinery.one(self._actuation.highest, self._actuation.lowest_level, operator.heat_input.lowest)
 
     def _cooling(self, operator: OperatorParameters, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (N,), currency/kWh; None where there are none."""
-        load, lowest = self._power.cooling, operator.heat_input.lowest
-        if load is None or lowest == 0.0:
+        load = self._power.cooling
+        if load is None or operator.heat_input.lowest == 0.0:
             return None
-        return Cooling(lowest, price, load(np.ones(boundary.n_steps), boundary.T_out_C[:-1]))
+        return Cooling(price[None], load(np.ones(boundary.n_steps), boundary.T_out_C[:-1])[None])
 
     def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
         """Return water temperature while running, (N,), °C; NaN where the power model does not depend on it.

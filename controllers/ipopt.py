@@ -10,11 +10,21 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from controllers.problem import PEAK_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
+from controllers.errors import ControllerConfigError
+from controllers.machinery import Machinery
+from controllers.problem import (
+    POWER_UNIT_W,
+    MPCProblem,
+    ProblemShape,
+    Solution,
+    checked_solution,
+    failed,
+    straightened,
+)
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import step_function
 from thermoforce_mpc.model.operator.features import N_FEATURES
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Statuses with which Ipopt reports an optimum; any other is a failed solve.
@@ -30,43 +40,90 @@ class IpoptConfig(StrictModel):
 
 
 class IpoptSolver:
-    """Solves `MPCProblem`s of one operator and shape with Ipopt."""
+    """Solves `MPCProblem`s of one operator and shape with Ipopt.
 
-    def __init__(self, operator: OperatorParameters, shape: ProblemShape, config: IpoptConfig) -> None:
+    Held levels are planned as if an actuator switched below its lowest level, as `MPCProblem.cost` counts them.
+
+    Raises:
+        ControllerConfigError: actuators exclude one another, or the operator is not of these actuators.
+    """
+
+    def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: IpoptConfig) -> None:
         """Build the NLP once."""
+        shape.check(operator)
+        machinery = shape.machinery
+        if machinery.exclusive:
+            raise ControllerConfigError(
+                "solver ipopt: actuators that exclude one another are a choice; use solver: auto or milp"
+            )
         self.operator, self.shape = operator, shape
-        n, r, m = shape.n_steps, operator.order, shape.n_moves
+        (A, M), (Z, _, r) = machinery.shape, operator.shape
+        n, m, S, pairs = shape.n_steps, shape.n_moves, machinery.signed, list(operator.each())
         # Power is linear in u without a kink inside the range; the dynamics are linear if also heat is and the gain
         # does not depend on the decisions. Only then are the derivatives constant.
-        linear = shape.lowest_level >= shape.u_max
-        heat = operator.heat_input.heat
-        linear_dynamics = not operator.feedback_active and (heat is None or heat.lowest_level >= shape.u_max)
-        step = step_function(operator)
-        v, F, slack, peak = ca.SX.sym("v", m), ca.SX.sym("F", r, n), ca.SX.sym("slack", n), ca.SX.sym("peak")
-        F_now, features = ca.SX.sym("F_now", r), ca.SX.sym("features", n, N_FEATURES)
-        T_free, lower, upper = ca.SX.sym("T_free", n), ca.SX.sym("lower", n), ca.SX.sym("upper", n)
-        price_W, fixed, per_u = ca.SX.sym("price_W", n), ca.SX.sym("fixed", n), ca.SX.sym("per_u", n)
-        weights, terminal, reached = ca.SX.sym("weights", 3), ca.SX.sym("terminal", r), ca.SX.sym("reached")
+        linear = not machinery.held.any()
+        linear_dynamics = replace(shape, held_steps=None).convex(operator)
+        v, cold = ca.SX.sym("v", A, m), ca.SX.sym("cold", S.size, m)
+        F, slack = ca.SX.sym("F", len(pairs) * r, n), ca.SX.sym("slack", Z, n)
+        peak, over = ca.SX.sym("peak", int(shape.peak)), ca.SX.sym("over", 1, n if shape.capped else 0)
+        shared = np.flatnonzero(machinery.shared)
+        runs = ca.SX.sym("runs", shared.size, m)
+        given = {
+            "F_now": ca.SX.sym("F_now", len(pairs) * r),
+            "features": ca.SX.sym("features", Z * N_FEATURES, n),
+            **{name: ca.SX.sym(name, Z, n) for name in ("T_free", "lower", "upper")},
+            **{name: ca.SX.sym(name, M, n) for name in ("price_W", "fixed", "fixed_cost")},
+            **{name: ca.SX.sym(name, A, n) for name in ("per_u", "cold_power", "cold_cost")},
+            "comfort": ca.SX.sym("comfort", Z),
+            "weights": ca.SX.sym("weights", 3),
+            "terminal": ca.SX.sym("terminal", len(pairs) * r),
+            "reached": ca.SX.sym("reached"),
+            "limit": ca.SX.sym("limit", 1, n),
+        }
+        of_step = shape.move_of_step.tolist()
+        heat = v[:, of_step]
+        cool = ca.SX.zeros(A, n)
+        cool[S.tolist(), :] = cold[:, of_step]
+        u, steps = heat - cool, [step_function(pair) for *_, pair in pairs]
+        dynamics, forced = [], [ca.SX.zeros(1, n)] * Z
+        for number, (z, a, _) in enumerate(pairs):
+            rows, first = slice(number * r, (number + 1) * r), N_FEATURES * operator.home[a]
+            forced[z] = forced[z] + ca.sum1(F[rows, :])
+            for k in range(n):
+                before = given["F_now"][rows] if k == 0 else F[rows, k - 1]
+                x = given["features"][first : first + N_FEATURES, k]
+                dynamics.append(F[rows, k] - steps[number](before, u[a, k], x))
+        T = given["T_free"] + ca.vertcat(*forced)
+        constraints = [ca.vec(T + slack - given["lower"]), ca.vec(given["upper"] - T + slack)]
 
-        u = ca.vertcat(*[v[j] for j in shape.move_of_step.tolist()])
-        dynamics = []
-        for k in range(n):
-            before = F_now if k == 0 else F[:, k - 1]
-            dynamics.append(F[:, k] - step(before, u[k], features[k, :].T))
-        T = T_free + ca.sum1(F).T
-        on_share = u / shape.lowest_level if linear else ca.fmin(u / shape.lowest_level, 1.0)
-        power = fixed * on_share + per_u * u
-        objective = ca.dot(price_W, power) + weights[0] * ca.sum1(slack) + weights[1] * ca.dot(u, u)
-        objective -= ca.dot(terminal, F[:, n - 1])
-        decisions = [v, ca.vec(F), slack]
-        constraints = [*dynamics, T + slack - lower, upper - T + slack]
+        power, energy = ca.SX.zeros(1, n), ca.SX.zeros(1, n)
+        on = [_on_share(heat[a, :], machinery, a) for a in range(A)]
+        for number in range(M):
+            fed = np.flatnonzero(machinery.machine_of == number).tolist()
+            loads = sum(float(machinery.share[a]) * heat[a, :] for a in fed)
+            if number in shared:
+                runs_m = runs[int(np.flatnonzero(shared == number)[0]), of_step]
+                constraints += [ca.vec(runs_m - share) for share in (*(on[a] for a in fed), loads)]
+            else:
+                runs_m = on[fed[0]]
+            if machinery.share[fed].any():
+                constraints.append(ca.vec(1.0 - loads))
+            power += given["fixed"][number, :] * runs_m
+            energy += given["fixed_cost"][number, :] * runs_m
+            for a in fed:
+                power += given["per_u"][a, :] * heat[a, :] + given["cold_power"][a, :] * cool[a, :]
+                energy += given["price_W"][number, :] * given["per_u"][a, :] * heat[a, :]
+                energy += given["cold_cost"][a, :] * cool[a, :]
+        weights = given["weights"]
+        objective = ca.sum2(energy) + ca.dot(given["comfort"], ca.sum2(slack)) + weights[0] * ca.sumsqr(u)
+        objective -= ca.dot(given["terminal"], F[:, n - 1])
         if shape.peak:
-            objective += weights[2] * peak
-            decisions.append(peak)
-            constraints.append((reached + peak - power) / PEAK_UNIT_W)
-        parameters = ca.veccat(
-            F_now, features, T_free, lower, upper, price_W, fixed, per_u, weights, terminal, reached
-        )  # fmt: skip
+            objective += weights[1] * POWER_UNIT_W * peak
+            constraints.append(ca.vec(peak + (given["reached"] - power) / POWER_UNIT_W))
+        if shape.capped:
+            objective += weights[2] * POWER_UNIT_W * ca.sum2(over)
+            constraints.append(ca.vec(over + (given["limit"] - power) / POWER_UNIT_W))
+        decisions = [v, cold, F, slack, peak, over, runs]
         options: dict[str, Any] = {
             "print_time": False,
             "ipopt": {
@@ -76,26 +133,39 @@ class IpoptSolver:
                 "tol": config.tolerance,
                 "max_wall_time": config.max_seconds,
                 "jac_c_constant": "yes" if linear_dynamics else "no",
-                "jac_d_constant": "yes" if linear or not shape.peak else "no",
+                "jac_d_constant": "yes" if linear or not (shape.peak or shape.capped or shared.size) else "no",
                 "hessian_constant": "yes" if linear and linear_dynamics else "no",
             },
         }
-        nlp = {"x": ca.veccat(*decisions), "p": parameters, "f": objective, "g": ca.veccat(*constraints)}
+        nlp = {
+            "x": ca.veccat(*decisions),
+            "p": ca.veccat(*given.values()),
+            "f": objective,
+            "g": ca.veccat(*dynamics, *constraints),
+        }
         self._solver = ca.nlpsol("thermoforce_mpc", "ipopt", nlp, options)
-        free, extra = np.full(n * r, np.inf), 1 if shape.peak else 0
-        self._lbx = np.concatenate([np.zeros(m), -free, np.zeros(n + extra)])
-        self._ubx = np.concatenate([np.full(m, shape.u_max), free, np.full(n + extra, np.inf)])
-        self._lbg = np.zeros(n * r + (2 + extra) * n)
-        self._ubg = np.concatenate([np.zeros(n * r), np.full((2 + extra) * n, np.inf)])
+        self._order, self._pairs = list(given), pairs
+        zeros, free = np.zeros, np.full(len(pairs) * r * n, np.inf)
+        others = [part.numel() for part in (slack, peak, over, runs)]
+        self._lbx = np.concatenate([zeros(A * m + S.size * m), -free, zeros(sum(others))])
+        self._ubx = np.concatenate(
+            [np.tile(machinery.u_max, m), np.tile(-machinery.u_min[S], m), free, np.full(sum(others), np.inf)]
+        )
+        inequalities = sum(part.numel() for part in constraints)
+        self._lbg = zeros(free.size + inequalities)
+        self._ubg = np.concatenate([zeros(free.size), np.full(inequalities, np.inf)])
         # A kink makes the power concave in u, so local optima are possible. Its convex envelope on [0, u_max] is the
         # straight line; that problem has one optimum, which is used as a second initial guess.
-        on_off = replace(operator, heat_input=operator.heat_input.at_lowest_level(1.0))
-        straight = replace(shape, lowest_level=shape.u_max)
+        on_off = operator.map(lambda pair: replace(pair, heat_input=pair.heat_input.at_lowest_level(1.0)))
+        straight = replace(
+            shape, machinery=replace(machinery, lowest_level=np.maximum(machinery.lowest_level, machinery.u_max))
+        )
         self._relaxed = None if linear else IpoptSolver(on_off, straight, config)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance from `guess` (N,). On failure `ok` is False and `problem` has the reason."""
-        guesses = [np.full(problem.n_steps, 0.3 * problem.u_max) if guess is None else guess]
+        """Solve one instance from `guess` (A, N). On failure `ok` is False and `problem` has the reason."""
+        highest = self.shape.machinery.u_max[:, None]
+        guesses = [np.broadcast_to(0.3 * highest, problem.power_per_u_W.shape) if guess is None else guess]
         if self._relaxed:
             relaxed = self._relaxed.solve(straightened(problem), guess)
             guesses += [relaxed.u] if relaxed.ok else []
@@ -108,49 +178,72 @@ class IpoptSolver:
     def _solve_from(self, problem: MPCProblem, u_guess: Array) -> Solution:
         p = problem
         if not p.finite():
-            return Solution(False, np.empty(0), "not started", 0, "the problem holds numbers that are not finite")
-        parameters = np.concatenate(
-            [
-                p.forced_state_K,
-                p.features.ravel(order="F"),
-                p.T_free_C,
-                p.lower_C,
-                p.upper_C,
-                p.price_per_W,
-                p.power_fixed_W,
-                p.power_per_u_W,
-                [p.comfort_price, p.weights.curvature, p.weights.peak],
-                p.terminal_price_per_K,
-                [p.peak_so_far_W],
-            ]
-        )
+            return failed("not started", 0, "the problem holds numbers that are not finite")
+        cold, n = p.cooling, p.n_steps
+        numbers = {
+            "F_now": self._of_pairs(p.forced_state_K),
+            "features": p.features.transpose(0, 2, 1).reshape(-1, n),
+            "T_free": p.T_free_C,
+            "lower": p.lower_C,
+            "upper": p.upper_C,
+            "price_W": p.price_per_W,
+            "fixed": p.power_fixed_W,
+            "fixed_cost": p.fixed_cost,
+            "per_u": p.power_per_u_W,
+            "cold_power": np.zeros(p.power_per_u_W.shape) if cold is None else cold.power_per_u_W,
+            "cold_cost": p.cooling_cost_per_u,
+            "comfort": p.comfort_price,
+            "weights": np.array([p.weights.curvature, p.weights.peak, p.cap_price_per_W]),
+            "terminal": self._of_pairs(p.terminal_price_per_K),
+            "reached": np.array([p.peak_so_far_W]),
+            "limit": np.zeros(n) if p.power_cap is None else p.power_cap.limit_W,
+        }
         result = self._solver(
-            x0=self._complete(p, u_guess), p=parameters, lbx=self._lbx, ubx=self._ubx, lbg=self._lbg, ubg=self._ubg
+            x0=self._complete(p, u_guess),
+            p=np.concatenate([numbers[name].ravel(order="F") for name in self._order]),
+            lbx=self._lbx,
+            ubx=self._ubx,
+            lbg=self._lbg,
+            ubg=self._ubg,
         )
         stats = self._solver.stats()
         status, iterations = str(stats["return_status"]), int(stats["iter_count"])
         if status not in _ACCEPTED:
-            return Solution(False, np.empty(0), status, iterations, f"Ipopt ended with {status}")
-        moves = np.asarray(result["x"], dtype=np.float64).ravel()[: self.shape.n_moves]
-        u = moves[self.shape.move_of_step]
+            return failed(status, iterations, f"Ipopt ended with {status}")
+        x, machinery = np.asarray(result["x"], dtype=np.float64).ravel(), self.shape.machinery
+        (A, _), S, m = machinery.shape, machinery.signed, self.shape.n_moves
+        moves = x[: A * m].reshape(m, A).T.copy()
+        moves[S] -= x[A * m : (A + S.size) * m].reshape(m, S.size).T
+        u = moves[:, self.shape.move_of_step]
         return checked_solution(p, partial(p.modes_K, self.operator), u, float(result["f"]), status, iterations)
 
+    def _of_pairs(self, values: Array) -> Array:
+        """Values (Z, A, ...) of the pairs with an effect one after another."""
+        return np.concatenate([values[z, a].ravel() for z, a, _ in self._pairs])
+
     def _complete(self, problem: MPCProblem, u: Array) -> Array:
-        """Initial guess for all variables, consistent with the first level of `u` (N,) in each move."""
-        moves = u[self.shape.first_steps]
-        u = moves[self.shape.move_of_step]
+        """Initial guess for all variables, consistent with the first level of `u` (A, N) in each move."""
+        shape = self.shape
+        moves = u[:, shape.first_steps]
+        u = moves[:, shape.move_of_step]
         F = problem.modes_K(self.operator, u)
-        slack = problem.slack_K(problem.T_free_C + F.sum(axis=-1))
-        peak = [max(float(problem.power_W(u).max()) - problem.peak_so_far_W, 0.0)] if self.shape.peak else []
-        return np.concatenate([moves, F.ravel(), slack, peak])
+        slack = problem.slack_K(problem.T_free_C + F.sum(axis=(1, 3)))
+        power = problem.power_W(u).sum(axis=0)
+        runs = problem.running(u)[np.flatnonzero(shape.machinery.shared)]
+        parts = [np.maximum(moves, 0.0), np.maximum(-moves[shape.machinery.signed], 0.0)]
+        # States of a pair, one step after another.
+        parts.append(np.stack([F[z, a].T for z, a, _ in self._pairs]).reshape(-1, u.shape[1]))
+        parts.append(slack)
+        if shape.peak:
+            parts.append(np.array([max(power.max() - problem.peak_so_far_W, 0.0) / POWER_UNIT_W]))
+        if shape.capped and problem.power_cap is not None:
+            parts.append(np.maximum(power - problem.power_cap.limit_W, 0.0) / POWER_UNIT_W)
+        parts.append(runs[:, shape.first_steps])
+        return np.concatenate([part.ravel(order="F") for part in parts])
 
 
-def straightened(problem: MPCProblem) -> MPCProblem:
-    """The problem with the power replaced by its convex envelope in u, the straight line from 0 to `u_max`."""
-    full = problem.power_W(np.full(problem.n_steps, problem.u_max))
-    return replace(
-        problem,
-        power_fixed_W=np.zeros(problem.n_steps),
-        power_per_u_W=full / problem.u_max,
-        lowest_level=problem.u_max,
-    )
+def _on_share(heat: ca.SX, machinery: Machinery, a: int) -> ca.SX:
+    """Share of each step that actuator `a` is on, as an expression of its levels; more where its machine asks."""
+    alone = not machinery.shared[machinery.machine_of[a]]
+    slope = max(1.0 / machinery.lowest_level[a], machinery.share[a] if alone else 0.0)
+    return ca.fmin(slope * heat, 1.0) if machinery.held[a] else slope * heat

@@ -25,6 +25,7 @@ from controllers.watched import WatchedPredictions
 from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
+from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.features import ZONE
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor
@@ -174,7 +175,7 @@ class ThermoForceMPC(Acting):
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
             return self._fall_back(observation, now, solution.problem, solution.status, seconds)
-        plan = self._accept(observation, now, planner.operator, problem, context.free, solution, seconds)
+        plan = self._accept(observation, now, planner.building, problem, context.free, solution, seconds)
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
     def _guarded(self, observation: Observation, now: MPCState, plan: Plan) -> Plan:
@@ -210,13 +211,15 @@ class ThermoForceMPC(Acting):
         operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
         predictor = Predictor(model.operator, self._free_response, estimator=estimator)
-        return Planner(model, predictor, operator, build_solver(self.config, operator, self._actuation))
+        building = single(operator)
+        solver = build_solver(self.config, building, self._assembly.machinery(operator))
+        return Planner(model, predictor, operator, building, solver)
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
-        """Warm start (N,): the plan of the previous step, shifted by one step; None without one."""
+        """Warm start (1, N): the plan of the previous step, shifted by one step; None without one."""
         if good is None or good.age(observation.time_s, self.step_s) != 1:
             return None
-        return np.append(good.u[1:], good.u[-1])
+        return np.append(good.u[1:], good.u[-1])[None]
 
     def _offset_K(self, before: MPCState, observation: Observation) -> float:
         """Mean error of planned zone temperatures one step ahead, K, forgotten over `offset_h`.
@@ -246,16 +249,16 @@ class ThermoForceMPC(Acting):
         self,
         observation: Observation,
         now: MPCState,
-        operator: OperatorParameters,
+        operator: BuildingOperator,
         problem: MPCProblem,
         forecast: FreeForecast,
         solution: Solution,
         seconds: Mapping[str, float],
     ) -> Plan:
-        u = solution.u
-        forced_K = problem.forced_K(operator, u)
-        T_zone_C = problem.T_free_C + forced_K
-        slack_K = problem.slack_K(T_zone_C)
+        u = solution.u[0]
+        forced_K = problem.forced_K(operator, solution.u)[0]
+        T_zone_C = problem.T_free_C[0] + forced_K
+        slack_K = problem.slack_K(T_zone_C[None])[0]
         band_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
         if self._actuation.by_rooms:
             blocks, actuation = self._room_blocks(observation, float(u[0]), float(T_zone_C[0])), now.actuation
@@ -266,13 +269,13 @@ class ThermoForceMPC(Acting):
             status=PlanStatus.SOLVED,
             why=_reason(problem, T_zone_C, slack_K, forecast),
             u=u,
-            T_free_now_C=float(problem.features[0, ZONE]),
-            T_free_C=problem.T_free_C,
+            T_free_now_C=float(problem.features[0, 0, ZONE]),
+            T_free_C=problem.T_free_C[0],
             T_forced_K=forced_K,
             T_free_low_C=forecast.quantile_C(0.1),
             T_free_high_C=forecast.quantile_C(0.9),
             slack_K=slack_K,
-            power_W=problem.power_W(u),
+            power_W=problem.power_W(solution.u).sum(axis=0),
             time_s=observation.boundary.time_s[: u.size],
             origin=observation.history.origin,
             solver_status=solution.status,
@@ -333,20 +336,21 @@ def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> Fre
 def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: FreeForecast) -> str:
     """One sentence: which bound is binding and when, and the width of the forecast's 80 % band there."""
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
+    lower_C, upper_C = problem.lower_C[0], problem.upper_C[0]
     violated = int(np.argmax(slack_K))
     if slack_K[violated] > 1e-3:
-        side = "below" if T_zone_C[violated] < problem.lower_C[violated] else "above"
+        side = "below" if T_zone_C[violated] < lower_C[violated] else "above"
         what = f"{slack_K[violated]:.2f} K {side} the comfort band cannot be avoided economically"
         when = violated
     else:
-        gap = np.minimum(T_zone_C - problem.lower_C, problem.upper_C - T_zone_C)
+        gap = np.minimum(T_zone_C - lower_C, upper_C - T_zone_C)
         # The first binding bound, not the tightest: it determines the plan of the next hours.
         when = int(np.argmax(gap <= max(_BINDING_K, float(gap.min()))))
         if gap[when] > _BINDING_K:
             return (
                 f"comfort is not binding within the horizon (nearest {gap[when]:.2f} K); free forecast: {forecast.note}"
             )
-        side = "lower" if T_zone_C[when] - problem.lower_C[when] <= problem.upper_C[when] - T_zone_C[when] else "upper"
+        side = "lower" if T_zone_C[when] - lower_C[when] <= upper_C[when] - T_zone_C[when] else "upper"
         what = f"{side} bound binds"
     hours = (when + 1) * problem.step_s / HOUR_S
     return f"{what} in {hours:g} h (80 % band of the free forecast there: {band[when]:.2f} K)"

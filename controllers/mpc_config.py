@@ -11,9 +11,9 @@ from controllers.fallback import FallbackConfig
 from controllers.gate import GateConfig
 from controllers.guard import GuardConfig
 from controllers.ipopt import IpoptConfig
+from controllers.milp import MilpConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
-from controllers.semi_continuous import SemiContinuousConfig
 from controllers.watch import WatchConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
@@ -53,6 +53,10 @@ class ObjectiveConfig(StrictModel):
     peak_price_per_kW: float = Field(
         0.0, ge=0, description="price of mean power over a step above the highest so far, currency/kW"
     )
+    power_cap_kW: float | None = Field(
+        None, gt=0, description="soft cap of the building's mean power over a step, kW; null: none"
+    )
+    power_cap_price_per_kWh: float = Field(1.0, ge=0, description="price of energy above the cap, currency/kWh")
     terminal_value: float = Field(
         0.0,
         ge=0,
@@ -105,11 +109,12 @@ class MPCConfig(StrictModel):
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
     )
-    solver: Literal["auto", "qp", "semi_continuous", "ipopt", "search"] = Field(
+    solver: Literal["auto", "qp", "milp", "ipopt", "search"] = Field(
         "auto",
-        description="qp: quadratic programme (duty); semi_continuous: one QP per level of the first step (modulating); "
-        "ipopt: nonlinear programme; search: the paper's candidate trajectories; auto: the first of qp, "
-        "semi_continuous and ipopt that fits the problem",
+        description="qp: quadratic programme (duty); milp: choices between off and on in the first hours by "
+        "mixed-integer programming (modulating from a lowest level, actuators that exclude one another); ipopt: "
+        "nonlinear programme; search: the paper's candidate trajectories; auto: the first of qp, milp and ipopt that "
+        "fits the problem",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
@@ -122,7 +127,7 @@ class MPCConfig(StrictModel):
     guard: GuardConfig = GuardConfig()
     watch: WatchConfig = WatchConfig()
     qp: QPConfig = QPConfig()
-    semi_continuous: SemiContinuousConfig = SemiContinuousConfig()
+    milp: MilpConfig = MilpConfig()
     ipopt: IpoptConfig = IpoptConfig()
     search: SearchConfig = SearchConfig()
 

@@ -8,10 +8,13 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from controllers.problem import MPCProblem, Solution, checked_solution
+from controllers.problem import MPCProblem, Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
+
+# Rounds over all actuators before the search stops.
+_MOST_SWEEPS = 5
 
 
 class SearchConfig(StrictModel):
@@ -24,23 +27,39 @@ class SearchConfig(StrictModel):
 
 
 class CandidateSearch:
-    """Evaluates all candidates, and the guess if given, in one vectorised rollout."""
+    """Evaluates all candidates, and the guess if given, in one vectorised rollout.
 
-    def __init__(self, operator: OperatorParameters, n_steps: int, config: SearchConfig) -> None:
+    With several actuators, the candidates of one are tried while the others keep theirs, in turn until none gains: a
+    plan that no change of a single actuator to a candidate improves, which need not be the cheapest of all.
+    """
+
+    def __init__(self, operator: BuildingOperator, n_steps: int, config: SearchConfig) -> None:
         self.operator = operator
         self._candidates = _two_level_trajectories(config, n_steps)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """The cheapest candidate. On failure `ok` is False and `problem` has the reason."""
-        candidates = np.unique(np.minimum(self._candidates, problem.u_max), axis=0)
-        if guess is not None:
-            candidates = np.vstack([candidates, guess])
-        costs = problem.cost(self.operator, candidates)
-        if not np.isfinite(costs).any():
-            return Solution(False, np.empty(0), "no candidate", len(costs), "no candidate has a finite cost")
-        best = int(np.nanargmin(costs))
-        modes_of = partial(problem.modes_K, self.operator)
-        return checked_solution(problem, modes_of, candidates[best], float(costs[best]), "best_candidate", len(costs))
+        highest, modes_of = problem.machinery.u_max, partial(problem.modes_K, self.operator)
+        best, least, tried = np.zeros((highest.size, problem.n_steps)), np.inf, 0
+        starts = [] if guess is None else [guess]
+        for _ in range(1 if highest.size == 1 else _MOST_SWEEPS):
+            before = least
+            for a, own in enumerate(highest):
+                candidates = np.unique(np.minimum(self._candidates, own), axis=0)
+                trials = np.repeat(best[None], len(candidates), axis=0)
+                trials[:, a] = candidates
+                trials = np.concatenate([trials, *(start[None] for start in starts)])
+                costs = problem.cost(self.operator, trials)
+                if highest.size > 1:  # one actuator alone is checked with the solution
+                    costs = np.where([not problem.outside(u) for u in trials], costs, np.inf)
+                tried += len(trials)
+                if not np.isfinite(costs).any():
+                    return failed("no candidate", tried, "no candidate has a finite cost")
+                best, least = trials[int(np.nanargmin(costs))], float(np.nanmin(costs))
+                starts = [best]
+            if not least < before:
+                break
+        return checked_solution(problem, modes_of, best, least, "best_candidate", tried)
 
 
 def _two_level_trajectories(config: SearchConfig, n_steps: int) -> Array:

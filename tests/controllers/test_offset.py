@@ -70,4 +70,4 @@ def test_in_a_fast_zone_the_end_of_a_step_meets_the_bound_that_held_during_it(ga
     problem = mpc._assembly.problem(mpc.model.operator, context, history, 0.0)
     drops = np.flatnonzero((boundary.lower_C[:-1] == 21.0) & (boundary.lower_C[1:] == 15.0))
     assert drops.size
-    assert (problem.lower_C[drops] >= 21.0).all() == held
+    assert (problem.lower_C[0, drops] >= 21.0).all() == held

@@ -12,10 +12,13 @@ from scipy.signal import lfilter
 
 from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.machinery import Machinery
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
-from controllers.qp import QPSolver, transfer_function
+from controllers.programme import transfer_function
+from controllers.qp import QPSolver
 from controllers.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
 from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.operator.rollout import driven_rollout
@@ -30,7 +33,7 @@ SHAPES = {
 def full_problem(rng: np.random.Generator, order: int, *, peak: bool):
     problem = random_problem(rng, order, curvature=1e-6)
     weights = Weights(5.0, 1e-6, 2e-4 if peak else 0.0)
-    terminal = rng.uniform(0.0, 0.05, order)
+    terminal = rng.uniform(0.0, 0.05, (1, 1, order))
     return replace(problem, weights=weights, terminal_price_per_K=terminal, peak_so_far_W=1500.0)
 
 
@@ -38,7 +41,7 @@ def full_problem(rng: np.random.Generator, order: int, *, peak: bool):
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_the_optimum_is_ipopts(shape, backend):
     rng = np.random.default_rng(5)
-    operator = random_operator(rng, 3)
+    operator = single(random_operator(rng, 3))
     qp = QPSolver(operator, shape, QPConfig(backends=(backend,)))
     ipopt = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10))
     for _ in range(4):
@@ -52,7 +55,7 @@ def test_the_optimum_is_ipopts(shape, backend):
 
 def test_it_finds_the_optimum_of_the_linear_programme():
     rng = np.random.default_rng(11)
-    operator = random_operator(rng, 2)
+    operator = single(random_operator(rng, 2))
     solver = QPSolver(operator, ProblemShape(every_step(N)), QPConfig())
     for _ in range(5):
         problem = random_problem(rng, 2)
@@ -62,8 +65,8 @@ def test_it_finds_the_optimum_of_the_linear_programme():
 
 def test_steps_of_one_move_share_their_level():
     rng = np.random.default_rng(6)
-    operator, shape = random_operator(rng, 1), SHAPES["blocked"]
-    u = QPSolver(operator, shape, QPConfig()).solve(full_problem(rng, 1, peak=False)).u
+    operator, shape = single(random_operator(rng, 1)), SHAPES["blocked"]
+    u = QPSolver(operator, shape, QPConfig()).solve(full_problem(rng, 1, peak=False)).u[0]
     assert shape.move_of_step.tolist() == [0, 1, 2, 3, 4, 4, 4, 5, 5, 5, 6, 6]
     for move in range(4, shape.n_moves):
         assert np.ptp(u[shape.move_of_step == move]) == 0.0
@@ -71,7 +74,7 @@ def test_steps_of_one_move_share_their_level():
 
 def test_a_priced_peak_is_lower():
     rng = np.random.default_rng(7)
-    operator = random_operator(rng, 2)
+    operator = single(random_operator(rng, 2))
     problem = full_problem(rng, 2, peak=True)
     free = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(replace(problem, weights=Weights(5.0, 1e-6)))
     dear = QPSolver(operator, SHAPES["peak"], QPConfig()).solve(replace(problem, weights=Weights(5.0, 1e-6, 1.0)))
@@ -80,13 +83,15 @@ def test_a_priced_peak_is_lower():
 
 def test_what_is_left_at_the_end_is_worth_something():
     rng = np.random.default_rng(8)
-    operator = random_operator(rng, 2)
+    operator = single(random_operator(rng, 2))
     problem = random_problem(rng, 2, curvature=1e-6)
     # Too warm already, so that heat is worth nothing within the horizon.
-    problem = replace(problem, T_free_C=np.full(N, 22.0), forced_state_K=np.zeros(2), upper_C=np.full(N, 30.0))
+    problem = replace(
+        problem, T_free_C=np.full((1, N), 22.0), forced_state_K=np.zeros((1, 1, 2)), upper_C=np.full((1, N), 30.0)
+    )
     solver = QPSolver(operator, SHAPES["every step"], QPConfig())
     spent = problem.power_W(solver.solve(problem).u).sum()
-    kept = replace(problem, terminal_price_per_K=np.array([0.0, 100.0]))
+    kept = replace(problem, terminal_price_per_K=np.array([[[0.0, 100.0]]]))
     assert spent == pytest.approx(0.0, abs=1.0)
     assert problem.power_W(solver.solve(kept).u).sum() > 1000.0
 
@@ -107,7 +112,7 @@ def broken_solver(x, *, solved: bool = True):
 )
 def test_the_second_solver_acts_when_the_first_lies_or_fails(answer, reason):
     rng = np.random.default_rng(9)
-    operator, shape = random_operator(rng, 2), SHAPES["every step"]
+    operator, shape = single(random_operator(rng, 2)), SHAPES["every step"]
     problem = random_problem(rng, 2, curvature=1e-6)
     solver = QPSolver(operator, shape, QPConfig())
     solver._solve_with["piqp"] = answer
@@ -122,29 +127,29 @@ def test_the_second_solver_acts_when_the_first_lies_or_fails(answer, reason):
 
 def test_a_failed_solve_does_not_spoil_the_next():
     rng = np.random.default_rng(10)
-    operator = random_operator(rng, 2)
+    operator = single(random_operator(rng, 2))
     problem = random_problem(rng, 2, curvature=1e-6)
     solver = QPSolver(operator, SHAPES["every step"], QPConfig())
     first = solver.solve(problem)
-    refused = solver.solve(replace(problem, price_per_kWh=np.full(N, np.nan)))
+    refused = solver.solve(replace(problem, price_per_kWh=np.full((1, N), np.nan)))
     assert not refused.ok
     assert "not finite" in refused.problem
     np.testing.assert_allclose(solver.solve(problem).u, first.u, atol=1e-6)
 
 
 def test_a_problem_that_is_not_convex_is_refused_with_advice():
-    operator = random_operator(np.random.default_rng(0), 1)
+    pair = random_operator(np.random.default_rng(0), 1)
     with pytest.raises(ControllerConfigError, match=r"use actuation mode duty .*or solver: ipopt"):
-        QPSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), QPConfig())
+        QPSolver(single(pair), ProblemShape(every_step(N), Machinery.one(lowest_level=0.3)), QPConfig())
     heat = MachineLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match="not convex"):
-        QPSolver(replace(operator, heat_input=HeatInput(heat=heat)), ProblemShape(every_step(N)), QPConfig())
+        QPSolver(single(replace(pair, heat_input=HeatInput(heat=heat))), ProblemShape(every_step(N)), QPConfig())
 
 
 def test_a_heat_map_of_an_on_off_machine_is_convex_and_scales_what_the_heat_adds():
     rng = np.random.default_rng(12)
     heat = MachineLoad((1000.0, 20.0, 9000.0, 200.0), (-10.0, 20.0), lowest_level=1.0)
-    operator = replace(random_operator(rng, 2), heat_input=HeatInput(heat=heat))
+    operator = single(replace(random_operator(rng, 2), heat_input=HeatInput(heat=heat)))
     problem = random_problem(rng, 2, curvature=1e-6)
     ours = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(problem)
     reference = IpoptSolver(operator, SHAPES["every step"], IpoptConfig(tolerance=1e-10)).solve(problem)
@@ -154,8 +159,8 @@ def test_a_heat_map_of_an_on_off_machine_is_convex_and_scales_what_the_heat_adds
 
 def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():
     rng = np.random.default_rng(13)
-    operator, problem = random_operator(rng, 1), random_problem(rng, 1)
-    u = np.full(N, 0.5)
+    operator, problem = single(random_operator(rng, 1)), random_problem(rng, 1)
+    u = np.full((1, N), 0.5)
     cost = float(problem.cost(operator, u))
     modes_of = partial(problem.modes_K, operator)
     assert checked_solution(problem, modes_of, u, cost, "ok", 1).ok
@@ -186,7 +191,7 @@ def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_consta
     rng = np.random.default_rng(15)
     n, order = 192, len(time_constants_h)
     poles = np.exp(-0.25 / np.array(time_constants_h))
-    operator = linear_operator(poles, np.full(order, 0.05), step_s=900.0)
+    operator = single(linear_operator(poles, np.full(order, 0.05), step_s=900.0))
     problem = replace(random_problem(rng, order, n=n, curvature=1e-6), step_s=900.0)
     piqp_alone_finds_ipopts_optimum(operator, problem)
 
@@ -194,7 +199,7 @@ def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_consta
 @pytest.mark.parametrize("rate", [1e-6, 1e6])
 def test_the_plan_does_not_depend_on_the_currency(rate):
     rng = np.random.default_rng(16)
-    operator, shape = random_operator(rng, 2), SHAPES["every step"]
+    operator, shape = single(random_operator(rng, 2)), SHAPES["every step"]
     problem = random_problem(rng, 2, curvature=1e-3)
     weights = Weights(rate * problem.weights.comfort, rate * problem.weights.curvature)
     elsewhere = replace(problem, price_per_kWh=rate * problem.price_per_kWh, weights=weights)
@@ -207,12 +212,12 @@ def test_the_plan_does_not_depend_on_the_currency(rate):
 def test_cooling_over_any_horizon_has_ipopts_optimum(n):
     """A horizon may be shorter than the order of the difference equation."""
     rng = np.random.default_rng(17)
-    operator = linear_operator(np.linspace(0.3, 0.97, 3), -rng.uniform(0.1, 0.5, 3), step_s=3600.0, sign=-1)
+    operator = single(linear_operator(np.linspace(0.3, 0.97, 3), -rng.uniform(0.1, 0.5, 3), step_s=3600.0, sign=-1))
     problem = replace(
         random_problem(rng, 3, n=n, curvature=1e-6),
-        T_free_C=rng.uniform(26.0, 32.0, n),
-        forced_state_K=-rng.uniform(0.0, 1.0, 3),
-        terminal_price_per_K=np.full(3, -0.01),
+        T_free_C=rng.uniform(26.0, 32.0, (1, n)),
+        forced_state_K=-rng.uniform(0.0, 1.0, (1, 1, 3)),
+        terminal_price_per_K=np.full((1, 1, 3), -0.01),
     )
     piqp_alone_finds_ipopts_optimum(operator, problem)
 
@@ -221,15 +226,15 @@ def test_cooling_over_any_horizon_has_ipopts_optimum(n):
 def test_wild_instances_are_solved_by_either_solver_alike(peak):
     """Zones far outside the band, negative and free power, heat of yesterday, discomfort that costs nothing or all."""
     rng = np.random.default_rng(18)
-    operator, shape = random_operator(rng, 3), ProblemShape(blocked_moves(96, 3600.0, 12.0, 3.0), peak=peak)
+    operator, shape = single(random_operator(rng, 3)), ProblemShape(blocked_moves(96, 3600.0, 12.0, 3.0), peak=peak)
     piqp, clarabel = (QPSolver(operator, shape, QPConfig(backends=(b,))) for b in ("piqp", "clarabel"))
     for _ in range(40):
         problem = random_problem(rng, 3, n=96, curvature=1e-6)
         problem = replace(
             problem,
-            T_free_C=problem.T_free_C + rng.choice([-20.0, 0.0, 20.0]) + rng.normal(0.0, 5.0, 96),
-            forced_state_K=rng.normal(0.0, rng.choice([0.1, 15.0]), 3),
-            price_per_kWh=rng.choice([0.0, 1.0]) * rng.normal(0.05, 0.2, 96),
+            T_free_C=problem.T_free_C + rng.choice([-20.0, 0.0, 20.0]) + rng.normal(0.0, 5.0, (1, 96)),
+            forced_state_K=rng.normal(0.0, rng.choice([0.1, 15.0]), (1, 1, 3)),
+            price_per_kWh=rng.choice([0.0, 1.0]) * rng.normal(0.05, 0.2, (1, 96)),
             weights=Weights(10.0 ** rng.uniform(-3, 4), 1e-6, 10.0 ** rng.uniform(-5, -1) if peak else 0.0),
         )
         ours, other = piqp.solve(problem), clarabel.solve(problem)
@@ -241,7 +246,7 @@ def test_wild_instances_are_solved_by_either_solver_alike(peak):
 
 def test_a_solver_that_raises_is_followed_by_the_next(monkeypatch):
     rng = np.random.default_rng(8)
-    operator, problem = random_operator(rng, 2), random_problem(rng, 2, curvature=1e-6)
+    operator, problem = single(random_operator(rng, 2)), random_problem(rng, 2, curvature=1e-6)
     solver = QPSolver(operator, ProblemShape(every_step(N)), QPConfig())
     best = solver.solve(problem)
 

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_office import LightOffice
-from mpc_problems import N, random_operator, random_problem
+from mpc_problems import N, random_operator, random_problem, unit_responses
 from scipy.optimize import linprog
 
 from controllers.errors import ControllerConfigError
+from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
+from controllers.machinery import Machinery
 from controllers.problem import Cooling, ProblemShape, Weights, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
@@ -23,6 +25,7 @@ from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatu
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -40,25 +43,26 @@ def both_ways(rng: np.random.Generator, order: int):
     """A problem that is too cold at first and too warm later, with cooling at a price of its own."""
     problem = random_problem(rng, order)
     warm = np.where(np.arange(N) < N // 2, rng.uniform(12, 16, N), rng.uniform(24, 28, N))
-    cooling = Cooling(LOWEST, rng.uniform(0.1, 0.4, N), rng.uniform(500, 1500, N))
-    return replace(problem, forced_state_K=np.zeros(order), T_free_C=warm, cooling=cooling)
+    cooling = Cooling(rng.uniform(0.1, 0.4, (1, N)), rng.uniform(500, 1500, (1, N)))
+    machinery = Machinery.one(u_min=LOWEST)
+    return replace(
+        problem, forced_state_K=np.zeros((1, 1, order)), T_free_C=warm[None], cooling=cooling, machinery=machinery
+    )
 
 
 def test_the_signed_programme_is_solved_to_its_optimum_and_never_heats_and_cools_at_once():
     rng = np.random.default_rng(3)
-    operator = signed(random_operator(rng, 2))
-    solver = QPSolver(operator, ProblemShape(every_step(N), u_min=LOWEST), QPConfig())
+    operator = single(signed(random_operator(rng, 2)))
+    solver = QPSolver(operator, ProblemShape(every_step(N), Machinery.one(u_min=LOWEST)), QPConfig())
     directions = set()
     for _ in range(5):
         problem = both_ways(rng, 2)
-        at_rest = problem.forced_K(operator, np.zeros(N))
-        effect = np.stack([problem.forced_K(operator, row) - at_rest for row in np.eye(N)], axis=1)
+        T_rest, effect = unit_responses(problem, operator)
         both = np.hstack([effect, -effect])
-        T_rest = problem.T_free_C + at_rest
-        heat = problem.price_per_W * problem.power_W(np.ones(N))
-        cost = np.concatenate([heat, problem.cooling_cost_per_u, np.full(N, problem.comfort_price)])
+        heat, cold = problem.energy_cost(np.ones((1, N))), problem.cooling_cost_per_u[0]
+        cost = np.concatenate([heat, cold, np.full(N, problem.comfort_price[0])])
         A = np.block([[-both, -np.eye(N)], [both, -np.eye(N)]])
-        b = np.concatenate([T_rest - problem.lower_C, problem.upper_C - T_rest])
+        b = np.concatenate([T_rest - problem.lower_C[0], problem.upper_C[0] - T_rest])
         bounds = [(0, 1)] * N + [(0, -LOWEST)] * N + [(0, None)] * N
         best = linprog(cost, A_ub=A, b_ub=b, bounds=bounds, method="highs").fun
         found = solver.solve(problem)
@@ -69,10 +73,24 @@ def test_the_signed_programme_is_solved_to_its_optimum_and_never_heats_and_cools
     assert directions == {-1.0, 1.0}
 
 
-def test_peak_power_is_refused_where_there_are_two_directions():
-    operator = signed(random_operator(np.random.default_rng(3), 1))
-    with pytest.raises(ControllerConfigError, match="peak_price_per_kW"):
-        QPSolver(operator, ProblemShape(every_step(N), u_min=LOWEST, peak=True), QPConfig())
+def test_the_peak_counts_power_in_both_directions():
+    rng = np.random.default_rng(4)
+    operator, problem = single(signed(random_operator(rng, 2))), both_ways(rng, 2)
+    problem = replace(problem, weights=Weights(5.0, 1e-6, 2e-2))
+    shape = ProblemShape(every_step(N), Machinery.one(u_min=LOWEST), peak=True)
+    ours, reference = (solver.solve(problem) for solver in both_solvers(operator, shape))
+    assert ours.ok, ours.problem
+    assert reference.ok, reference.problem
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-5)
+    unpriced = QPSolver(operator, replace(shape, peak=False), QPConfig()).solve(
+        replace(problem, weights=Weights(5.0, 1e-6))
+    )
+    assert problem.power_W(ours.u).max() < problem.power_W(unpriced.u).max() - 50.0
+
+
+def both_solvers(operator, shape):
+    return QPSolver(operator, shape, QPConfig()), IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10))
 
 
 def blocks(u: float, T_end_C: float, T_now_C: float, *, u_last: float = 0.0, bounds=(15.0, 30.0)) -> tuple[Block, ...]:

@@ -9,14 +9,16 @@ import pytest
 from mpc_problems import N, linear_programme_optimum, multi_start_optimum, random_operator, random_problem
 
 from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.machinery import Machinery
 from controllers.problem import MPCProblem, ProblemShape, every_step
 from controllers.search import CandidateSearch, SearchConfig
+from thermoforce_mpc.model.operator.building import single
 
 
 @pytest.mark.parametrize("order", [1, 3])
 def test_ipopt_finds_the_optimum_of_the_linear_programme(order):
     rng = np.random.default_rng(order)
-    operator = random_operator(rng, order)
+    operator = single(random_operator(rng, order))
     solver = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     for _ in range(5):
         problem = random_problem(rng, order)
@@ -29,17 +31,17 @@ def test_ipopt_finds_the_optimum_of_the_linear_programme(order):
 def test_the_numpy_objective_counts_the_fixed_part_while_on():
     rng = np.random.default_rng(0)
     problem = random_problem(rng, 1, lowest=0.5)
-    u = np.full(N, 0.75)
+    u = np.full((1, N), 0.75)
     expected = (problem.price_per_kWh * (problem.power_fixed_W + 0.75 * problem.power_per_u_W) / 1000).sum()
-    operator = random_operator(rng, 1)
+    operator = single(random_operator(rng, 1))
     slack = problem.slack_K(problem.T_free_C + problem.forced_K(operator, u))
     assert float(problem.cost(operator, u)) == pytest.approx(expected + 5.0 * slack.sum())
 
 
 def test_ipopt_is_never_worse_than_the_candidates_when_levels_are_held():
     rng = np.random.default_rng(3)
-    operator = random_operator(rng, 2)
-    ipopt = IpoptSolver(operator, ProblemShape(every_step(N), lowest_level=0.3), IpoptConfig())
+    operator = single(random_operator(rng, 2))
+    ipopt = IpoptSolver(operator, ProblemShape(every_step(N), Machinery.one(lowest_level=0.3)), IpoptConfig())
     search = CandidateSearch(operator, N, SearchConfig())
     for _ in range(5):
         problem = random_problem(rng, 2, lowest=0.3, curvature=1e-6)
@@ -51,9 +53,9 @@ def test_ipopt_is_never_worse_than_the_candidates_when_levels_are_held():
 
 def test_numbers_that_are_not_finite_are_a_failed_solve_not_an_action():
     rng = np.random.default_rng(1)
-    operator = random_operator(rng, 1)
+    operator = single(random_operator(rng, 1))
     problem = random_problem(rng, 1)
-    broken = MPCProblem(**{**problem.__dict__, "T_free_C": np.full(N, np.nan)})
+    broken = MPCProblem(**{**problem.__dict__, "T_free_C": np.full((1, N), np.nan)})
     solver = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     solution = solver.solve(broken)
     assert (solution.ok, solution.u.size) == (False, 0)
@@ -63,7 +65,7 @@ def test_numbers_that_are_not_finite_are_a_failed_solve_not_an_action():
 
 def test_too_few_iterations_are_a_failed_solve():
     rng = np.random.default_rng(2)
-    operator = random_operator(rng, 1)
+    operator = single(random_operator(rng, 1))
     solution = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig(max_iterations=1)).solve(
         random_problem(rng, 1)
     )
@@ -73,11 +75,11 @@ def test_too_few_iterations_are_a_failed_solve():
 
 def test_search_returns_the_cheapest_of_its_candidates():
     rng = np.random.default_rng(4)
-    operator = random_operator(rng, 1)
+    operator = single(random_operator(rng, 1))
     problem = random_problem(rng, 1, lowest=0.3)
     search = CandidateSearch(operator, N, SearchConfig(levels=(0.0, 1.0), first_stretch_steps=(3,)))
     solution = search.solve(problem)
-    rows = np.array([[a] * 3 + [b] * (N - 3) for a in (0.0, 1.0) for b in (0.0, 1.0)])
+    rows = np.array([[[a] * 3 + [b] * (N - 3)] for a in (0.0, 1.0) for b in (0.0, 1.0)])
     assert float(problem.cost(operator, solution.u)) == pytest.approx(float(problem.cost(operator, rows).min()))
 
 
@@ -94,6 +96,7 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
         gains=2 * operator.gains,
     )
     assert operator.feedback_active
+    operator = single(operator)
     problem = random_problem(rng, 2, curvature=1e-6)
     problem = replace(problem, T_free_C=problem.T_free_C + 3.0)
     solution = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig()).solve(problem)
@@ -104,7 +107,7 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
 
 def test_a_candidate_outside_the_bounds_is_refused():
     rng = np.random.default_rng(5)
-    search = CandidateSearch(random_operator(rng, 1), N, SearchConfig(levels=(-1.0, -0.5)))
+    search = CandidateSearch(single(random_operator(rng, 1)), N, SearchConfig(levels=(-1.0, -0.5)))
     solution = search.solve(random_problem(rng, 1))
     assert (solution.ok, solution.u.size) == (False, 0)
-    assert "u leaves its bounds" in solution.problem
+    assert "u of actuator leaves its bounds" in solution.problem

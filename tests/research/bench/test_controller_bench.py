@@ -12,6 +12,7 @@ from mpc_problems import N, random_operator, random_problem
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.problem import ProblemShape, Weights, every_step
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.research.bench.controller import _solver_row
 from thermoforce_mpc.research.bench.do_mpc_peer import DoMpcPeer, without_extras
 
@@ -22,12 +23,12 @@ def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
     rng = np.random.default_rng(3)
     operator = random_operator(rng, 3)
     problems = [random_problem(rng, 3, curvature=1e-6) for _ in range(3)]
-    peer = DoMpcPeer(operator, problems[0], gain_beforehand=gain_beforehand)
+    peer, operator = DoMpcPeer(operator, problems[0], gain_beforehand=gain_beforehand), single(operator)
     ipopt = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     for problem in problems:
         best = float(problem.cost(operator, ipopt.solve(problem).u))
-        assert float(problem.cost(operator, np.clip(peer.solve(problem), 0, 1))) == pytest.approx(best, rel=1e-4)
-        assert float(problem.cost(operator, np.zeros(N))) > 1.001 * best
+        assert float(problem.cost(operator, np.clip(peer.solve(problem), 0, 1)[None])) == pytest.approx(best, rel=1e-4)
+        assert float(problem.cost(operator, np.zeros((1, N)))) > 1.001 * best
 
 
 def test_a_missing_do_mpc_is_named(monkeypatch):
@@ -40,7 +41,10 @@ def test_a_missing_do_mpc_is_named(monkeypatch):
 def test_what_the_peer_cannot_express_is_left_out():
     rng = np.random.default_rng(4)
     problem = replace(
-        random_problem(rng, 2), terminal_price_per_K=np.ones(2), weights=Weights(5.0, 1e-6, peak=1.0), peak_so_far_W=1.0
+        random_problem(rng, 2),
+        terminal_price_per_K=np.ones((1, 1, 2)),
+        weights=Weights(5.0, 1e-6, peak=1.0),
+        peak_so_far_W=1.0,
     )
     plain = without_extras(problem)
     assert not plain.terminal_price_per_K.any()

@@ -21,7 +21,7 @@ from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.bench.do_mpc_peer import DoMpcPeer, without_extras
 from thermoforce_mpc.scenario.scenario import load_testcase
@@ -63,7 +63,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     mpc, recorder, result = _recorded(days=1.0 if quick else 14.0)
     every = max(1, len(recorder.problems) // (_QUICK_INSTANCES if quick else _INSTANCES))
     problems = [without_extras(problem) for problem in recorder.problems[::every]]
-    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._base.operator, progress)
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._base.building, progress)
     rows = [_solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
     return bench_result("controller", rows, _targets(rows, result))
@@ -73,8 +73,8 @@ def _contestants(
     mpc: ThermoForceMPC, example: MPCProblem, progress: Callable[[str], None]
 ) -> dict[str, Callable[[MPCProblem], Array]]:
     """Every solver by name, built for problems like `example`; default move blocking is a separate entry."""
-    operator, config = mpc._base.operator, MPCConfig()
-    free = ProblemShape(every_step(example.n_steps), example.u_max, example.lowest_level)
+    operator, config = mpc._base.building, MPCConfig()
+    free = ProblemShape(every_step(example.n_steps), example.machinery)
     blocked = replace(
         free,
         move_of_step=blocked_moves(
@@ -89,8 +89,8 @@ def _contestants(
         _IPOPT: _levels(IpoptSolver(operator, free, config.ipopt)),
     }
     try:
-        solvers[_PEER] = DoMpcPeer(operator, example, gain_beforehand=False).solve
-        solvers[_HELPED_PEER] = DoMpcPeer(operator, example, gain_beforehand=True).solve
+        solvers[_PEER] = DoMpcPeer(mpc._base.operator, example, gain_beforehand=False).solve
+        solvers[_HELPED_PEER] = DoMpcPeer(mpc._base.operator, example, gain_beforehand=True).solve
     except ConfigError as error:
         progress(str(error))
     return solvers
@@ -99,7 +99,7 @@ def _contestants(
 def _timed(
     solvers: Mapping[str, Callable[[MPCProblem], Array]],
     problems: Sequence[MPCProblem],
-    operator: OperatorParameters,
+    operator: BuildingOperator,
     progress: Callable[[str], None],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
     """Time, s, and cost of each solver on each problem; solvers alternate, so that other load affects all of them."""
@@ -108,9 +108,9 @@ def _timed(
     for i, problem in enumerate(problems):
         for name, solve in solvers.items():
             began = time.perf_counter()
-            u = solve(problem)
+            u = np.atleast_2d(solve(problem))
             seconds[name].append(time.perf_counter() - began)
-            costs[name].append(float(problem.cost(operator, np.clip(u, 0.0, problem.u_max))))
+            costs[name].append(float(problem.cost(operator, np.clip(u, 0.0, problem.machinery.u_max[:, None]))))
         if i % 10 == 9:
             progress(f"{i + 1} of {len(problems)} instances")
     return seconds, costs

@@ -43,7 +43,7 @@ def quiet_do_mpc() -> Iterator[None]:
 
 
 class DoMpcPeer:
-    """Solves `MPCProblem`s of one operator, horizon and set of weights through do-mpc's own interface.
+    """Solves `MPCProblem`s of one zone, operator, horizon and set of weights through do-mpc's own interface.
 
     The modes of the operator are discrete states, level and slack are inputs, everything else that varies is a
     time-varying parameter. Bounds on the temperature at the end of a step constrain state and input at its start.
@@ -91,9 +91,9 @@ class DoMpcPeer:
         mpc.settings.state_discretization = "discrete"
         mpc.settings.store_full_solution = False
         mpc.settings.nlpsol_opts = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0, "ipopt.tol": 1e-8}
-        comfort, curvature = example.comfort_price, example.weights.curvature
+        comfort, curvature = float(example.comfort_price[0]), example.weights.curvature
         mpc.set_objective(mterm=ca.SX(0), lterm=price * u + comfort * slack + curvature * u**2)
-        mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = 0.0, example.u_max
+        mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = 0.0, float(example.machinery.u_max[0])
         mpc.bounds["lower", "_u", "slack"] = 0.0
         T = T_free + sum(after())
         mpc.set_nl_cons("cold", lower - T - slack, ub=0.0)
@@ -106,17 +106,18 @@ class DoMpcPeer:
         self._guessed = False
 
     def solve(self, problem: MPCProblem) -> Array:
-        """Solve one instance, including all set-up that do-mpc needs per step; returns levels (N,)."""
-        p = problem
-        full = np.full(self._n, p.u_max)
-        drive = self._operator.drive(full, p.features) / p.u_max
-        given = [drive] if self._gain_beforehand else list(p.features.T)
-        values = np.stack([*given, p.price_per_W * p.power_W(full) / p.u_max, p.T_free_C, p.lower_C, p.upper_C], axis=1)
+        """Solve one instance, including all set-up that do-mpc needs per step; returns levels (N,) of the only actuator."""
+        p, highest = problem, float(problem.machinery.u_max[0])
+        full, features = np.full(self._n, highest), p.features[0]
+        drive = self._operator.drive(full, features) / highest
+        given = [drive] if self._gain_beforehand else list(features.T)
+        price = p.price_per_W[0] * p.power_W(full[None])[0] / highest
+        values = np.stack([*given, price, p.T_free_C[0], p.lower_C[0], p.upper_C[0]], axis=1)
         for k in range(self._n + 1):
             row = values[min(k, self._n - 1)]
             for name, value in zip(self._varying, row, strict=True):
                 self._template["_tvp", k, name] = value
-        state = np.asarray(p.forced_state_K).reshape(-1, 1)
+        state = np.asarray(p.forced_state_K[0, 0]).reshape(-1, 1)
         self._mpc.x0 = state
         if not self._guessed:
             self._mpc.set_initial_guess()

@@ -1,0 +1,115 @@
+"""Actuators of a building and the machines that feed them, as a plan sees them: what all its instances share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.errors import ControllerConfigError
+from thermoforce_mpc.data import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Machinery:
+    """A actuators and M machines.
+
+    Attributes:
+        actuators: names of the actuators (A,).
+        machines: names of the machines (M,).
+        u_max: highest level of each actuator (A,).
+        lowest_level: between 0 and this an actuator switches, (A,); at `u_max` or above it is on/off blocks or
+            proportional, below it a level held for the step is 0 or at least this.
+        u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points).
+        machine_of: number of the machine that feeds each actuator (A,).
+        share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
+            the actuators of a machine of share · u is at most 1.
+        exclusive: groups of actuators (their numbers) of which at most one may act in a step.
+
+    Raises:
+        ControllerConfigError: shapes or numbers do not fit together; names actuator or machine.
+    """
+
+    actuators: tuple[str, ...]
+    machines: tuple[str, ...]
+    u_max: Array
+    lowest_level: Array
+    u_min: Array
+    machine_of: NDArray[np.intp]
+    share: Array
+    exclusive: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        A, M = len(self.actuators), len(self.machines)
+        for what, names in (("actuator", self.actuators), ("machine", self.machines)):
+            if not names or len(set(names)) != len(names):
+                raise ControllerConfigError(f"names of {what}s {list(names)}: need one or more, each once")
+        for name in ("u_max", "lowest_level", "u_min", "share", "machine_of"):
+            kind = np.intp if name == "machine_of" else np.float64
+            value = np.array(getattr(self, name), dtype=kind)
+            if value.shape != (A,) or not np.isfinite(value).all():
+                raise ControllerConfigError(f"{name} of {A} actuators: found {value.tolist()}")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        for a, actuator in enumerate(self.actuators):
+            if not (self.u_min[a] <= 0.0 < self.u_max[a] and self.lowest_level[a] > 0.0 and self.share[a] >= 0.0):
+                raise ControllerConfigError(
+                    f"actuator {actuator}: levels from {self.u_min[a]:g} to {self.u_max[a]:g}, lowest level "
+                    f"{self.lowest_level[a]:g}, share {self.share[a]:g}: expected u_min ≤ 0 < u_max, the others positive"
+                )
+            if not 0 <= self.machine_of[a] < M:
+                raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
+        idle = [name for m, name in enumerate(self.machines) if m not in self.machine_of]
+        if idle:
+            raise ControllerConfigError(f"machine {', '.join(idle)} feeds no actuator")
+        for group in self.exclusive:
+            if len(group) < 2 or len(set(group)) != len(group) or not all(0 <= a < A for a in group):
+                raise ControllerConfigError(f"actuators that exclude one another: {group} are not two or more of {A}")
+
+    @staticmethod
+    def one(u_max: float = 1.0, lowest_level: float = 1.0, u_min: float = 0.0) -> Machinery:
+        """One machine with one actuator."""
+        one = np.ones(1)
+        return Machinery(
+            ("actuator",), ("machine",), u_max * one, lowest_level * one, u_min * one, np.zeros(1, np.intp), 0.0 * one
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Actuators A, machines M."""
+        return len(self.actuators), len(self.machines)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether a held level of each actuator is 0 or at least its lowest, (A,)."""
+        return np.asarray(self.lowest_level < self.u_max)
+
+    @property
+    def excluded(self) -> NDArray[np.bool_]:
+        """Whether each actuator is in a group of which one may act, (A,)."""
+        return np.isin(np.arange(len(self.actuators)), [a for group in self.exclusive for a in group])
+
+    @property
+    def signed(self) -> NDArray[np.intp]:
+        """Numbers of the actuators with levels below 0."""
+        return np.flatnonzero(self.u_min < 0.0)
+
+    @property
+    def shared(self) -> NDArray[np.bool_]:
+        """Whether each machine feeds more than one actuator, (M,)."""
+        return np.asarray(np.bincount(self.machine_of, minlength=len(self.machines)) > 1)
+
+    @property
+    def fed_by(self) -> Array:
+        """Incidence (M, A): 1 where the machine feeds the actuator."""
+        return np.asarray(self.machine_of == np.arange(len(self.machines))[:, None], dtype=np.float64)
+
+    def switched_at(self, n_steps: int, held_steps: int | None) -> Array:
+        """Level of each actuator at which it runs all of a step, (A, N).
+
+        Levels are held in the first `held_steps` steps (None: all), and switched at their highest in later ones.
+        """
+        later = np.maximum(self.lowest_level, self.u_max)
+        held = n_steps if held_steps is None else held_steps
+        return np.where(np.arange(n_steps) < held, self.lowest_level[:, None], later[:, None])

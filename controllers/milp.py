@@ -1,0 +1,173 @@
+"""Choices between off and on by mixed-integer programming: HiGHS (Huangfu and Hall 2018).
+
+Not convex are levels that are held for a step at 0 or at least a lowest level, actuators of which one may act at a
+time, and with them the fixed part of a shared machine. They are decided exactly in the first hours, with their own heat
+and power; later they are relaxed: switching at the highest level is the cheapest way to deliver a given heat, and
+actuators share a step in time. Only the first step is applied, and every plan decides its first hours anew.
+
+The curvature term is left out of the choice. The solver stops at its time limit with the best plan so far; how far that
+may be from the optimum of the programme solved is `Solution.gap`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import sparse
+
+from controllers.errors import ControllerConfigError
+from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
+from controllers.programme import Drive, Programme
+from controllers.qp_backends import QPData
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.features import OUTDOOR
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.scenario.settings import StrictModel
+
+# Largest difference between the heat planned as a share of later steps and that of the level it is reported as, K.
+_SAME_K = 1e-4
+
+
+class MilpConfig(StrictModel):
+    """Options of the mixed-integer programme."""
+
+    hours: float = Field(2.0, gt=0, description="first part of the horizon in which choices are decided, h")
+    gap: float = Field(1e-3, ge=0, description="relative gap to the bound at which the solver stops")
+    max_seconds: float = Field(5.0, gt=0, description="time after which the best plan so far is taken, s")
+
+    def held_steps(self, step_s: float) -> int:
+        """Number of steps of `step_s` seconds in which choices are decided, at least one."""
+        return max(1, round(self.hours * HOUR_S / step_s))
+
+
+@dataclass(frozen=True)
+class ChoiceResult:
+    """Result of the mixed-integer solver; `x` is empty without a plan; `bound`: lower bound of the linear objective."""
+
+    x: Array
+    status: str
+    nodes: int
+    bound: float
+
+
+class Highs:
+    """HiGHS on the programme without its quadratic term."""
+
+    def __init__(self, config: MilpConfig) -> None:
+        self._config = config
+
+    def __call__(self, q: QPData, choices: NDArray[np.intp]) -> ChoiceResult:
+        """Solve one programme in which the columns `choices` are whole."""
+        import highspy
+
+        solver = highspy.Highs()
+        for name, value in {
+            "output_flag": False,
+            "threads": 1,
+            "time_limit": self._config.max_seconds,
+            "mip_rel_gap": self._config.gap,
+        }.items():
+            solver.setOptionValue(name, value)
+        matrix = sparse.vstack([q.A, q.G], format="csc")
+        lp = highspy.HighsLp()
+        lp.num_row_, lp.num_col_ = matrix.shape
+        lp.col_cost_, lp.col_lower_, lp.col_upper_ = q.linear, q.x_low, q.x_high
+        lp.row_lower_, lp.row_upper_ = np.concatenate([q.b, q.low]), np.concatenate([q.b, q.high])
+        lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+        lp.a_matrix_.num_row_, lp.a_matrix_.num_col_ = matrix.shape
+        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = matrix.indptr, matrix.indices, matrix.data
+        whole = np.zeros(q.linear.size, dtype=np.intp)
+        whole[choices] = 1
+        kinds: Any = [highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger]
+        lp.integrality_ = [kinds[kind] for kind in whole.tolist()]
+        solver.passModel(lp)
+        solver.run()
+        status, info = solver.getModelStatus(), solver.getInfo()
+        word = solver.modelStatusToString(status)
+        stopped = {highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit}
+        if status not in stopped or info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
+            return ChoiceResult(np.empty(0), word, int(info.mip_node_count), -np.inf)
+        x = np.array(solver.getSolution().col_value, dtype=np.float64)
+        return ChoiceResult(x, word, int(info.mip_node_count), float(info.mip_dual_bound))
+
+
+class MilpSolver:
+    """Solves `MPCProblem`s of one operator and shape; `shape.held_steps` says for how long choices are decided.
+
+    Raises:
+        ControllerConfigError: the gain depends on the predicted temperature, or the operator is not of these actuators.
+    """
+
+    def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: MilpConfig) -> None:
+        if operator.of_actuator(0).feedback_active:
+            raise ControllerConfigError(
+                "solver milp: the gain depends on the predicted temperature; use solver: ipopt, or a model of "
+                "feedback: false"
+            )
+        self.operator, self.shape = operator, shape
+        self._programme = Programme(operator, shape)
+        self._choose = Highs(config)
+
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has the reason.
+
+        In later steps u is the held level with the heat of the switched one that was planned.
+        """
+        if not problem.finite():
+            return failed("not started", 0, "the problem holds numbers that are not finite")
+        solved = self._programme.as_solved(problem)
+        drive = self._programme.drive(solved)
+        programme = self._programme.numbers(solved, drive)
+        try:
+            answer = self._choose(programme, self._programme.choices)
+        except Exception as error:  # a failed solve is a value
+            return failed("highs:raised", 0, f"highs: raised {type(error).__name__}: {error}")
+        status = f"highs:{answer.status}"
+        if not answer.x.size:
+            return failed(status, answer.nodes, f"highs: ended with {answer.status} and no plan")
+        u, claimed = self._programme.levels(answer.x), programme.objective(answer.x)
+
+        def modes_of(u: Array) -> Array:
+            return self._programme.modes(solved, drive, u)
+
+        solution = checked_solution(solved, modes_of, u, claimed, status, answer.nodes)
+        if not solution.ok:
+            return replace(solution, problem=f"highs: {solution.problem}")
+        linear = programme.constant + programme.unit * float(programme.linear @ answer.x)
+        bound = programme.constant + programme.unit * answer.bound
+        gap = max(linear - bound, 0.0) / max(abs(linear), 1e-9)
+        held = self._held(problem, solution.u)
+        off_K = np.abs(problem.modes_K(self.operator, held) - modes_of(solution.u)).max()
+        if not off_K <= _SAME_K:
+            why = f"highs: levels of later steps bring another heat than planned ({off_K:.2g} K)"
+            return failed(status, answer.nodes, why)
+        return replace(solution, u=held, gap=gap, status=f"{status}, gap {gap:.2g}")
+
+    def _held(self, problem: MPCProblem, u: Array) -> Array:
+        """Levels with the relaxed steps of held actuators as the held level of the same heat."""
+        machinery, later = self.shape.machinery, slice(self.shape.n_held, None)
+        u = u.copy()
+        for a in np.flatnonzero(machinery.held):
+            T_out_C = problem.features[self.operator.home[a], later, OUTDOOR]
+            heat_input = self.operator.of_actuator(int(a)).heat_input
+            u[a, later] = held_level(heat_input, u[a, later], T_out_C, float(machinery.u_max[a]))
+        return u
+
+
+def held_level(heat_input: HeatInput, u: Array, T_out_C: Array, u_max: float) -> Array:
+    """Held level with the same heat as `u_max` for the share `u` / `u_max` (N,) of the step, shape (N,)."""
+    if heat_input.heat is None:
+        return np.asarray(u, dtype=np.float64)
+    heat = heat_input.heat
+    fixed_W, per_u_W = heat.parts(T_out_C)
+    wanted_W = np.asarray(u) / u_max * heat(np.full_like(T_out_C, u_max), T_out_C)
+    lowest_W = fixed_W + per_u_W * heat.lowest_level
+    # Where heat does not increase with the level, the lowest level is used.
+    above = np.maximum((wanted_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf), heat.lowest_level)
+    below = wanted_W / (fixed_W / heat.lowest_level + per_u_W)
+    return np.clip(np.where(wanted_W >= lowest_W, above, below), 0.0, u_max)

@@ -1,0 +1,417 @@
+"""The MPC problem as a sparse programme with constant structure: its variables, rows, and the numbers of an instance.
+
+Where levels are relaxed or in blocks, power and heat are proportional to u and the modulation m(x) does not depend on
+the decisions, so the problem is a quadratic programme. The r modes of a pair are eliminated: comfort depends on their
+sum y = Σ F_i only, which obeys one difference equation of order r, the transfer function of the modes,
+
+    Π_i (1 − a_i q⁻¹) y_k  =  Σ_i g_i Π_{j≠i} (1 − a_j q⁻¹) d_k u_k,        q⁻¹ y_k = y_{k−1},
+
+with d_k = m(x_k) v(1, T_out,k). Pairs of one zone with the same poles obey it together, with the sum of their right
+sides: one variable and one equation per step for all actuators of a zone instead of r of each for every pair.
+
+Levels below 0: u = v − n with n ≥ 0 of its own price. An optimum with both positive does not exist while heat and cold
+cost anything. Choices in the first moves: b = 1 if an actuator is on; a held level has lowest · b ≤ v ≤ u_max · b, and
+power and heat, affine in the level, have their fixed parts times b.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.signal import lfilter
+
+from controllers.errors import ControllerConfigError
+from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape
+from controllers.qp_backends import QPData
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
+
+Index = NDArray[np.intp]
+
+
+class SparsePattern:
+    """Sparse matrix with constant structure and changing values.
+
+    Entries are addressed in the order given; entries at the same position are summed.
+    """
+
+    def __init__(self, rows: Index, columns: Index, shape: tuple[int, int]) -> None:
+        places, self._slot = np.unique(columns * shape[0] + rows, return_inverse=True)
+        starts = np.searchsorted(places, np.arange(shape[1] + 1) * shape[0])
+        self._matrix = sparse.csc_matrix((np.zeros(places.size), places % shape[0], starts), shape=shape)
+
+    def filled(self, values: Array) -> sparse.csc_matrix:
+        """The matrix with `values`, one per entry in the order given at construction; valid until the next call."""
+        self._matrix.data[:] = np.bincount(self._slot, weights=values, minlength=self._matrix.data.size)
+        return self._matrix
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Entries of a sparse matrix: value `factor` times the element `of` of a vector of numbers of the instance."""
+
+    rows: Index
+    columns: Index
+    factor: Array
+    of: Index
+
+
+def _joined(parts: list[_Entries]) -> _Entries:
+    return _Entries(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "columns", "factor", "of"))
+    )
+
+
+def _entries(rows: Index, columns: Index, factor: Array | float, of: Index | int) -> _Entries:
+    rows, columns, factor, of = np.broadcast_arrays(rows, columns, np.asarray(factor, dtype=np.float64), of)
+    return _Entries(rows.ravel(), columns.ravel(), factor.ravel(), of.ravel())
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Pairs of a zone with the same poles, which share one response variable per step."""
+
+    zone: int
+    actuators: Index
+    denominator: Array
+    numerators: Array
+    begin: Array
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Drive of the modes by each actuator over each step, (A, N): `per_u` · u + `onset` while a held level is on."""
+
+    per_u: Array
+    onset: Array
+
+
+class Programme:
+    """The programme of one operator and shape.
+
+    Variables: moves v (A, moves), responses y (groups of pairs, N), slack s (Z, N), cooling moves n (signed actuators,
+    moves), peak power, power above the cap (N), running share of shared machines (machines, moves), and choices b
+    (actuators with choices, first moves). `choices` are the numbers of the latter.
+    """
+
+    def __init__(self, operator: BuildingOperator, shape: ProblemShape) -> None:
+        shape.check(operator)
+        self.operator, self.shape = operator, shape
+        machinery = shape.machinery
+        (A, M), n, m = machinery.shape, shape.n_steps, shape.n_moves
+        Z = len(operator.zones)
+        self._step, self._move = np.arange(n), shape.move_of_step
+        self._groups = _groups(operator, n)
+        G = len(self._groups)
+        self._signed = machinery.signed
+        self._shared = np.flatnonzero(machinery.shared)
+        self._alone = ~machinery.shared[machinery.machine_of]
+        # Only where levels are choices does a step hold one: without held moves there are none.
+        self._h = shape.n_held_moves if shape.needs_choices(operator) else 0
+        self._held = machinery.held if self._h else np.zeros(A, dtype=bool)
+        self._chosen = np.flatnonzero(self._held | machinery.excluded) if self._h else np.zeros(0, dtype=np.intp)
+        for a, name in enumerate(machinery.actuators if self._h else ()):
+            heat = operator.of_actuator(a).heat_input.heat
+            lowest = min(machinery.lowest_level[a], machinery.u_max[a])
+            if heat is not None and not np.isclose(min(heat.lowest_level, machinery.u_max[a]), lowest):
+                raise ControllerConfigError(
+                    f"actuator {name}: its heat is known for a lowest level of {heat.lowest_level:g}, not {lowest:g}"
+                )
+
+        sizes = [A * m, G * n, Z * n, self._signed.size * m, int(shape.peak), n if shape.capped else 0]
+        sizes += [self._shared.size * m, self._chosen.size * self._h]
+        ends = np.cumsum(sizes)
+        numbers = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        self.n_variables = int(ends[-1])
+        self._v, self._y, self._s = numbers[0].reshape(A, m), numbers[1].reshape(G, n), numbers[2].reshape(Z, n)
+        self._n, self._peak, self._over = numbers[3].reshape(self._signed.size, m), numbers[4], numbers[5]
+        self._runs, self.choices = numbers[6].reshape(self._shared.size, m), numbers[7]
+        self._b = self.choices.reshape(self._chosen.size, self._h)
+
+        # Share of a step that an actuator runs per unit of v, (A, moves); 0 where the choice b says it.
+        lowest = machinery.switched_at(n, shape.n_held if self._h else 0)[:, shape.first_steps]
+        per_v = np.maximum(1.0 / lowest, np.where(self._alone, machinery.share, 0.0)[:, None])
+        self._held_moves = self._held[:, None] & (np.arange(m) < self._h)
+        self._on_per_v = np.where(self._held_moves, 0.0, per_v)
+        self._held_in = self._held_moves[:, self._move]
+
+        self._dynamics_entries = self._dynamics()
+        self._A = SparsePattern(self._dynamics_entries.rows, self._dynamics_entries.columns, (G * n, self.n_variables))
+        poles, gains = operator.poles, operator.gains
+        self._faded = poles**n
+        self._kept = gains[..., None] * poles[..., None] ** (n - 1 - self._step)
+
+        self._bounds_entries, self._low, self._high = self._bounds()
+        self._G = SparsePattern(
+            self._bounds_entries.rows, self._bounds_entries.columns, (self._low.size, self.n_variables)
+        )
+        x_low, x_high = np.zeros(self.n_variables), np.full(self.n_variables, np.inf)
+        x_low[self._y] = -np.inf
+        x_high[self._v] = np.minimum(
+            machinery.u_max, 1.0 / np.maximum(np.where(self._alone, machinery.share, 0.0), 1e-9)
+        )[:, None]
+        x_high[self._n] = -machinery.u_min[self._signed, None]
+        # What they need is at most 1; the bound only matters where running costs nothing, and must not be active.
+        x_high[self._runs] = 2.0
+        x_high[self.choices] = 1.0
+        self._x_low, self._x_high = x_low, x_high
+        self._counts = np.bincount(self._move, minlength=m).astype(np.float64)
+        self._quadratic = sparse.csc_matrix(sparse.diags(np.ones(self.n_variables)))
+
+    def _dynamics(self) -> _Entries:
+        """Difference equations of the responses, row by row; numbers of the instance: 1, drive per u, onset."""
+        (A, _), n, step, move = self.shape.machinery.shape, self.shape.n_steps, self._step, self._move
+        order = self.operator.shape[2]
+        parts: list[_Entries] = []
+        for g, group in enumerate(self._groups):
+            for lag in range(min(order, n - 1) + 1):
+                now, then = g * n + step[lag:], step[: n - lag]
+                parts.append(_entries(now, self._y[g, then], group.denominator[lag], 0))
+                if lag == order:
+                    continue
+                of, numerator = group.actuators, group.numerators[:, lag, None]
+                of_drive = 1 + of[:, None] * n + then
+                parts.append(_entries(now, self._v[of][:, move[then]], -numerator, of_drive))
+                for i, a in enumerate(self._signed):
+                    if a in of:
+                        at = np.flatnonzero(of == a)
+                        parts.append(_entries(now, self._n[i, move[then]], numerator[at], of_drive[at]))
+                for i, a in enumerate(self._chosen):
+                    if a in of and self._held[a]:
+                        at, early = np.flatnonzero(of == a), move[then] < self._h
+                        chosen = _entries(
+                            now[early],
+                            self._b[i, move[then][early]],
+                            -numerator[at],
+                            A * n + of_drive[at][:, early],
+                        )
+                        parts.append(chosen)
+        return _joined(parts) if parts else _nothing()
+
+    def _bounds(self) -> tuple[_Entries, Array, Array]:
+        """Inequalities: comfort first, then power, then constants. Numbers of the instance: 1, then power parts."""
+        shape, machinery, n, m = self.shape, self.shape.machinery, self.shape.n_steps, self.shape.n_moves
+        (A, _), Z, step, move = machinery.shape, self._s.shape[0], self._step, self._move
+        parts: list[_Entries] = []
+        # y_k + s_k ≥ lower_k − T_free,k and y_k − s_k ≤ upper_k − T_free,k.
+        of_zone = np.array([group.zone for group in self._groups], dtype=np.intp)
+        for first, sign in ((0, 1.0), (Z * n, -1.0)):
+            if of_zone.size:
+                parts.append(_entries(first + of_zone[:, None] * n + step, self._y, 1.0, 0))
+            parts.append(_entries(first + np.arange(Z * n), self._s.ravel(), sign, 0))
+        rows = 2 * Z * n
+        if shape.peak:
+            parts += [_entries(rows + step, self._peak, 1.0, 0), self._power(rows)]
+            rows += n
+        if shape.capped:
+            parts += [_entries(rows + step, self._over, 1.0, 0), self._power(rows)]
+            rows += n
+        low, high = [np.full(rows, -np.inf)], [np.full(rows, np.inf)]
+
+        def row(columns: list[Index], factors: list[float], at_least: float, at_most: float) -> None:
+            """A row for each of the columns side by side: Σ factor · column between the two."""
+            nonlocal rows
+            count = np.size(columns[0])
+            parts.extend(_entries(rows + np.arange(count), c, f, 0) for c, f in zip(columns, factors, strict=True))
+            low.append(np.full(count, at_least))
+            high.append(np.full(count, at_most))
+            rows += count
+
+        for i, number in enumerate(self._shared):
+            fed = np.flatnonzero(machinery.machine_of == number)
+            shares, moves = machinery.share[fed].tolist(), [self._v[a] for a in fed]
+            if float(np.dot(shares, machinery.u_max[fed])) > 1.0:
+                row(moves, shares, -np.inf, 1.0)
+            if any(shares):
+                row([self._runs[i], *moves], [1.0, *(-share for share in shares)], 0.0, np.inf)
+            for a in fed:
+                held = self._held_moves[a]
+                for j in (np.flatnonzero(~held), np.flatnonzero(held)):
+                    if j.size and not held[j[0]]:
+                        row([self._runs[i, j], self._v[a, j]], [1.0, -float(self._on_per_v[a, j[0]])], 0.0, np.inf)
+                    elif j.size:
+                        row([self._runs[i, j], self._b[self._chosen == a][0]], [1.0, -1.0], 0.0, np.inf)
+        later = np.arange(self._h, m)
+        for group in machinery.exclusive:
+            if self._h:
+                row([self._b[self._chosen == a][0] for a in group], [1.0] * len(group), -np.inf, 1.0)
+            columns = [self._v[a, later] for a in group] + [
+                self._n[self._signed == a][0, later] for a in group if a in self._signed
+            ]
+            ends = [machinery.u_max[a] for a in group] + [-machinery.u_min[a] for a in group if a in self._signed]
+            if later.size:
+                row(columns, [1.0 / float(end) for end in ends], -np.inf, 1.0)
+        early = np.arange(self._h)
+        for b, a in zip(self._b, self._chosen, strict=True):
+            row([self._v[a, early], b], [1.0, -float(machinery.u_max[a])], -np.inf, 0.0)
+            if self._held[a]:
+                row([self._v[a, early], b], [1.0, -float(machinery.lowest_level[a])], 0.0, np.inf)
+            if a in self._signed:
+                row([self._n[self._signed == a][0, early], b], [1.0, float(machinery.u_min[a])], -np.inf, 0.0)
+        return _joined(parts), np.concatenate(low), np.concatenate(high)
+
+    def _power(self, first_row: int) -> _Entries:
+        """Minus the building's power over each step, in rows from `first_row`; in the order of `_power_parts`."""
+        n, step, move = self.shape.n_steps, self._step, self._move
+        (A, _), S, H = self.shape.machinery.shape, self._signed.size, self._shared.size
+        rows, parts = (
+            first_row + step,
+            [_entries(first_row + step, self._v[:, move], -1.0, 1 + np.arange(A)[:, None] * n + step)],
+        )
+        at = 1 + A * n
+        if S:
+            parts.append(_entries(rows, self._n[:, move], -1.0, at + np.arange(S)[:, None] * n + step))
+        at += S * n
+        if H:
+            parts.append(_entries(rows, self._runs[:, move], -1.0, at + np.arange(H)[:, None] * n + step))
+        at += H * n
+        if self._h:
+            early = np.flatnonzero(move < self._h)
+            of = at + self._chosen[:, None] * n + early
+            parts.append(_entries(rows[early], self._b[:, move[early]], -1.0, of))
+        return _joined(parts)
+
+    def _power_parts(self, p: MPCProblem) -> tuple[Array, Array, Array, Array]:
+        """Power, W, per unit of v (A, N), n (signed, N), running share (shared, N) and choice (A, N)."""
+        machinery = self.shape.machinery
+        fixed = np.where(self._alone[:, None], p.power_fixed_W[machinery.machine_of], 0.0)
+        per_v = p.power_per_u_W + fixed * self._on_per_v[:, self._move]
+        per_n = np.zeros((0, 1)) if p.cooling is None else p.cooling.power_per_u_W[self._signed]
+        return per_v, per_n, p.power_fixed_W[self._shared], np.where(self._held_in, fixed, 0.0)
+
+    def drive(self, p: MPCProblem) -> Drive:
+        """Drive of the modes at the features of an instance."""
+        machinery, n = self.shape.machinery, self.shape.n_steps
+        highest = machinery.u_max[:, None]
+        full = self.operator.drive(np.broadcast_to(highest, (highest.size, n)), p.features)
+        per_u = full / highest
+        if not self._held_in.any():
+            return Drive(per_u, np.zeros_like(per_u))
+        lowest = np.minimum(machinery.lowest_level, 0.5 * machinery.u_max)[:, None]
+        lowest = np.where(self._held[:, None], machinery.lowest_level[:, None], lowest)
+        at_lowest = self.operator.drive(np.broadcast_to(lowest, full.shape), p.features)
+        slope = (full - at_lowest) / (highest - lowest)
+        return Drive(np.where(self._held_in, slope, per_u), np.where(self._held_in, full - slope * highest, 0.0))
+
+    def modes(self, p: MPCProblem, drive: Drive, u: Array) -> Array:
+        """Forced states (Z, A, N, r) of levels `u` (A, N), K, by rollout of every pair."""
+        driven = drive.per_u * u
+        if self._held_in.any():
+            driven = driven + drive.onset * p.on_share(u)
+        return self.operator.driven(p.forced_state_K, driven)
+
+    def as_solved(self, p: MPCProblem) -> MPCProblem:
+        """The instance with the relaxation of this programme."""
+        held = self.shape.n_held if self._h else 0
+        relaxed = self.shape.machinery.held.any() or self.shape.machinery.exclusive
+        return replace(p, held_steps=held) if relaxed else p
+
+    def levels(self, x: Array) -> Array:
+        """Levels u (A, N) of a solution."""
+        moves = np.array(x[self._v])
+        moves[self._signed] -= x[self._n]
+        for b, a in zip(self._b, self._chosen, strict=True):
+            # What a solver leaves of an actuator that is off, or lacks of its lowest level.
+            chosen = x[b] > 0.5
+            lowest = self.shape.machinery.lowest_level[a] if self._held[a] else -np.inf
+            moves[a, : self._h] = np.where(chosen, np.maximum(moves[a, : self._h], lowest), 0.0)
+        return moves[:, self._move]
+
+    def numbers(self, p: MPCProblem, drive: Drive) -> QPData:
+        """The numbers of one instance."""
+        machinery, n, firsts = self.shape.machinery, self.shape.n_steps, self.shape.first_steps
+        values = np.concatenate([[1.0], drive.per_u.ravel(), drive.onset.ravel()])
+        entries = self._dynamics_entries
+        A = self._A.filled(entries.factor * values[entries.of])
+        b = np.zeros(len(self._groups) * n)
+        for g, group in enumerate(self._groups):
+            # The first r equations contain the free decay of the initial modes.
+            begin = group.begin @ p.forced_state_K[group.zone, group.actuators].sum(axis=0)
+            b[g * n : g * n + begin.size] = begin
+
+        per_v, per_n, of_runs, of_choice = self._power_parts(p)
+        fixed_cost = p.fixed_cost
+        alone = np.where(self._alone[:, None], fixed_cost[machinery.machine_of], 0.0)
+        cost_v = p.price_per_W[machinery.machine_of] * p.power_per_u_W + alone * self._on_per_v[:, self._move]
+        cost_b = np.where(self._held_in, alone, 0.0)
+        cost_n = p.cooling_cost_per_u[self._signed]
+        left = p.terminal_price_per_K
+        if left.any():
+            # Terminal value of the heat added by the moves.
+            worth = np.einsum("zar,zarn->an", left, self._kept)
+            cost_v = cost_v - worth * drive.per_u
+            cost_b = cost_b - worth * drive.onset
+            cost_n = cost_n + (worth * drive.per_u)[self._signed]
+        linear = np.zeros(self.n_variables)
+        linear[self._v] = np.add.reduceat(cost_v, firsts, axis=1)
+        linear[self._s] = p.comfort_price[:, None]
+        if self._signed.size:
+            linear[self._n] = np.add.reduceat(cost_n, firsts, axis=1)
+        if self.shape.peak:
+            linear[self._peak] = p.weights.peak * POWER_UNIT_W
+        if self.shape.capped:
+            linear[self._over] = p.cap_price_per_W * POWER_UNIT_W
+        if self._shared.size:
+            linear[self._runs] = np.add.reduceat(fixed_cost[self._shared], firsts, axis=1)
+        if self._h:
+            linear[self._b] = np.add.reduceat(cost_b, firsts, axis=1)[self._chosen, : self._h]
+
+        low, high = self._low, self._high
+        comfort, values = p.T_free_C.size, np.ones(1)
+        low[:comfort], high[comfort : 2 * comfort] = (p.lower_C - p.T_free_C).ravel(), (p.upper_C - p.T_free_C).ravel()
+        row = 2 * comfort
+        if self.shape.peak:
+            low[row : row + n] = -p.peak_so_far_W / POWER_UNIT_W
+            row += n
+        if self.shape.capped and p.power_cap is not None:
+            low[row : row + n] = -p.power_cap.limit_W / POWER_UNIT_W
+        if self.shape.peak or self.shape.capped:
+            powers = [part.ravel() / POWER_UNIT_W for part in (per_v, per_n, of_runs, of_choice)]
+            values = np.concatenate([values, *powers])
+        entries = self._bounds_entries
+        G = self._G.filled(entries.factor * values[entries.of])
+        curvature = np.zeros(self.n_variables)
+        curvature[self._v] = curvature[self._n] = 2.0 * p.weights.curvature * self._counts
+        # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.
+        unit = float(np.abs(linear).max()) or 1.0
+        self._quadratic.data[:] = curvature / unit
+        constant = -float((left * self._faded * p.forced_state_K).sum())  # independent of the moves
+        return QPData(self._quadratic, linear / unit, A, b, G, low, high, self._x_low, self._x_high, unit, constant)
+
+
+def _nothing() -> _Entries:
+    none = np.zeros(0, dtype=np.intp)
+    return _Entries(none, none, np.zeros(0), none)
+
+
+def _groups(operator: BuildingOperator, n_steps: int) -> list[_Group]:
+    """Pairs of each zone by poles."""
+    found: dict[tuple[int, tuple[float, ...]], list[int]] = {}
+    for z, a, pair in operator.each():
+        found.setdefault((z, tuple(pair.poles.tolist())), []).append(a)
+    groups, gains = [], operator.gains
+    for (z, key), actuators in found.items():
+        poles = np.array(key)
+        numerators = np.array([transfer_function(poles, gains[z, a])[1] for a in actuators])
+        denominator = np.asarray(np.poly(poles), dtype=np.float64)
+        faded = poles ** np.arange(1, min(poles.size, n_steps) + 1)[:, None]
+        begin = lfilter(denominator, [1.0], faded, axis=0)
+        groups.append(_Group(z, np.array(actuators, dtype=np.intp), denominator, numerators, begin))
+    return groups
+
+
+def transfer_function(poles: Array, gains: Array) -> tuple[Array, Array]:
+    """Σ g_i / (1 − a_i q⁻¹) over a common denominator.
+
+    Args:
+        poles: a_i, shape (r,).
+        gains: g_i, shape (r,).
+
+    Returns:
+        Coefficients of 1, q⁻¹, q⁻² … of the denominator, shape (r + 1,), and of the numerator, shape (r,).
+    """
+    numerator = sum(gain * np.atleast_1d(np.poly(np.delete(poles, i))) for i, gain in enumerate(gains))
+    return np.asarray(np.poly(poles), dtype=np.float64), np.asarray(numerator, dtype=np.float64)
