@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
 from thermoforce_mpc.boundary.weather.year import YEAR_S
-from thermoforce_mpc.data import DAY_S, Array, Period
+from thermoforce_mpc.data import DAY_S, SINGLE, Array, Bands, Block, Levels, Names, Period
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import Actuator
@@ -39,28 +40,57 @@ def check_start(start_s: float, warmup_s: float) -> None:
         raise InputError(f"start of {start_s:g} s lies beyond the year ({YEAR_S:g} s)")
 
 
-def check_level_and_duration(u: float | None, duration_s: float, lowest: float = 0.0) -> None:
-    """Raise `InputError` unless `u` is None or in [`lowest`, 1] and `duration_s` is positive and less than a year."""
-    number = u is None or (isinstance(u, int | float | np.number) and math.isfinite(u) and lowest <= u <= 1.0)
-    if not number:
-        raise InputError(f"level of {u!r}: expected a number from {lowest:g} to 1, or None")
-    if not (isinstance(duration_s, int | float | np.number) and 0 < duration_s < YEAR_S):
+def check_levels(
+    u: Levels, duration_s: float, band_C: Bands = None, *, names: Names = SINGLE, lowest: float | Sequence[float] = 0.0
+) -> Block:
+    """Return levels and room set-points as given to a plant, one entry for each of its A actuators.
+
+    Args:
+        u: levels (A,), None for the plant's own control; a number for one actuator, None for all.
+        duration_s: how long to apply them, s.
+        band_C: heating and cooling set-point of each actuator, °C; one pair for one actuator, None for all.
+        names: names of the actuators.
+        lowest: lowest level, of all actuators or of each.
+
+    Raises:
+        InputError: there is not one entry per actuator, a level is neither None nor in [`lowest`, 1], a band is not two
+            rising finite numbers, or the duration is not positive and less than a year; names the actuator.
+    """
+    n, alone = len(names.actuators), len(names.actuators) == 1
+    levels: tuple[Any, ...] = (None,) * n if u is None else (u,) if np.ndim(u) == 0 else tuple(u)  # type: ignore[arg-type]
+    bands: tuple[Any, ...] = (None,) * n if band_C is None else tuple(band_C)
+    if alone and len(bands) == 2:  # one pair
+        bands = (bands,)
+    for what, found in (("levels", levels), ("room set-points", bands)):
+        if len(found) != n:
+            raise InputError(f"{what} of {len(found)} actuators: expected one for each of {', '.join(names.actuators)}")
+    each = np.broadcast_to(lowest, n)
+    for name, level, least, band in zip(names.actuators, levels, each, bands, strict=True):
+        of = "" if alone else f" for '{name}'"
+        if level is not None and not (_is_number(level) and least <= level <= 1.0):
+            raise InputError(f"level of {level!r}{of}: expected a number from {least:g} to 1, or None")
+        if band is not None and not (np.shape(band) == (2,) and all(map(_is_number, band)) and band[0] <= band[1]):
+            raise InputError(
+                f"room set-points of {band!r} °C{of}: expected a heating set-point not above the cooling one"
+            )
+    if not (_is_number(duration_s) and 0 < duration_s < YEAR_S):
         raise InputError(f"step of {duration_s!r} s: expected a positive number, less than a year")
+    return Block(levels, float(duration_s), bands)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
 def plant_inputs(
     actuator: Actuator | RoomSetpoints, u: float | None, band_C: tuple[float, float] | None, T_zone_C: float
 ) -> dict[str, float]:
-    """Return the inputs for a level with the room at `T_zone_C` or, for room set-points, the band to keep, °C.
+    """Return an actuator's inputs for a level with the room at `T_zone_C` or, for room set-points, the band, °C.
 
     Raises:
-        InputError: a band for an actuator without room set-points, or one that is not two rising finite numbers.
+        InputError: a band for an actuator without room set-points, or a level for one without a band.
     """
     if isinstance(actuator, RoomSetpoints):
-        if band_C is not None and not (all(map(math.isfinite, band_C)) and band_C[0] <= band_C[1]):
-            raise InputError(
-                f"room set-points of {band_C!r} °C: expected a heating set-point not above the cooling one"
-            )
         if band_C is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
             raise InputError(f"level of {u:g} without room set-points: a loop can only be driven to its limits")
         return actuator.inputs(u, band_C)

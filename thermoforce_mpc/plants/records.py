@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Measurement, Record
+from thermoforce_mpc.data import ACTING, Array, Measurement, Record
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import Actuator, Measurements
 
@@ -71,31 +71,32 @@ def past_record(
     T_zone, T_out, solar = (
         np.interp(edges, record["time"], record[name]) for name in (m.zone_temperature, m.outdoor_temperature, m.solar)
     )
+    acting = acting_means(record, m, levels(edges), edges)
     return Record(
         time_s=edges,
         T_zone_C=T_zone - _KELVIN,
         T_out_C=T_out - _KELVIN,
         solar_W_m2=solar,
-        **acting_means(record, m, levels(edges), edges),
+        u=acting["u"],
+        power_W=acting["power_W"],
+        heat_W=acting["heat_W"],
+        T_return_C=acting["T_return_C"],
     )
 
 
 def measurement(
     time_s: float, points: Mapping[str, float], m: Measurements, acting: Mapping[str, Array] | None = None
 ) -> Measurement:
-    """Return a measurement from sampled points (NaN if missing) and step means `acting` (1,) (NaN if None)."""
-
-    def mean(name: str) -> float:
-        return math.nan if acting is None else float(acting[name][0])
-
+    """Return a measurement of one zone: sampled points (NaN if missing), step means `acting` (1,) (NaN if None)."""
+    means = dict.fromkeys(ACTING, np.array([math.nan])) if acting is None else acting
     return Measurement(
         time_s=time_s,
-        T_zone_C=points.get(m.zone_temperature, math.nan) - _KELVIN,
+        T_zone_C=np.array([points.get(m.zone_temperature, math.nan) - _KELVIN]),
         T_out_C=points.get(m.outdoor_temperature, math.nan) - _KELVIN,
         solar_W_m2=points.get(m.solar, math.nan),
-        u=mean("u"),
-        power_W=mean("power_W"),
-        heat_W=mean("heat_W"),
-        T_return_C=mean("T_return_C"),
+        u=means["u"],
+        power_W=means["power_W"],
+        heat_W=means["heat_W"],
+        T_return_C=means["T_return_C"],
         points=dict(points),
     )

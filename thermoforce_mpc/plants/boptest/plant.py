@@ -21,10 +21,10 @@ from boptest_client import (
     TransportConfig,
     UnknownTest,
 )
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_level_and_duration, check_record_step, forecast_times, plant_inputs
+from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times, plant_inputs
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, recorded_level
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
@@ -158,16 +158,15 @@ class BoptestPlant:
             self._client.set_scenario(self._scenario)
         return self._at_rest(points, warmup_s, end_s=math.inf)
 
-    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
+    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
         """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
 
         Raises:
             InputError: `u`, `band_C` or `duration_s` is out of range.
             PlantError: the service failed, or its scenario is over.
         """
-        actuator = self.testcase.actuator
-        check_level_and_duration(u, duration_s, getattr(actuator, "lowest", 0.0))
-        inputs = plant_inputs(actuator, None if u is None else float(u), band_C, self._T_zone_C)
+        block = check_levels(u, duration_s, band_C, lowest=self.testcase.lowest_level)
+        inputs = plant_inputs(self.testcase.actuator, block.u[0], block.band_C[0], self._T_zone_C)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
                 f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
@@ -315,7 +314,7 @@ class BoptestPlant:
     def _measured(self, points: Mapping[str, float], acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
         found = measurement(self._now_s, points, self.testcase.measurements, acting)
-        self._T_zone_C = found.T_zone_C
+        self._T_zone_C = float(found.T_zone_C[0])
         return found
 
     def _acting_names(self) -> list[str]:

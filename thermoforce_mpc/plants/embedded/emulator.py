@@ -14,9 +14,9 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_record_step, check_start, forecast_times
+from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
@@ -157,13 +157,15 @@ class EmbeddedPlant:
             self._advance({}, self._start_s - self._now_s)
         return self._measurement(np.empty((0, len(kernel.RECORD))))
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
         """Apply the compressor level `u` in [0, 1] (None: native control) for `duration_s`.
 
         Raises:
             InputError: `u` or `duration_s` is out of range.
         """
-        return self.advance_points({} if u is None else {"oveHeaPumY": u}, duration_s)
+        block = check_levels(u, duration_s)
+        level = block.u[0]
+        return self.advance_points({} if level is None else {"oveHeaPumY": level}, block.duration_s)
 
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
         """Advance with overwrite inputs by BOPTEST name (temperatures in K); inputs not given stay native.
@@ -387,13 +389,13 @@ class EmbeddedPlant:
         points = {name: float(last[_COLUMN[column]]) for name, column in MEASUREMENTS.items()}
         return Measurement(
             time_s=self._now_s,
-            T_zone_C=points["reaTZon_y"] - _KELVIN,
+            T_zone_C=np.array([points["reaTZon_y"] - _KELVIN]),
             T_out_C=points["weaSta_reaWeaTDryBul_y"] - _KELVIN,
             solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
-            u=float(means[_COLUMN["level"]]),
-            power_W=float(_total_power(means)),
-            heat_W=float(means[_COLUMN["Q_condenser"]]),
-            T_return_C=float(means[_COLUMN["T_return"]]) - _KELVIN,
+            u=means[[_COLUMN["level"]]],
+            power_W=_total_power(means[None]),
+            heat_W=means[[_COLUMN["Q_condenser"]]],
+            T_return_C=means[[_COLUMN["T_return"]]] - _KELVIN,
             points=points,
         )
 

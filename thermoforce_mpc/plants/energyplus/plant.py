@@ -18,10 +18,10 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.checks import (
-    check_level_and_duration,
+    check_levels,
     check_record_step,
     check_start,
     day_period,
@@ -164,16 +164,16 @@ class EnergyPlusPlant:
             self._advance(None, start_s - begin_s)
         return self._measurement(self._now_s)
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
         """Apply `u` in [0, 1] (None: native control, a PI thermostat) for `duration_s`, a multiple of 5 min.
 
         Raises:
             InputError: `u` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the engine failed.
         """
-        check_level_and_duration(u, duration_s)
+        block = check_levels(u, duration_s)
         before_s = self._now_s
-        self._advance(None if u is None else float(u), float(duration_s))
+        self._advance(block.u[0], block.duration_s)
         return self._measurement(before_s)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
@@ -327,6 +327,7 @@ class EnergyPlusPlant:
         record = self._record(n + 1)
         names = ("T", "T_out", "solar")
         T, T_out, solar = (float(record[name][-1]) for name in names)
+        T_zone = np.array([T])
         m = self.testcase.measurements
         points = {
             m.zone_temperature: T + _KELVIN,
@@ -335,7 +336,7 @@ class EnergyPlusPlant:
             m.electric_power[0]: float(record["power"][-1]),
         }
         if before_s >= self._now_s:
-            return Measurement(self._now_s, T, T_out, solar, points=points)
+            return Measurement(self._now_s, T_zone, T_out, solar, points=points)
         edges = np.array([before_s, self._now_s])
-        u, power, heat = (float(interval_means(record, [name], edges)[0]) for name in ("u", "power", "heat"))
-        return Measurement(self._now_s, T, T_out, solar, u, power, heat, points=points)
+        u, power, heat = (interval_means(record, [name], edges) for name in ("u", "power", "heat"))
+        return Measurement(self._now_s, T_zone, T_out, solar, u, power, heat, points=points)

@@ -14,11 +14,11 @@ import numpy as np
 from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import HOUR_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import (
-    check_level_and_duration,
+    check_levels,
     check_record_step,
     check_start,
     day_period,
@@ -141,18 +141,17 @@ class FmuPlant:
             stretch = self._run({}, self._start_s - self._now_s)
         return self._measured(stretch)
 
-    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
+    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
         """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
 
         Raises:
             InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the FMU failed.
         """
-        actuator = self.testcase.actuator
-        check_level_and_duration(u, duration_s, getattr(actuator, "lowest", 0.0))
+        block = check_levels(u, duration_s, band_C, lowest=self.testcase.lowest_level)
         before_s = self._now_s if self._worker else 0.0
-        inputs = plant_inputs(actuator, None if u is None else float(u), band_C, self._T_zone_C)
-        stretch = self._run(inputs, float(duration_s))
+        inputs = plant_inputs(self.testcase.actuator, block.u[0], block.band_C[0], self._T_zone_C)
+        stretch = self._run(inputs, block.duration_s)
         edges = np.array([before_s, self._now_s])
         previous = self._stretches[-2]
         record = self._columns(
@@ -218,7 +217,7 @@ class FmuPlant:
     def _measured(self, stretch: Stretch, acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement at the end of `stretch`; its zone temperature serves the actuator's map next."""
         found = measurement(self._now_s, stretch.final, self.testcase.measurements, acting)
-        self._T_zone_C = found.T_zone_C
+        self._T_zone_C = float(found.T_zone_C[0])
         return found
 
     def _stop(self) -> None:

@@ -12,10 +12,10 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import (
-    check_level_and_duration,
+    check_levels,
     check_record_step,
     check_start,
     day_period,
@@ -144,15 +144,15 @@ class GeneratedHousePlant:
             self._advance(math.nan, self._start_s - self._now_s)
         return measurement(self._now_s, self._points(), self.testcase.measurements)
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
         """Apply the level `u` in [0, 1] (None: the house's own control) for `duration_s`.
 
         Raises:
             InputError: `u` or `duration_s` is out of range.
         """
-        check_level_and_duration(u, duration_s)
+        block = check_levels(u, duration_s)
         before_s = self._now_s
-        self._advance(math.nan if u is None else float(u), float(duration_s))
+        self._advance(float(block.as_array()[0]), block.duration_s)
         edges = np.array([before_s, self._now_s])
         record = self.recorded(before_s, self._now_s)
         m = self.testcase.measurements
