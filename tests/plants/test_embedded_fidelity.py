@@ -21,7 +21,7 @@ def replay(plant, trajectory: pd.DataFrame, warmup_days: float) -> tuple[np.ndar
     start = float(trajectory.time.iloc[0]) - 900
     plant.reset(start, min(warmup_days * DAY_S, start))
     out = [plant.advance(float(u), 900) for u in trajectory.oveHeaPumY_u]
-    return np.array([m.T_zone_C for m in out]), np.array([m.power_W for m in out])
+    return np.array([m.T_zone_C[0] for m in out]), np.array([m.power_W[0] for m in out])
 
 
 @pytest.mark.parametrize(
@@ -90,9 +90,9 @@ def test_the_boundary_is_the_test_cases_own(plant, shared):
     plant.reset(0, 0, "dynamic")
     ours = plant.forecast(float(real.time.iloc[-1]), 3600)
     pairs = {
-        "TDryBul": ours.T_out_C, "HGloHor": ours.solar_W_m2, "Occupancy[1]": ours.occupancy,
-        "LowerSetp[1]": ours.lower_C, "UpperSetp[1]": ours.upper_C, "PriceElectricPowerDynamic": ours.price_per_kWh,
-        "EmissionsElectricPower": ours.emission_kg_per_kWh,
+        "TDryBul": ours.T_out_C, "HGloHor": ours.solar_W_m2, "Occupancy[1]": ours.occupancy[0],
+        "LowerSetp[1]": ours.lower_C[0], "UpperSetp[1]": ours.upper_C[0], "PriceElectricPowerDynamic": ours.price_per_kWh[0],
+        "EmissionsElectricPower": ours.emission_kg_per_kWh[0],
     }  # fmt: skip
     for column, values in pairs.items():
         np.testing.assert_allclose(values, real[column], atol=2e-5, err_msg=column)

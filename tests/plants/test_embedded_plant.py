@@ -63,7 +63,7 @@ def test_any_control_step_gives_the_same_bytes(weather):
         plant.reset(3 * DAY_S, DAY_S)
         for _ in range(int(6 * 3600 / step_s)):
             last = plant.advance(0.4, step_s)
-        finals.append((last.T_zone_C, plant.kpis()))
+        finals.append((last.T_zone_C[0], plant.kpis()))
     assert all(final == finals[0] for final in finals)
 
 
@@ -113,11 +113,11 @@ def test_branches_of_a_snapshot_share_the_past_to_the_bit(plant):
     plant.reset(3 * DAY_S, DAY_S)
     plant.advance(0.5, 3600)
     here = plant.snapshot()
-    a = [plant.advance(0.0, 900).T_zone_C for _ in range(8)]
+    a = [plant.advance(0.0, 900).T_zone_C[0] for _ in range(8)]
     plant.restore(here)
-    b = [plant.advance(1.0, 900).T_zone_C for _ in range(8)]
+    b = [plant.advance(1.0, 900).T_zone_C[0] for _ in range(8)]
     plant.restore(here)
-    again = [plant.advance(0.0, 900).T_zone_C for _ in range(8)]
+    again = [plant.advance(0.0, 900).T_zone_C[0] for _ in range(8)]
     assert a == again
     assert b[-1] > a[-1]
 
@@ -155,7 +155,7 @@ def test_more_heat_is_never_colder(plant):
     ends = []
     for u in (0.0, 0.25, 0.5, 0.75, 1.0):
         plant.restore(here)
-        ends.append(plant.advance(u, 6 * 3600).T_zone_C)
+        ends.append(plant.advance(u, 6 * 3600).T_zone_C[0])
     assert ends == sorted(ends)
     assert ends[-1] - ends[0] > 0.5
 
@@ -166,7 +166,7 @@ def test_the_fixed_part_of_the_power_does_not_scale(plant):
     power = []
     for u in (0.1, 1.0):
         plant.restore(here)
-        power.append(plant.advance(u, 3600).power_W)
+        power.append(plant.advance(u, 3600).power_W[0])
     assert power[0] > 0.4 * power[1]
 
 
@@ -174,11 +174,11 @@ def test_kpis_count_from_the_end_of_the_warm_up_and_add_up(plant):
     plant.reset(10 * DAY_S, 2 * DAY_S, "dynamic")
     parts = [plant.advance(None, 900) for _ in range(96)]
     kpis = plant.kpis()
-    energy = sum(part.power_W * 900 / 3.6e6 for part in parts) / AREA_M2
+    energy = sum(part.power_W[0] * 900 / 3.6e6 for part in parts) / AREA_M2
     assert kpis["ener_tot"] == pytest.approx(energy, rel=2e-3)
     assert kpis["emis_tot"] == pytest.approx(0.167 * kpis["ener_tot"])
     assert 0.2383 < kpis["cost_tot"] / kpis["ener_tot"] < 0.2666
-    assert kpis["pele_tot"] >= max(part.power_W for part in parts) / 1e3 / AREA_M2 * 0.99
+    assert kpis["pele_tot"] >= max(part.power_W[0] for part in parts) / 1e3 / AREA_M2 * 0.99
 
 
 def test_kpis_asked_at_every_step_are_those_of_the_whole_record(weather, monkeypatch):
@@ -248,15 +248,15 @@ def test_the_past_holds_the_warm_up_and_continues(plant):
     last = plant.advance(1.0, 3600)
     now = plant.past(3600)
     assert now.n_steps == 49
-    assert (now.u[-1], now.T_zone_C[-1]) == (last.u, last.T_zone_C)
-    assert now.power_W[-1] == pytest.approx(last.power_W, rel=1e-12)
+    assert (now.u[0, -1], now.T_zone_C[0, -1]) == (last.u[0], last.T_zone_C[0])
+    assert now.power_W[0, -1] == pytest.approx(last.power_W[0], rel=1e-12)
 
 
 def test_the_forecast_carries_bounds_as_the_test_case_samples_them(plant):
     plant.reset(7 * DAY_S, 0)  # day 7 of the year is a Tuesday
     boundary = plant.forecast(DAY_S, 3600)
-    np.testing.assert_array_equal(boundary.lower_C, [21] * 8 + [15] * 12 + [21] * 5)
-    np.testing.assert_array_equal(boundary.upper_C, [24] * 8 + [30] * 12 + [24] * 5)
+    np.testing.assert_array_equal(boundary.lower_C[0], [21] * 8 + [15] * 12 + [21] * 5)
+    np.testing.assert_array_equal(boundary.upper_C[0], [24] * 8 + [30] * 12 + [24] * 5)
     assert boundary.T_out_C[0] == pytest.approx(plant.advance(0.0, 30).T_out_C, abs=0.1)
 
 

@@ -91,9 +91,13 @@ def test_more_u_is_more_effort_and_costs_more(fmus):
             plant.reset(100 * DAY_S, 0.0)
             measured = plant.advance(u, 2 * HOUR_S)
             # A radiator's set-point is that for the room at the start of the block; a warmer room takes less.
-            assert measured.u == pytest.approx(u) if testcase.actuator.map == "linear" else 0.8 * u <= measured.u <= u
-            reached.append(measured.T_zone_C)
-            spent.append(measured.power_W)
+            assert (
+                measured.u[0] == pytest.approx(u)
+                if testcase.actuator.map == "linear"
+                else 0.8 * u <= measured.u[0] <= u
+            )
+            reached.append(measured.T_zone_C[0])
+            spent.append(measured.power_W[0])
     assert np.diff(reached).min() > 0.05, reached
     assert np.diff(spent).min() > 1.0, spent
 
@@ -121,7 +125,7 @@ def test_room_setpoints_are_kept_and_the_level_is_the_measured_heat(fmus):
     fan_W = cold.power_W + cold.heat_W / 3.0  # no gas was burnt
     assert 0.0 < fan_W <= 130.0, "heat from the room is three times the chiller's power"
     assert record.u.min() < 0.0 < record.u.max()
-    assert (prices.price_per_kWh[0], prices.heating_price_per_kWh[0]) == (0.2, 0.05)
+    assert (prices.price_per_kWh[0, 0], prices.heating_price_per_kWh[0, 0]) == (0.2, 0.05)
 
 
 def test_room_setpoints_are_refused_where_there_are_none(fmus):
@@ -134,7 +138,9 @@ def test_room_setpoints_are_refused_where_there_are_none(fmus):
 def test_gas_and_electricity_each_at_their_price(fmus):
     with FmuPlant(fmus["bestest_hydronic"], load_testcase("bestest_hydronic")) as plant:
         plant.reset(20 * DAY_S, 0.0, "dynamic")
-        assert plant.forecast(2 * HOUR_S, HOUR_S).price_per_kWh.tolist() == [0.05] * 3, "planned with the price of gas"
+        assert plant.forecast(2 * HOUR_S, HOUR_S).price_per_kWh[0].tolist() == [0.05] * 3, (
+            "planned with the price of gas"
+        )
         plant.advance(0.5, HOUR_S)
         held = plant.advance(0.01, HOUR_S)
         assert held.points["ovePum_y"] == 1.0, "the pump is held while u acts"
@@ -186,8 +192,8 @@ def test_the_set_point_follows_the_room_so_that_heat_does_not(fmus):
         spent, rooms = [], []
         for _ in range(6):
             measured = plant.advance(0.5, 300.0)
-            spent.append(measured.power_W)
-            rooms.append(measured.T_zone_C)
+            spent.append(measured.power_W[0])
+            rooms.append(measured.T_zone_C[0])
             assert measured.u == pytest.approx(0.5, abs=0.01)
         assert rooms[-1] > rooms[0] + 0.3
         assert np.ptp(spent) < 0.03 * np.mean(spent)

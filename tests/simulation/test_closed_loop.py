@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
-from thermoforce_mpc.data import HOUR_S, Block, Plan, PlanStatus
+from thermoforce_mpc.data import CONDITIONS, HOUR_S, Block, Measurement, Names, Period, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
+from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
 
 
 def plan(*blocks: Block) -> Plan:
@@ -42,6 +45,104 @@ def test_an_unfit_duration_is_replaced_by_one_step_of_native_control(duration):
     assert why
 
 
+TWO = Names(("bath", "hall"), ("radiator", "floor"), ("boiler", "heat pump"))
+
+
+@pytest.mark.parametrize(
+    ("block", "told"),
+    [
+        (Block((0.5, 1.01), HOUR_S), r"u\[floor\] of 1.01, outside 0 to 1"),
+        (Block((0.5, float("nan")), HOUR_S), r"u\[floor\] of nan"),
+        (Block((None, 0.5), HOUR_S, ((24.0, 21.0), None)), r"room set-points .* at u\[radiator\]"),
+        (Block(0.5, HOUR_S), r"1 levels for 2 actuators \(radiator, floor\)"),
+    ],
+)
+def test_what_is_wrong_with_one_actuator_refuses_the_plan_for_all(block, told):
+    blocks, why = checked_blocks(plan(block), HOUR_S, HOUR_S, names=TWO)
+    assert blocks == (Block((None, None), HOUR_S),)
+    assert re.search(told, why)
+    assert checked_blocks(plan(Block((0.5, None), HOUR_S)), HOUR_S, HOUR_S, names=TWO)[1] == ""
+
+
+class TwoHouses:
+    """Two simple houses as the zones of one building; the level of the second is not measured."""
+
+    def __init__(self) -> None:
+        self.houses = (SimpleHouse(), SimpleHouse(T_start_C=19.0))
+        self.info = self.houses[0].info
+
+    def _both(self, parts):
+        def rows(name):
+            return np.array([getattr(part, name)[0] for part in parts])
+
+        u = rows("u") * np.array([1.0, np.nan])
+        first = parts[0]
+        return Measurement(
+            first.time_s,
+            rows("T_zone_C"),
+            first.T_out_C,
+            first.solar_W_m2,
+            u,
+            rows("power_W"),
+            rows("heat_W"),
+            names=TWO,
+        )
+
+    def reset(self, start_s, warmup_s, price="constant"):
+        return self._both([house.reset(start_s, warmup_s, price) for house in self.houses])
+
+    def advance(self, u, duration_s):
+        levels = check_levels(u, duration_s, names=TWO).u
+        return self._both([h.advance(level, duration_s) for h, level in zip(self.houses, levels, strict=True)])
+
+    def forecast(self, horizon_s, interval_s):
+        one = self.houses[0].forecast(horizon_s, interval_s)
+        both = {
+            name: np.repeat(getattr(one, name), 2, axis=0) for name in CONDITIONS if np.ndim(getattr(one, name)) == 2
+        }
+        both["upper_C"] = both["upper_C"] + np.array([[0.0], [1.0]])
+        return replace(one, **both, names=TWO)
+
+    def past(self, step_s):
+        return Record.beginning(self._both([house._measure() for house in self.houses]))
+
+    def kpis(self):
+        return {}
+
+
+def test_every_zone_actuator_and_machine_is_recorded_by_name():
+    plant = TwoHouses()
+    controller = Fixed(Block((0.25, None), 1800.0), Block((0.75, 1.0), 1800.0))
+    period = Period("x", 10 * 86400.0, 6 * HOUR_S, 2 * 86400.0)
+    result = run_closed_loop(plant, controller, period)
+    first, last = result.samples[0], result.samples[-1]
+    assert result.names == TWO
+    assert first.u_applied == (0.25, None)
+    assert last.T_zone_C.shape == last.lower_C.shape == last.power_W.shape == (2,)
+    assert last.T_zone_C[0] != last.T_zone_C[1]
+    assert [level for level, _ in plant.houses[1].applied[:2]] == [None, 1.0], "native control of one actuator alone"
+    u = controller.seen[-1].history.u
+    np.testing.assert_allclose(u[0], 0.5)
+    assert np.isnan(u[1]).all(), "half of each step was native control that nobody measured"
+    rows = trajectory_frame(result.steps)
+    zones = [f"{name}[{zone}]" for name in ("T_zone_C", "lower_C", "upper_C") for zone in TWO.zones]
+    assert {*zones, "u_applied[radiator]", "u_measured[floor]", "power_W[boiler]", "heat_W[floor]"} <= set(rows)
+    assert rows["upper_C[hall]"].iloc[0] == rows["upper_C[bath]"].iloc[0] + 1.0
+    assert rows["power_W[heat pump]"].tolist() == [sample.power_W[1] for sample in result.samples]
+    steps = steps_frame(result.steps)
+    assert steps["T_zone_C[hall]"].tolist() == [step.T_zone_C[1] for step in result.steps]
+
+
+def test_the_columns_of_one_zone_carry_no_names():
+    house = SimpleHouse()
+    result = run_closed_loop(house, Fixed(Block(0.5, HOUR_S)), house.period("x"))
+    assert list(trajectory_frame(result.steps)) == [
+        "start_s", "duration_s", "T_zone_C", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh",
+        "u_applied", "u_measured", "power_W", "heat_W",
+    ]  # fmt: skip
+    assert "T_zone_C" in steps_frame(result.steps)
+
+
 def test_an_empty_plan_is_one_step_of_native_control():
     assert checked_blocks(plan(), HOUR_S, 10 * HOUR_S)[0] == (Block(None, HOUR_S),)
 
@@ -59,9 +160,9 @@ def test_the_history_holds_step_means_and_grows_by_one_step_each_time():
     lengths = [seen.history.n_steps for seen in controller.seen]
     assert lengths == list(range(48, 96)), "two days of warm-up, then one step a plan"
     last = controller.seen[-1].history
-    np.testing.assert_allclose(last.u[48:], 0.25)
+    np.testing.assert_allclose(last.u[0, 48:], 0.25)
     np.testing.assert_allclose(np.diff(last.time_s), HOUR_S)
-    assert last.T_zone_C[-1] == controller.seen[-1].T_zone_C == result.steps[-1].T_zone_C
+    assert last.T_zone_C[0, -1] == controller.seen[-1].T_zone_C == result.steps[-1].T_zone_C
 
 
 def test_a_window_that_ends_inside_a_step_is_run_to_its_end():
@@ -82,7 +183,7 @@ def test_a_plan_that_is_not_one_step_long_never_reaches_the_plant(seconds):
 def test_samples_carry_the_bounds_and_price_in_force():
     house = SimpleHouse()
     result = run_closed_loop(house, Fixed(Block(0.0, HOUR_S)), house.period("x"))
-    at = {round((s.start_s % 86400) / HOUR_S): s.lower_C for s in result.samples[:24]}
+    at = {round((s.start_s % 86400) / HOUR_S): s.lower_C[0] for s in result.samples[:24]}
     assert (at[6], at[8], at[19], at[20]) == (21.0, 15.0, 15.0, 21.0)
 
 

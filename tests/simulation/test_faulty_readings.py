@@ -11,7 +11,7 @@ import pytest
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Period
+from thermoforce_mpc.data import DAY_S, HOUR_S, Levels, Measurement, Period
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -33,7 +33,7 @@ class FaultyPlant(EmbeddedPlant):
         super().__init__(synthetic_weather())
         self.faults = faults
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
         measurement = super().advance(u, duration_s)
         hour = int(np.ceil((measurement.time_s - PERIOD.start_s) / HOUR_S - 1e-9))
         fault = self.faults.get(hour)

@@ -10,7 +10,19 @@ import math
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    Array,
+    Bands,
+    Boundary,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+)
+from thermoforce_mpc.plants.checks import check_levels
 
 AIR_J_K, MASS_J_K = 8.0e5, 8.0e6
 AIR_MASS_W_K, AIR_OUT_W_K = 250.0, 45.0
@@ -54,12 +66,14 @@ class LightOffice:
         self.kept = dict.fromkeys(self.kept, 0.0)
         return self._measurement(math.nan, math.nan, math.nan)
 
-    def advance(self, u: float | None, duration_s: float, band_C: tuple[float, float] | None = None) -> Measurement:
+    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
+        block = check_levels(u, duration_s, band_C, lowest=-1.0)
+        (level,), (band,) = block.u, block.band_C
         heat = gas = chiller = 0.0
         n = round(duration_s / DT_S)
         for _ in range(n):
             lower, upper = (float(b) for b in self.bounds_C(np.array(self.now_s)))
-            low, high = band_C if band_C is not None and u is not None else (lower, upper)
+            low, high = band if band is not None and level is not None else (lower, upper)
             T_out, sun = (float(w) for w in self.weather(np.array(self.now_s)))
             rest = AIR_MASS_W_K * (self.T_mass - self.T) + AIR_OUT_W_K * (T_out - self.T) + 1.0 * sun
             drifting = self.T + rest * DT_S / AIR_J_K

@@ -16,7 +16,7 @@ from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
 from thermoforce_mpc.simulation.display import RunDisplay
-from thermoforce_mpc.simulation.identifying import identification_task, run_identification
+from thermoforce_mpc.simulation.identifying import identification_task, may_act, run_identification
 
 # Exit code of a model that was identified and saved but is below the bar.
 BELOW_THE_BAR = 4
@@ -66,5 +66,5 @@ def command(**options: Any) -> None:
 
     plot_identification(out / PLOT_NAME, model, records[0])
     display.say(f"Plot of fit and step response: {out / PLOT_NAME}")
-    if model.card.competence is not None and not model.card.competence.competent:
+    if not may_act(model):
         click.get_current_context().exit(BELOW_THE_BAR)

@@ -9,12 +9,18 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.certificate import certificate
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 _SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
+_CERTIFIED_H = 48
+# Half width of a 90 % band of a normal distribution, standard deviations.
+_BAND = 1.645
 # Meaning of the scores of a model card, in printing order.
 _MEANING = {
     "explained_by_actuation": "share of the temperature variation, beyond weather and drift, explained by the action",
@@ -42,9 +48,66 @@ def command(model: Path) -> None:
 
 
 def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
-    """Print parameters, certificate, power model, scores and data ranges of a model."""
-    operator, card = thermal.operator, thermal.card
-    proof = certificate(operator, n_steps=round(48 * 3600 / operator.step_s))
+    """Print parameters, certificate, power models, scores and data ranges of a model, actuator by actuator."""
+    single = thermal.names.single
+    if not single:
+        _show_building(name, thermal, console)
+    shown: set[int] = set()
+    for a, actuator in enumerate(thermal.operator.actuators):
+        zone = thermal.actuator(a)
+        home = thermal.operator.zones[thermal.operator.home[a]]
+        if not single:
+            console.rule(f"{actuator} in {home}", align="left")
+        _show_operator(name if single else actuator, zone.operator, zone.card, console)
+        machine = thermal.machine_of[a]
+        if machine not in shown:  # told with the first actuator that it feeds
+            shown.add(machine)
+            _show_power("Power" if single else f"Power of {thermal.machines[machine]}", thermal.power[machine], console)
+        _show_card(zone.card, console)
+
+
+def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
+    """Print what a model of several zones or actuators covers, and the effect of every actuator on every zone."""
+    operator = thermal.operator
+    Z, A, _ = operator.shape
+    pairs = list(operator.each())
+    proofs = operator.certificates(n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
+    wrong = [f"{actuator} on {zone}" for (zone, actuator), proof in proofs.items() if not proof.certified]
+    console.print(
+        f"{name}: {Z} zones, {A} actuators, {len(thermal.machines)} machines; {len(pairs)} pairs with an effect, "
+        f"{operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h"
+    )
+    for m, machine in enumerate(thermal.machines):
+        fed = [operator.actuators[a] for a, other in enumerate(thermal.machine_of) if other == m]
+        console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}")
+    certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
+    console.print(f"Certificate: {certified}")
+    from thermoforce_mpc.identification.report import step_response_of
+    from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
+
+    hours = STEP_RESPONSE_H[-1]
+    table = Table(title=f"Change of each zone after {hours:g} h at full level, K (90 % band)", title_justify="left")
+    table.add_column("zone")
+    for actuator in operator.actuators:
+        table.add_column(actuator, justify="right")
+    for z, zone in enumerate(operator.zones):
+        cells = []
+        for a in range(A):
+            pair = operator.pairs[z][a]
+            mean, sd = step_response_of(thermal, z, a)
+            if pair is None:
+                cells.append("no effect")
+            elif mean.size:
+                cells.append(f"{mean[-1]:.2f} ({mean[-1] - _BAND * sd[-1]:.2f} to {mean[-1] + _BAND * sd[-1]:.2f})")
+            else:
+                cells.append(f"{pair.impulse(round(hours * 3600 / pair.step_s)).sum():.2f}")
+        table.add_row(zone, *cells)
+    console.print(table)
+
+
+def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, console: Console) -> None:
+    """Print an actuator's operator on its home zone, its step response, certificate and heat."""
+    proof = certificate(operator, n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
     say = console.print
     say(f"{name}: order {operator.order}, {operator.parameters_in_words}, step {operator.step_s / 3600:g} h")
     say(f"source: {card.source}")
@@ -87,14 +150,23 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
             f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full actuation above is "
             f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:g} °C outdoors"
         )
-    if thermal.power:
-        c0, c1, c2, c3 = thermal.power.coefficients
-        water = thermal.power.water
-        times = f", times 1 {water.per_K:+.4f} (T_return - {water.reference_C:.1f})" if water else ""
-        say(
-            f"Power: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W{times}; "
-            f"RMSE {thermal.power.rmse_W:.0f} W, R2 {thermal.power.r2:.4f}"
-        )
+
+
+def _show_power(what: str, power: PowerModel | None, console: Console) -> None:
+    if power is None:
+        return
+    c0, c1, c2, c3 = power.coefficients
+    water = power.water
+    times = f", times 1 {water.per_K:+.4f} (T_return - {water.reference_C:.1f})" if water else ""
+    console.print(
+        f"{what}: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W{times}; "
+        f"RMSE {power.rmse_W:.0f} W, R2 {power.r2:.4f}"
+    )
+
+
+def _show_card(card: ModelCard, console: Console) -> None:
+    """Print scores, data ranges, notes and the verdict of an actuator's model."""
+    say = console.print
     rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}
     if card.scores:
         say("Scores:")
@@ -157,5 +229,5 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     for hours in found:
         name = f"step_response_{hours}h"
         mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
-        table.add_row(str(hours), f"{mean:.2f}", f"{mean - 1.645 * sd:.2f}", f"{mean + 1.645 * sd:.2f}")
+        table.add_row(str(hours), f"{mean:.2f}", f"{mean - _BAND * sd:.2f}", f"{mean + _BAND * sd:.2f}")
     console.print(table)

@@ -5,10 +5,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import cast
 
-from thermoforce_mpc.data import Block, Boundary, Measurement, Observation, Period, Plan, PlanStatus
+import numpy as np
+
+from thermoforce_mpc.data import (
+    SINGLE,
+    Array,
+    Block,
+    Boundary,
+    Measurement,
+    Names,
+    Observation,
+    Period,
+    Plan,
+    PlanStatus,
+)
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 
@@ -18,25 +31,44 @@ _CLOCK_TOLERANCE_S = 1e-6
 
 @dataclass(frozen=True)
 class Sample:
-    """One applied block: bounds and price in force, and the measurements at its end."""
+    """One applied block: bounds and prices in force, and the measurements at its end.
+
+    Zone temperatures and bounds have shape (Z,), prices and power (M,), levels and heat (A,); `u_applied` (A,) is None
+    where the plant's own control acted.
+    """
 
     start_s: float
     duration_s: float
-    T_zone_C: float
+    T_zone_C: Array
     T_out_C: float
     solar_W_m2: float
-    lower_C: float
-    upper_C: float
-    price_per_kWh: float
-    u_applied: float | None
-    u_measured: float
-    power_W: float
-    heat_W: float
+    lower_C: Array
+    upper_C: Array
+    price_per_kWh: Array
+    u_applied: tuple[float | None, ...]
+    u_measured: Array
+    power_W: Array
+    heat_W: Array
+    names: Names = SINGLE
+
+    def columns(self) -> dict[str, float | None]:
+        """The sample as one row of a table, by `Names.label`; with one zone, by the names of the fields."""
+        row: dict[str, float | None] = {}
+        for name in (item.name for item in fields(self) if item.name != "names"):
+            values = getattr(self, name)
+            if np.ndim(values) == 0:
+                row[name] = values
+                continue
+            of = "u" if name.startswith("u_") else name
+            for i, value in enumerate(values):
+                label = name + self.names.label(of, i).removeprefix(of)
+                row[label] = None if value is None else float(value)
+        return row
 
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One control step: plan, boundary forecast, applied blocks and computing times, s.
+    """One control step: zone temperatures (Z,), °C, plan, boundary forecast, applied blocks and computing times, s.
 
     `notes` lists the readings of the step that were missing or rejected (in the first step also those of the record
     before it); `samples` holds the readings as reported by the plant.
@@ -44,7 +76,7 @@ class StepRecord:
 
     index: int
     time_s: float
-    T_zone_C: float
+    T_zone_C: Array
     boundary: Boundary
     plan: Plan
     refused: str
@@ -69,6 +101,11 @@ class RunResult:
     start: Measurement
     seconds: float = field(default=0.0)
     state: object = field(default=None, repr=False)
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self.start.names
 
     @property
     def samples(self) -> list[Sample]:
@@ -144,7 +181,7 @@ def run_closed_loop(
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
         plan, state = replace(plan, state=None), plan.state
-        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, allowed.lowest)
+        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, allowed.lowest, history.names)
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
         for block in blocks:
@@ -182,24 +219,25 @@ def run_closed_loop(
 
 def advanced(plant: Plant, block: Block) -> Measurement:
     """Apply `block` to `plant`; room set-points go only to plants that have them. Raises as `Plant.advance` does."""
-    if block.band_C is None:
+    if all(band is None for band in block.band_C):
         return plant.advance(block.u, block.duration_s)
     return cast(RoomSetpointPlant, plant).advance(block.u, block.duration_s, block.band_C)
 
 
-def checked_blocks(plan: Plan, step_s: float, remaining_s: float, lowest: float = 0.0) -> tuple[tuple[Block, ...], str]:
+def checked_blocks(
+    plan: Plan, step_s: float, remaining_s: float, lowest: float = 0.0, names: Names = SINGLE
+) -> tuple[tuple[Block, ...], str]:
     """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
-    Last check before the plant: a level must be None, or finite and in [`lowest`, 1], room set-points finite and in
-    order; a duration must be finite and positive; the durations must sum to `step_s`.
+    Last check before the plant: there must be one level for each actuator of `names`, None or finite and in
+    [`lowest`, 1], room set-points finite and in order; a duration must be finite and positive; the durations must sum
+    to `step_s`. What is wrong with one actuator refuses the plan for all.
     """
-    native = (Block(None, min(step_s, remaining_s)),)
+    native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
     for block in plan.blocks:
-        level_ok = block.u is None or (math.isfinite(block.u) and lowest <= block.u <= 1.0)
-        band = block.band_C
-        band_ok = band is None or (all(map(math.isfinite, band)) and band[0] <= band[1])
-        if not level_ok or not band_ok or not (math.isfinite(block.duration_s) and block.duration_s > 0):
-            return native, f"refused {block}: native control instead"
+        wrong = _unfit(block, lowest, names)
+        if wrong:
+            return native, f"refused {wrong}: native control instead"
     if not plan.blocks:
         return native, "the plan had no action: native control instead"
     total_s = math.fsum(block.duration_s for block in plan.blocks)
@@ -215,15 +253,28 @@ def checked_blocks(plan: Plan, step_s: float, remaining_s: float, lowest: float 
     return tuple(out), ""
 
 
+def _unfit(block: Block, lowest: float, names: Names) -> str:
+    """What is wrong with a block, in words; empty where it may be applied."""
+    if len(block.u) != len(names.actuators):
+        return f"{len(block.u)} levels for {len(names.actuators)} actuators ({', '.join(names.actuators)})"
+    if not (math.isfinite(block.duration_s) and block.duration_s > 0):
+        return f"a block of {block.duration_s:g} s"
+    for a, (level, band) in enumerate(zip(block.u, block.band_C, strict=True)):
+        if level is not None and not (math.isfinite(level) and lowest <= level <= 1.0):
+            return f"{names.label('u', a)} of {level:g}, outside {lowest:g} to 1"
+        if band is not None and not (all(map(math.isfinite, band)) and band[0] <= band[1]):
+            return f"room set-points of {band} °C at {names.label('u', a)}"
+    return ""
+
+
 def _with_level(measurement: Measurement, block: Block) -> Measurement:
-    """The measurement with the applied level where u was not measured; under native control u stays NaN."""
-    if block.u is None or block.band_C is not None or not math.isnan(measurement.u):
-        return measurement
-    return replace(measurement, u=block.u)
+    """The measurement with the applied levels where u was not measured; u stays NaN where native control acts."""
+    told = np.array([band is None for band in block.band_C])
+    return replace(measurement, u=np.where(np.isnan(measurement.u) & told, block.as_array(), measurement.u))
 
 
 def _sample(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:
-    """Sample of one block, with the bounds and price in force at its start (from the forecast)."""
+    """Sample of one block, with the bounds and prices in force at its start (from the forecast)."""
     # Bounds are looked up at the latest forecast instant not after the block's start.
     index = int(max((boundary.time_s <= start_s + _CLOCK_TOLERANCE_S).sum() - 1, 0))
     return Sample(
@@ -232,11 +283,12 @@ def _sample(start_s: float, block: Block, measurement: Measurement, boundary: Bo
         T_zone_C=measurement.T_zone_C,
         T_out_C=measurement.T_out_C,
         solar_W_m2=measurement.solar_W_m2,
-        lower_C=float(boundary.lower_C[index]),
-        upper_C=float(boundary.upper_C[index]),
-        price_per_kWh=float(boundary.price_per_kWh[index]),
+        lower_C=boundary.lower_C[:, index],
+        upper_C=boundary.upper_C[:, index],
+        price_per_kWh=boundary.price_per_kWh[:, index],
         u_applied=block.u,
         u_measured=measurement.u,
         power_W=measurement.power_W,
         heat_W=measurement.heat_W,
+        names=measurement.names,
     )

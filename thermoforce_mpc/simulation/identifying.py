@@ -161,20 +161,19 @@ def identify_on(
         except DataError as error:
             told.verdict = "not to be fitted"
             return None, str(error)
-        verdict = model.card.competence
-        told.verdict = verdict.in_words().split("; ")[0] if verdict else ""  # one reason is enough on the way
+        told.verdict = _in_short(model)
         return model, ""
 
     def enough(record: Record) -> bool:
         if run.days < _LEAST_DAYS:
             return False
         model, _ = found(config.model_copy(update={"modulation": "linear"}))
-        return model is not None and is_well_known(model.card.competence)
+        return model is not None and all(is_well_known(card.competence) for card in model.cards)
 
     run.go_on(days, enough=enough if end_early else None, on_step=told)
     model, refused = found(config)
     latest = min(most_days or days, (end_s - start_s) / DAY_S)
-    while _below_the_bar(model) and run.days + 1.0 <= latest + 1e-9:
+    while (model is None or not may_act(model)) and run.days + 1.0 <= latest + 1e-9:
         told.planned_days = run.days + 1.0
         run.go_on(1.0, on_step=told)
         model, refused = found(config)
@@ -189,13 +188,26 @@ def identify_on(
         if run.days > days
         else f"probing ended after {run.days:g} of {days:g} days, since the effect was known well"
     )
-    return replace(model, card=replace(model.card, notes=(*model.card.notes, note)))
+    return replace(model, cards=tuple(replace(card, notes=(*card.notes, note)) for card in model.cards))
 
 
-def _below_the_bar(model: ThermalModel | None) -> bool:
-    if model is None:
-        return True
-    return model.card.competence is not None and not model.card.competence.competent
+def may_act(model: ThermalModel) -> bool:
+    """Whether a controller may act on a model: no actuator's card is below the bar."""
+    return all(card.competence is None or card.competence.competent for card in model.cards)
+
+
+def _in_short(model: ThermalModel) -> str:
+    """The verdict in a few words: the first reason of one actuator is enough while probing goes on."""
+    known = zip(model.operator.actuators, model.cards, strict=True)
+    verdicts = {name: card.competence for name, card in known if card.competence is not None}
+    if not verdicts:
+        return ""
+    below = {name: verdict for name, verdict in verdicts.items() if not verdict.competent}
+    name, verdict = next(iter((below or verdicts).items()))
+    words = verdict.in_words().split("; ")[0]
+    if model.names.single:
+        return words
+    return f"{len(verdicts) - len(below)} of {len(verdicts)} actuators competent, {name}: {words}"
 
 
 class _Progress:

@@ -28,6 +28,7 @@ from thermoforce_mpc.simulation.watching import watch_spells
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel
+    from thermoforce_mpc.model.zone_model import ZoneModel
 
 
 def _identify_all(
@@ -65,43 +66,53 @@ def _identify(
     try:
         if spec.model is not None:
             model = model_for(scenario, testcase, plant, controller)
-            display.say(f"Model: {spec.model} ({model.card.source})")
+            display.say(f"Model: {spec.model} ({model.cards[0].source})")
         else:
             with display.probing(spec.days) as progress:
                 model = model_for(scenario, testcase, plant, controller, progress)
-            display.say(f"Identified from {model.card.source}")
+            display.say(f"Identified from {model.cards[0].source}")
     except DataError as error:
         if not has_gate(controller, controller_options(scenario, controller), testcase):
             raise
         display.say(f"No model could be identified: {error}")
         return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
-    operator = model.operator
-    hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
-    display.say(
-        f"Operator: order {operator.order} ({hours}), {operator.parameters_in_words}, "
-        f"steady gain {operator.steady_gains_K.sum():.1f} K"
-    )
-    card = model.card
-    verdict = card.competence
-    if verdict is not None:
-        display.say("\n".join([f"The model is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]))
-    return IdentifiedModel(
-        model,
-        {
-            "model": spec.model,
-            "source": card.source,
-            "order": operator.order,
-            "n_trained": operator.n_trained,
-            "n_effective": operator.n_effective,
-            "time_constants_h": operator.time_constants_h.tolist(),
-            "steady_gains_K": operator.steady_gains_K.tolist(),
-            "scores": dict(card.scores),
-            "competence": None if verdict is None else asdict(verdict),
-            "data_sha256": dict(card.data),
-            "config": dict(card.config),
-            "notes": list(card.notes),
-        },
-    )
+    for a, name in enumerate(model.operator.actuators):
+        zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
+        hours = ", ".join(f"{tau:.2g} h" for tau in zone.operator.time_constants_h)
+        display.say(
+            f"Operator{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
+            f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
+        )
+        verdict = zone.card.competence
+        if verdict is not None:
+            advice = [f"  {advice}" for advice in verdict.advice]
+            display.say("\n".join([f"The model{of} is {verdict.in_words()}", *advice]))
+    return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | _origin(model))
+
+
+def _origin(model: ThermalModel) -> dict[str, Any]:
+    """What the manifest says of a model; with several actuators, of each by its name."""
+    found = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
+    if model.names.single:
+        return found[model.operator.actuators[0]]
+    return {"n_trained": model.operator.n_trained, "pairs": len(list(model.operator.each())), "actuators": found}
+
+
+def _origin_of(zone: ZoneModel) -> dict[str, Any]:
+    """What the manifest says of an actuator on its home zone."""
+    operator, card = zone.operator, zone.card
+    return {
+        "order": operator.order,
+        "n_trained": operator.n_trained,
+        "n_effective": operator.n_effective,
+        "time_constants_h": operator.time_constants_h.tolist(),
+        "steady_gains_K": operator.steady_gains_K.tolist(),
+        "scores": dict(card.scores),
+        "competence": None if card.competence is None else asdict(card.competence),
+        "data_sha256": dict(card.data),
+        "config": dict(card.config),
+        "notes": list(card.notes),
+    }
 
 
 @dataclass(frozen=True)

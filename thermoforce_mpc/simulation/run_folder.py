@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from thermoforce_mpc.data import DAY_S, PlantInfo
+from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
@@ -50,29 +50,43 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
 
 
 def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
-    """One row per applied block: the fields of `Sample` (units in the names)."""
-    return pd.DataFrame([asdict(sample) for step in steps for sample in step.samples])
+    """One row per applied block: the columns of `Sample` (units in the names), one per zone, actuator and machine."""
+    return pd.DataFrame([sample.columns() for step in steps for sample in step.samples])
 
 
 def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
-    """One row per plan: status, solver status, computing times, first predicted step, and reason."""
+    """One row per plan: status, solver status, computing times, first predicted step, and reason.
+
+    Temperatures have a column per zone and levels one per actuator, by `Names.label`.
+    """
     rows = []
     for step in steps:
-        plan = step.plan
+        plan, names = step.plan, step.boundary.names
+
+        def first(column: str, signal: str, names: Names = names, plan: Plan = plan) -> dict[str, float | None]:
+            """The first planned value of a signal, by row; None where nothing was planned."""
+            values = getattr(plan, signal)
+            return {
+                column + names.label(signal, row).removeprefix(signal): float(values[row].flat[0])
+                if plan.u.size
+                else None
+                for row in range(names.rows(signal))
+            }
+
         rows.append(
             {
                 "index": step.index,
                 "time_s": step.time_s,
-                "T_zone_C": step.T_zone_C,
+                **{names.label("T_zone_C", z): float(T) for z, T in enumerate(step.T_zone_C)},
                 "status": plan.status.value,
                 "solver_status": plan.solver_status,
                 "iterations": plan.iterations,
-                "u_planned": plan.u[0] if plan.u.size else None,
-                "T_free_now_C": plan.T_free_now_C if plan.u.size else None,
-                "T_free_next_C": plan.T_free_C[0] if plan.u.size else None,
-                "T_free_low_next_C": plan.T_free_low_C[0] if plan.u.size else None,
-                "T_free_high_next_C": plan.T_free_high_C[0] if plan.u.size else None,
-                "T_forced_next_K": plan.T_forced_K[0] if plan.u.size else None,
+                **first("u_planned", "u"),
+                **first("T_free_now_C", "T_free_now_C"),
+                **first("T_free_next_C", "T_free_C"),
+                **first("T_free_low_next_C", "T_free_low_C"),
+                **first("T_free_high_next_C", "T_free_high_C"),
+                **first("T_forced_next_K", "T_forced_K"),
                 "slack_sum_K": float(plan.slack_K.sum()) if plan.u.size else None,
                 "plan_seconds": step.plan_seconds,
                 **{f"{name}_seconds": value for name, value in plan.seconds.items()},

@@ -32,7 +32,7 @@ def test_it_is_a_plant_that_remembers_what_it_was_told():
         assert np.isnan(first.u)
         assert plant.kpis() == dict.fromkeys(plant.kpis(), 0.0), "nothing counts before the warm-up is over"
         warm = plant.advance(1.0, HOUR_S)
-        assert (warm.time_s, warm.u, warm.heat_W) == (20.25 * DAY_S + HOUR_S, 1.0, 4000.0)
+        assert (warm.time_s, warm.u[0], warm.heat_W[0]) == (20.25 * DAY_S + HOUR_S, 1.0, 4000.0)
         assert warm.T_zone_C > first.T_zone_C + 1.0
         cold = plant.advance(0.0, HOUR_S)
         assert cold.T_zone_C < warm.T_zone_C - 1.0
@@ -41,9 +41,9 @@ def test_it_is_a_plant_that_remembers_what_it_was_told():
         past = plant.past(900.0)
         assert past.n_steps == 12 * 4 + 9
         assert past.time_s[-1] == native.time_s
-        assert (past.u[-9:-5] == 1.0).all()
-        assert (past.u[-5:-1] == 0.0).all()
-        assert past.T_zone_C[-1] == pytest.approx(native.T_zone_C)
+        assert (past.u[0, -9:-5] == 1.0).all()
+        assert (past.u[0, -5:-1] == 0.0).all()
+        assert past.T_zone_C[0, -1] == pytest.approx(native.T_zone_C)
         kpis = plant.kpis()
         # An hour at 4 kW of heat, at the efficiency of -10 to 5 °C outdoors, and nothing but the thermostat since.
         assert 4.0 / 48 / 4.2 < kpis["ener_tot"] < 4.0 / 48 / 2.5
@@ -69,10 +69,10 @@ def test_the_forecast_is_the_weather_that_comes_and_the_bounds_are_those_of_the_
         came = plant.past(HOUR_S)
         assert context.T_out_C == pytest.approx(came.T_out_C, abs=0.5)
         assert np.abs(context.solar_W_m2 - came.solar_W_m2).max() < 60.0
-        assert context.upper_C[0] == 27.0
-        assert context.upper_C[12] == 25.0
+        assert context.upper_C[0, 0] == 27.0
+        assert context.upper_C[0, 12] == 25.0
         assert (context.lower_C == 22.0).all()
-        day = came.T_zone_C[8:23]
+        day = came.T_zone_C[0, 8:23]
         assert np.abs(day - 24.7).mean() < 0.4, "the plant's own thermostat keeps inside the bound"
         assert (came.heat_W <= 0.0).all()
 

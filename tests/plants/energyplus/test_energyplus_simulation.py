@@ -43,17 +43,17 @@ def test_same_job_gives_the_same_bits(records):
 @pytest.mark.parametrize(("plain", "moved", "sign"), [(0, 2, 1.0), (3, 4, -1.0)])
 def test_a_shift_changes_nothing_before_it_and_the_right_way_after(records, plain, moved, sign):
     a, b = records[plain], records[moved]
-    assert a.T_zone_C[:141].tobytes() == b.T_zone_C[:141].tobytes()
-    effect = b.T_zone_C[141:] - a.T_zone_C[141:]
+    assert a.T_zone_C[:, :141].tobytes() == b.T_zone_C[:, :141].tobytes()
+    effect = b.T_zone_C[:, 141:] - a.T_zone_C[:, 141:]
     assert (sign * effect > 0.2).all()
     assert sign * effect[-1] == pytest.approx(2.0, abs=0.3)  # the loop reaches the new set-point
-    assert (b.u[140:150].mean() - a.u[140:150].mean()) > 0.05  # more effort, whichever the sign
+    assert (b.u[0, 140:150].mean() - a.u[0, 140:150].mean()) > 0.05  # more effort, whichever the sign
 
 
 def test_the_loop_holds_its_set_point_and_heat_has_its_sign(records):
     heated, cooled = records[0], records[3]
-    assert np.abs(heated.T_zone_C[97:] - 21.0).mean() < 0.25
-    assert np.abs(cooled.T_zone_C[97:] - 25.0).mean() < 0.25
+    assert np.abs(heated.T_zone_C[0, 97:] - 21.0).mean() < 0.25
+    assert np.abs(cooled.T_zone_C[0, 97:] - 25.0).mean() < 0.25
     assert np.allclose(heated.heat_W, 4000.0 * heated.u)
     assert np.allclose(cooled.heat_W, -3500.0 * cooled.u)
     assert heated.u.min() >= 0.0
