@@ -1,28 +1,36 @@
-"""What an MPC and the controller in its place share: step, horizon, actuation, and standing back."""
+"""What an MPC and the controller in its place share: step, horizon, actuators, and standing back."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
 from controllers.actuation import Actuation, ActuationState
+from controllers.actuators import Actuators
 from controllers.fallback import FallbackConfig, FallbackPolicy
 from controllers.inputs import check_observation, checked_state
-from thermoforce_mpc.data import Block, Observation
+from thermoforce_mpc.data import Layout, Observation
 
 
 class _ActingState(Protocol):
     @property
-    def actuation(self) -> ActuationState: ...
+    def actuation(self) -> tuple[ActuationState, ...]: ...
 
 
 State = TypeVar("State", bound=_ActingState)
 
 
 class Acting:
-    """A controller that acts by an `Actuation`, and can leave the step to native control or to the on/off rule."""
+    """A controller that acts through `Actuators`, and can leave one to native control or to the on/off rule."""
 
     def __init__(
-        self, name: str, step_s: float, n_steps: int, actuation: Actuation, fallback: FallbackConfig, mode: str
+        self,
+        name: str,
+        step_s: float,
+        n_steps: int,
+        layout: Layout,
+        actuations: Sequence[Actuation],
+        fallback: FallbackConfig,
     ) -> None:
         """Set up what acts.
 
@@ -30,16 +38,20 @@ class Acting:
             name: name in reports.
             step_s: control step, s.
             n_steps: steps of boundary forecast that are needed.
-            actuation: conversion of levels into blocks.
+            layout: what acts where.
+            actuations: conversion of levels into blocks, of each actuator (A,).
             fallback: options of the fallback policy.
-            mode: 'heating', 'cooling' or 'both'.
 
         Raises:
-            ControllerConfigError: the actuation does not fit the step.
+            ControllerConfigError: an actuation does not fit the step.
         """
-        actuation.check_step(step_s)
-        self._name, self._step_s, self._n_steps, self._actuation = name, step_s, n_steps, actuation
-        self._fallback = FallbackPolicy(fallback, step_s, actuation.highest, mode)
+        self._actuators = Actuators(layout, actuations)
+        self._actuators.check_step(step_s)
+        self._name, self._step_s, self._n_steps, self._layout = name, step_s, n_steps, layout
+        self._fallbacks = tuple(
+            FallbackPolicy(fallback, step_s, actuation.highest, layout.mode(a), zone)
+            for a, (actuation, zone) in enumerate(zip(actuations, layout.home, strict=True))
+        )
 
     @property
     def name(self) -> str:
@@ -56,19 +68,19 @@ class Acting:
         """Required length of the boundary forecast, s."""
         return self._n_steps * self._step_s
 
-    def _begun(self, observation: Observation, state: object, kind: type[State]) -> tuple[State | None, ActuationState]:
-        """The state after the last step (None: a run begins) and the machine's now; raises `DataError` as `plan`."""
+    def _begun(
+        self, observation: Observation, state: object, kind: type[State]
+    ) -> tuple[State | None, tuple[ActuationState, ...]]:
+        """The state after the last step (None: a run begins) and the actuators' now; raises `DataError` as `plan`."""
         before = checked_state(state, kind)
-        check_observation(observation, self._step_s, self._n_steps)
-        return before, self._actuation.now(before.actuation if before else None, observation.history)
+        check_observation(observation, self._step_s, self._n_steps, self._layout.names)
+        return before, self._actuators.now(before.actuation if before else None, observation.history)
 
     def _ahead(self, observation: Observation) -> Observation:
         """The observation with the boundary forecast of the horizon only."""
         return Observation(observation.history, observation.boundary.head(self._n_steps))
 
-    def _standing_back(
-        self, observation: Observation, actuation: ActuationState
-    ) -> tuple[tuple[Block, ...], ActuationState, str]:
-        """Blocks of a step of native control or of the on/off rule, the state after them, and who acts."""
-        u, who = self._fallback.standing_back(observation)
-        return *self._actuation.realise(u, self._step_s, actuation), who
+    def _told(self, a: int, why: str) -> str:
+        """`why`, with the actuator's name where there are several."""
+        names = self._layout.names.actuators
+        return why if len(names) == 1 else f"{names[a]}: {why}"

@@ -133,13 +133,13 @@ class Actuation:
         """
         if state is not None and not state.native:
             return state
-        if not (history.n_steps and np.isfinite(history.u[-1])):
+        if not (history.n_steps and np.isfinite(history.u[0, -1])):
             return ActuationState() if state is None else _UNKNOWN
         return self._seen(history)
 
     def _seen(self, history: Record) -> ActuationState:
         """State estimated from the mean levels of past steps; where ambiguous, the one with the longer wait."""
-        u, level = history.u, self.config.level
+        u, level = history.u[0], self.config.level
         off, full = u <= _OFF, u >= level - _OFF
         between = np.isfinite(u) & ~off & ~full
         if off[-1]:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from controllers.actuation import Actuation
+from controllers.actuators import Actuators
 from controllers.backoff import backoff_K
-from controllers.mpc_config import MPCConfig
 from controllers.machinery import Machinery
+from controllers.mpc_config import MPCConfig
 from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
 from controllers.reserve import is_fast, reserve_K
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
 class Assembly:
@@ -22,122 +22,177 @@ class Assembly:
 
     Args:
         config: options of the controller.
-        actuation: its actuation, decided.
-        power: electric power of the machine at that actuation.
-        card: what is known of the model.
-        step_s: control step, s.
+        model: the building, with the power of every machine.
+        actuators: how its actuators are run.
     """
 
-    def __init__(
-        self, config: MPCConfig, actuation: Actuation, power: PowerModel, card: ModelCard, step_s: float
-    ) -> None:
-        self._config, self._actuation, self._power, self._card = config, actuation, power, card
-        self._step_s = step_s
+    def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
+        self._config, self._actuators, self._layout = config, actuators, model.layout
+        self._cards, self._step_s = model.cards, model.operator.step_s
+        layout, each = self._layout, actuators.each
+        # A machine that feeds several is switched with them: its power is that of full level for a share of the step.
+        self.power = tuple(
+            _measured(power).at_lowest_level(each[fed[0]].lowest_level if len(fed) == 1 else 1.0)
+            for power, fed in ((power, layout.fed_by(m)) for m, power in enumerate(model.power))
+        )
+        self.machinery = Machinery(
+            layout.names.actuators,
+            layout.names.machines,
+            np.array([actuation.highest for actuation in each]),
+            np.array([actuation.lowest_level for actuation in each]),
+            np.array(layout.lowest),
+            np.array(layout.machine_of),
+            np.array(layout.shares),
+        )
 
     def problem(
         self,
-        operator: OperatorParameters,
+        operator: BuildingOperator,
         context: PredictionContext,
         history: Record,
         peak_W: float,
-        offset_K: float = 0.0,
+        offset_K: Array,
     ) -> MPCProblem:
         """Return the instance of one step.
 
         Args:
-            operator: the operator of the zone's actuator, adjusted to the actuation.
+            operator: the operator of the building, adjusted to the actuation.
             context: free response, forced state and boundary conditions of the N steps.
             history: the record until now, for the return water.
-            peak_W: highest mean power of a step so far, W.
-            offset_K: added to the free response, K.
+            peak_W: highest mean power of the building over a step so far, W.
+            offset_K: added to the free response (Z,), K.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
         """
-        c, boundary, T_free = self._config, context.boundary, context.free.median_C + offset_K
-        aims = c.objective
+        aims, boundary, layout = self._config.objective, context.boundary, self._layout
         boundary.check("lower_C", "upper_C", "price_per_kWh")
         boundary.check("heating_price_per_kWh")
-        carbon = np.zeros(boundary.n_steps)
+        carbon = np.zeros((len(layout.names.machines), boundary.n_steps))
         if aims.carbon_price_per_kg:
             boundary.check("emission_kg_per_kWh")
-            carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:-1]
-        price = boundary.heating_price_per_kWh[:-1] + carbon
-        fixed_W, per_u_W = self._power.parts(boundary.T_out_C[:-1], self._return_water_C(context, history))
-        low, high = c.backoff_level, c.backoff_level_other
-        if operator.sign < 0:
-            low, high = high, low
-        below, above = (
-            np.minimum(
-                backoff_K(context.free, self._step_s, level, c.backoff_violation_K, below=is_lower), c.backoff_max_K
-            )
-            for level, is_lower in ((low, True), (high, False))
+            carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:, :-1]
+        price = boundary.heating_price_per_kWh[:, :-1] + carbon
+        T_out = boundary.T_out_C[:-1]
+        parts = [power.parts(T_out, self._return_water_C(m, context, history)) for m, power in enumerate(self.power)]
+        fixed_W = np.stack([np.broadcast_to(fixed, T_out.shape) for fixed, _ in parts])
+        weights = [share or 1.0 for share in layout.shares]
+        per_u_W = np.stack(
+            [
+                weight * np.broadcast_to(parts[m][1], T_out.shape)
+                for weight, m in zip(weights, layout.machine_of, strict=True)
+            ]
         )
-        lower_C, upper_C = boundary.lower_C[1:], boundary.upper_C[1:]
-        if is_fast(operator):
-            # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
-            lower_C, upper_C = np.maximum(boundary.lower_C[:-1], lower_C), np.minimum(boundary.upper_C[:-1], upper_C)
-        reserve = (
-            reserve_K(operator, self._actuation, self._card) if c.reserve and not self._actuation.by_rooms else 0.0
-        )
-        machinery = self.machinery(operator)
-        # Margins wider than half the band would swap the bounds.
-        half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
-        lower_C = lower_C + np.minimum(c.comfort_margin_K + below + (reserve if operator.sign > 0 else 0.0), half)
-        upper_C = upper_C - np.minimum(c.comfort_margin_K + above + (reserve if operator.sign < 0 else 0.0), half)
-        terminal = self._terminal_price(operator, context.features[-1], price[-1] * (fixed_W + per_u_W)[-1])
+        lower_C, upper_C = self._bounds_C(operator, context)
         cap_kW = aims.power_cap_kW
-        # One zone with one actuator: the only row of each array.
         return MPCProblem(
-            forced_state_K=context.forced_K[None, None],
-            features=context.features[None],
-            T_free_C=T_free[None],
-            lower_C=lower_C[None],
-            upper_C=upper_C[None],
-            price_per_kWh=price[None],
-            power_fixed_W=fixed_W[None],
-            power_per_u_W=per_u_W[None],
+            forced_state_K=context.forced_K,
+            features=context.features,
+            T_free_C=context.free.median_C + offset_K[:, None],
+            lower_C=lower_C,
+            upper_C=upper_C,
+            price_per_kWh=price,
+            power_fixed_W=fixed_W,
+            power_per_u_W=per_u_W,
             step_s=self._step_s,
-            machinery=machinery,
+            machinery=self.machinery,
             weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
-            terminal_price_per_K=terminal[None, None],
+            terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price, fixed_W, per_u_W),
             peak_so_far_W=peak_W,
-            cooling=self._cooling(operator, boundary, boundary.price_per_kWh[:-1] + carbon),
+            cooling=self._cooling(boundary, boundary.price_per_kWh[:, :-1] + carbon),
             power_cap=None
             if cap_kW is None
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
         )
 
-    def machinery(self, operator: OperatorParameters) -> Machinery:
-        """The machine of `operator` with its actuator, as the actuation runs it."""
-        return Machinery.one(self._actuation.highest, self._actuation.lowest_level, operator.heat_input.lowest)
+    def _bounds_C(self, operator: BuildingOperator, context: PredictionContext) -> tuple[Array, Array]:
+        """Comfort bounds at the end of each step with all margins inside, (Z, N) each, °C."""
+        c, boundary = self._config, context.boundary
+        rows = []
+        for z in range(len(operator.zones)):
+            own = self._layout.actuators_of(z)
+            signs = {self._layout.signs[a] for a in own}
+            # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
+            low = c.backoff_level if 1 in signs or not own else c.backoff_level_other
+            high = c.backoff_level if -1 in signs else c.backoff_level_other
+            below, above = (
+                np.minimum(
+                    backoff_K(context.free, self._step_s, level, c.backoff_violation_K, below=is_lower)[z],
+                    c.backoff_max_K,
+                )
+                for level, is_lower in ((low, True), (high, False))
+            )
+            lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
+            if any(is_fast(operator.of_actuator(a)) for a in own):
+                # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
+                lower_C = np.maximum(boundary.lower_C[z, :-1], lower_C)
+                upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
+            # Margins wider than half the band would swap the bounds.
+            half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
+            inside = {sign: self._reserve_K(operator, z, sign) for sign in (1, -1)}
+            rows.append(
+                (
+                    lower_C + np.minimum(c.comfort_margin_K + below + inside[1], half),
+                    upper_C - np.minimum(c.comfort_margin_K + above + inside[-1], half),
+                )
+            )
+        return np.stack([lower for lower, _ in rows]), np.stack([upper for _, upper in rows])
 
-    def _cooling(self, operator: OperatorParameters, boundary: Boundary, price: Array) -> Cooling | None:
-        """What levels below 0 cost at `price` (N,), currency/kWh; None where there are none."""
-        load = self._power.cooling
-        if load is None or operator.heat_input.lowest == 0.0:
+    def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
+        """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""
+        found = [
+            reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
+            for a in self._layout.actuators_of(z)
+            if self._layout.signs[a] == sign and self._config.reserve and not self._actuators.each[a].by_rooms
+        ]
+        return max(found, default=0.0)
+
+    def _cooling(self, boundary: Boundary, price: Array) -> Cooling | None:
+        """What levels below 0 cost at `price` (M, N), currency/kWh; None where there are none."""
+        if not any(lowest < 0.0 for lowest in self._layout.lowest):
             return None
-        return Cooling(price[None], load(np.ones(boundary.n_steps), boundary.T_out_C[:-1])[None])
+        full = np.ones(boundary.n_steps)
+        per_u_W = []
+        for lowest, m in zip(self._layout.lowest, self._layout.machine_of, strict=True):
+            load = self.power[m].cooling if lowest < 0.0 else None
+            per_u_W.append(0.0 * full if load is None else load(full, boundary.T_out_C[:-1]))
+        return Cooling(price[list(self._layout.machine_of)], np.stack(per_u_W))
 
-    def _return_water_C(self, context: PredictionContext, history: Record) -> Array | float:
-        """Return water temperature while running, (N,), °C; NaN where the power model does not depend on it.
+    def _return_water_C(self, m: int, context: PredictionContext, history: Record) -> Array | float:
+        """Return water temperature of machine `m` while running, (N,), °C; NaN where its power does not depend on it.
 
         The zone temperature is taken as the free response clipped to the comfort band: using the planned temperature
         would make the problem bilinear for less than 1 % of the power.
         """
-        if self._power.water is None:
+        water = self.power[m].water
+        if water is None:
             return float("nan")
-        boundary, T_free_C = context.boundary, context.free.median_C
-        held_C = np.clip(T_free_C, boundary.lower_C[1:], boundary.upper_C[1:])
-        return self._power.water.expected_C(history, held_C)
+        a = self._layout.fed_by(m)[0]
+        z = self._layout.home[a]
+        boundary = context.boundary
+        held_C = np.clip(context.free.median_C[z], boundary.lower_C[z, 1:], boundary.upper_C[z, 1:])
+        return water.expected_C(history.part(z, [a], [m]), held_C)
 
-    def _terminal_price(self, operator: OperatorParameters, features: Array, cost_per_kW_h: float) -> Array:
-        """Terminal value of each mode, (r,), currency/K; zero except for the slowest, which stores heat longest.
+    def _terminal_price(
+        self, operator: BuildingOperator, features: Array, price: Array, fixed_W: Array, per_u_W: Array
+    ) -> Array:
+        """Terminal value of each mode, (Z, A, r), currency/K; zero except for the slowest, which stores heat longest.
 
-        At `terminal_value` 1 a kelvin is worth its production cost in the last step.
+        At `terminal_value` 1 a kelvin of an actuator's home zone is worth its production cost in the last step.
         """
-        price = np.zeros(operator.order)
-        drive = float(operator.drive(np.array([self._actuation.highest]), features[None])[0])
-        per_step = cost_per_kW_h / 1000.0 * self._step_s / HOUR_S
-        price[-1] = self._config.objective.terminal_value * per_step / (operator.gains[-1] * drive)
-        return price
+        value = np.zeros(operator.shape)
+        if not self._config.objective.terminal_value:
+            return value
+        for a, (z, m) in enumerate(zip(self._layout.home, self._layout.machine_of, strict=True)):
+            pair = operator.of_actuator(a)
+            weight = self._layout.shares[a] or 1.0
+            cost_per_kW_h = float(price[m, -1] * (weight * fixed_W[m, -1] + per_u_W[a, -1]))
+            drive = float(pair.drive(np.array([self._actuators.each[a].highest]), features[z][None])[0])
+            per_step = cost_per_kW_h / 1000.0 * self._step_s / HOUR_S
+            value[z, a, -1] = self._config.objective.terminal_value * per_step / (pair.gains[-1] * drive)
+        return value
+
+
+def _measured(power: PowerModel | None) -> PowerModel:
+    assert power is not None  # checked when the controller is built
+    return power

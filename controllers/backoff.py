@@ -24,7 +24,7 @@ _AHEAD_H = 6.0
 
 
 def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
-    """Back-off from the lower (`below`) or upper bound at the end of each step, shape (N,), K, nonnegative.
+    """Back-off from the lower (`below`) or upper bound at the end of each step, (N,) or (Z, N), K, nonnegative.
 
     Args:
         forecast: free response with calibrated quantiles.
@@ -39,7 +39,7 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     if violation_K is None:
         return np.asarray(chance)
     sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
-    soon = sd[: max(1, round(_AHEAD_H * HOUR_S / step_s))].mean()
+    soon = sd[..., : max(1, round(_AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
     # Solve sd · shortfall(z) = violation; np.interp needs increasing abscissae.
-    z = np.interp(violation_K / max(soon, 1e-9), _SHORTFALL[::-1], _Z[::-1])
+    z = np.interp(violation_K / np.maximum(soon, 1e-9), _SHORTFALL[::-1], _Z[::-1])
     return np.asarray(np.maximum(chance, z * sd))

@@ -41,9 +41,9 @@ class FallbackConfig(StrictModel):
 
 @dataclass(frozen=True)
 class GoodPlan:
-    """The last solved plan: its time, s, levels `u` (N,), and predicted zone temperatures `T_zone_C` (N,), °C.
+    """The last solved plan: its time, s, levels `u` (A, N), and predicted zone temperatures `T_zone_C` (Z, N), °C.
 
-    `band_K` (N,): half-width of the 80 % band of its forecast.
+    `band_K` (Z, N): half-width of the 80 % band of its forecast.
     """
 
     time_s: float
@@ -57,15 +57,16 @@ class GoodPlan:
 
 
 class FallbackPolicy:
-    """Level to apply when there is no new plan.
+    """Level of one actuator to apply when there is no new plan for it.
 
     `mode` is heating, cooling, or both: the plant's own loops then keep the comfort bounds, and native control acts.
+    `zone` is the number of the zone that the actuator serves.
     """
 
-    def __init__(self, config: FallbackConfig, step_s: float, level: float, mode: str) -> None:
-        self.config, self.step_s, self.level, self.mode = config, step_s, level, mode
+    def __init__(self, config: FallbackConfig, step_s: float, level: float, mode: str, zone: int = 0) -> None:
+        self.config, self.step_s, self.level, self.mode, self.zone = config, step_s, level, mode, zone
 
-    def level_to_follow(self, good: GoodPlan | None, observation: Observation) -> float | None:
+    def level_to_follow(self, good: GoodPlan | None, observation: Observation, actuator: int = 0) -> float | None:
         """Level of the last solved plan for now; None when it is too old or its prediction did not come true.
 
         The error may be three times the half-width of the plan's own band, at least 0.1 K and at most `trust_K`.
@@ -73,14 +74,14 @@ class FallbackPolicy:
         if good is None or self.mode == "both":
             return None
         age = good.age(observation.time_s, self.step_s)
-        if not 1 <= age <= min(self.config.follow_steps, good.u.size - 1):
+        if not 1 <= age <= min(self.config.follow_steps, good.u.shape[1] - 1):
             return None
         # A missing reading does not invalidate the plan; a prediction error does.
-        off_by = abs(observation.T_zone_C - good.T_zone_C[age - 1])
-        promised_K = max(_TRUSTED_BANDS * float(good.band_K[age - 1]), _LEAST_TRUST_K)
+        off_by = abs(float(observation.T_zone_C[self.zone] - good.T_zone_C[self.zone, age - 1]))
+        promised_K = max(_TRUSTED_BANDS * float(good.band_K[self.zone, age - 1]), _LEAST_TRUST_K)
         if math.isfinite(off_by) and off_by > min(self.config.trust_K, promised_K):
             return None
-        return min(max(float(good.u[age]), 0.0), self.level)
+        return min(max(float(good.u[actuator, age]), 0.0), self.level)
 
     def standing_back(self, observation: Observation) -> tuple[float | None, str]:
         """Level, or None for native control, while the model must not act (`stand_back`), and who acts, as text."""
@@ -95,12 +96,17 @@ class FallbackPolicy:
             return None, "native control"
         ahead = observation.boundary.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
         if self.mode == "heating":
-            setpoint = float(np.max(observation.boundary.lower_C[ahead])) + self.config.setpoint_above_bound_K
+            setpoint = (
+                float(np.max(observation.boundary.lower_C[self.zone, ahead])) + self.config.setpoint_above_bound_K
+            )
         else:
-            setpoint = float(np.min(observation.boundary.upper_C[ahead])) - self.config.setpoint_above_bound_K
-        if not (math.isfinite(setpoint) and math.isfinite(observation.T_zone_C)):
+            setpoint = (
+                float(np.min(observation.boundary.upper_C[self.zone, ahead])) - self.config.setpoint_above_bound_K
+            )
+        T_zone_C = float(observation.T_zone_C[self.zone])
+        if not (math.isfinite(setpoint) and math.isfinite(T_zone_C)):
             return None, "zone temperature or bounds missing: native control"
-        need_K = (setpoint - observation.T_zone_C) * (1.0 if self.mode == "heating" else -1.0)
+        need_K = (setpoint - T_zone_C) * (1.0 if self.mode == "heating" else -1.0)
         on = need_K > 0
-        why = f"{observation.T_zone_C:.2f} °C against {setpoint:.2f} °C: {'on' if on else 'off'}"
+        why = f"{T_zone_C:.2f} °C against {setpoint:.2f} °C: {'on' if on else 'off'}"
         return self.level if on else 0.0, why

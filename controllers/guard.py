@@ -18,7 +18,7 @@ class GuardConfig(StrictModel):
 
 
 def guard_level(
-    config: GuardConfig, observation: Observation, *, u: float, highest: float, sign: int
+    config: GuardConfig, observation: Observation, *, u: float, highest: float, sign: int, zone: int = 0
 ) -> tuple[float, str] | None:
     """Return the level that brings the zone back, and why; None while the plan may act.
 
@@ -28,9 +28,10 @@ def guard_level(
         u: planned level of this step, in [0, `highest`].
         highest: highest level that may be planned.
         sign: +1 heating, −1 cooling.
+        zone: number of the zone that the actuator serves.
     """
-    T = observation.T_zone_C
-    lower, upper = float(observation.boundary.lower_C[0]), float(observation.boundary.upper_C[0])
+    T, bounds = float(observation.T_zone_C[zone]), observation.boundary
+    lower, upper = float(bounds.lower_C[zone, 0]), float(bounds.upper_C[zone, 0])
     if not config.enabled or not all(map(math.isfinite, (T, lower, upper))):
         return None
     below, above = lower - T, T - upper

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from thermoforce_mpc.data import Observation
+from thermoforce_mpc.data import Names, Observation
 from thermoforce_mpc.errors import DataError
 
 State = TypeVar("State")
@@ -25,13 +25,17 @@ def checked_state(state: object, kind: type[State]) -> State | None:
     )
 
 
-def check_observation(observation: Observation, step_s: float, n_steps: int) -> None:
-    """Check that an observation fits a controller with `n_steps` steps of `step_s` seconds ahead.
+def check_observation(observation: Observation, step_s: float, n_steps: int, names: Names) -> None:
+    """Check that an observation of `names` fits a controller with `n_steps` steps of `step_s` seconds ahead.
 
     Raises:
-        DataError: the boundary forecast is too short, or its step or that of the history is not `step_s`.
+        DataError: it is of another building, the boundary forecast is too short, or its step or that of the history is
+            not `step_s`.
     """
     boundary, history = observation.boundary, observation.history
+    for what, found in (("history", history.names), ("boundary forecast", boundary.names)):
+        if found != names and not (found.single and names.single):
+            raise DataError(f"{what}: it is of {found}, the controller of {names}: another building?")
     if boundary.n_steps < n_steps:
         raise DataError(
             f"boundary forecast has {boundary.n_steps} steps, the horizon needs {n_steps} of {step_s:g} s:"

@@ -21,7 +21,7 @@ from scipy import sparse
 
 from controllers.errors import ControllerConfigError
 from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
-from controllers.programme import Drive, Programme
+from controllers.programme import Programme
 from controllers.qp_backends import QPData
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator

@@ -3,37 +3,39 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from controllers.acting import Acting
 from controllers.actuation_choice import choose_actuation
+from controllers.actuators import Demand
 from controllers.assembly import Assembly
 from controllers.errors import ControllerConfigError, said
 from controllers.fallback import GoodPlan
 from controllers.gate import shut
 from controllers.guard import guard_level
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
+from controllers.own_record import own_record
 from controllers.planner import MPCState, Planner
 from controllers.problem import MPCProblem, Solution
+from controllers.reason import reason_of
 from controllers.room import room_blocks, within_C
 from controllers.solvers import build_solver
-from controllers.watch import Watch
+from controllers.watch import Watch, WatchState
 from controllers.watched import WatchedPredictions
 from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Observation, Plan, PlanStatus, Record
-from thermoforce_mpc.identification.adaptation import OnlineAdaptation
+from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
-from thermoforce_mpc.model.operator.building import BuildingOperator, single
+from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
-
-# A bound nearer than this is reported as binding, K.
-_BINDING_K = 0.02
 
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
 _OFFSET_K = 0.3
@@ -60,7 +62,7 @@ class ThermoForceMPC(Acting):
         model: ThermalModel,
         config: MPCConfig | None = None,
         *,
-        free_response: FreeResponse | None = None,
+        free_response: FreeResponse | Sequence[FreeResponse] | None = None,
         name: str = "thermoforce_mpc",
     ) -> None:
         """Build predictor and solver.
@@ -68,7 +70,7 @@ class ThermoForceMPC(Acting):
         Args:
             model: identified thermal model, at any step.
             config: options.
-            free_response: replaces the free response named in `config`.
+            free_response: replaces the free response named in `config`; one for all zones, or one per zone (Z,).
             name: name in reports.
 
         Raises:
@@ -84,24 +86,36 @@ class ThermoForceMPC(Acting):
                 f"controller.options.horizon_h: {c.horizon_h:g} h is shorter than one control step"
                 f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
             )
-        if model.power is None:
-            raise ControllerConfigError(
-                "the model was identified without measured power: energy cost cannot be computed"
-            )
-        choice = choose_actuation(c.actuation, model.power, model.operator.heat_input)
-        self._actuation_why = choice.why
-        super().__init__(name, step_s, n_steps, choice.actuation, c.fallback, model.operator.mode)
-        self._power = model.power.at_lowest_level(self._actuation.lowest_level)
-        if self._actuation.by_rooms != (model.operator.heat_input.lowest < 0.0):
-            raise ControllerConfigError(
-                "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
-            )
-        self._assembly = Assembly(c, self._actuation, self._power, model.card, step_s)
-        self._adaptation = OnlineAdaptation(model, c.adaptation)
-        self._watch = WatchedPredictions(Watch(c.watch, model, n_steps, self._expected_power_W), self._planner)
-        self._free_response = free_response or _build_free_response(c.free_response, model)
+        layout = model.layout
+        for machine, power in zip(model.machines, model.power, strict=True):
+            if power is None:
+                of = "" if len(model.machines) == 1 else f" of {machine}"
+                raise ControllerConfigError(
+                    f"the model was identified without measured power{of}: energy cost cannot be computed"
+                )
+        self._zones = tuple(model.actuator(a) for a in range(len(layout.names.actuators)))
+        choices = [
+            choose_actuation(c.actuation_of(actuator), zone.power, zone.operator.heat_input)
+            for actuator, zone in zip(layout.names.actuators, self._zones, strict=True)
+            if zone.power is not None
+        ]
+        for choice, lowest in zip(choices, layout.lowest, strict=True):
+            if choice.actuation.by_rooms != (lowest < 0.0):
+                raise ControllerConfigError(
+                    "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong "
+                    "together"
+                )
+        super().__init__(name, step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback)
+        self._actuation_why = "; ".join(dict.fromkeys(self._told(a, choice.why) for a, choice in enumerate(choices)))
+        self._assembly = Assembly(c, model, self._actuators)
+        self._adaptations = tuple(OnlineAdaptation(zone, c.adaptation) for zone in self._zones)
+        watches = [
+            Watch(c.watch, zone, n_steps, partial(self._expected_power_W, a)) for a, zone in enumerate(self._zones)
+        ]
+        self._watched = WatchedPredictions(watches, self._planner, model)
+        self._free_responses = free_response or [_build_free_response(c.free_response, free) for free in model.free]
         self._base = self._build_planner(model)
-        self._adapted: list[Planner] = []
+        self._adapted: list[tuple[tuple[ZoneModel, ...], Planner]] = []
 
     @property
     def model(self) -> ThermalModel:
@@ -115,114 +129,134 @@ class ThermoForceMPC(Acting):
 
     @property
     def actuation_in_words(self) -> str:
-        """How the machine is run, and what decided it."""
+        """How each actuator is run, and what decided it."""
         return self._actuation_why
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Plan for the next step.
 
         An exception of forecast, estimator or solver is not raised: the fallback policy decides, and `Plan.why` holds
-        the reason.
+        the reason. An actuator whose model is not competent or does not hold is left to native control or the rule
+        alone; the others follow the plan.
 
         Raises:
-            DataError: error of the caller: the boundary forecast is too short, its step or that of the history is not
-                `step_s`, or `state` is not from a plan of this controller.
+            DataError: error of the caller: the observation is of another building, the boundary forecast is too short,
+                its step or that of the history is not `step_s`, or `state` is not from a plan of this controller.
         """
         given, actuation = self._begun(observation, state, MPCState)
-        before = given or MPCState(first_s=observation.time_s)
+        actuators, zones = len(self._zones), len(self._layout.names.zones)
+        before = given or MPCState(
+            observation.time_s,
+            adaptation=(None,) * actuators,
+            watch=(WatchState(),) * actuators,
+            offset_K=np.zeros(zones),
+        )
         now = replace(
             before,
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
             actuation=actuation,
         )
-        closed = shut(self.config.gate, self.model.card.competence)
-        if closed is not None:
-            return self._stand_back(observation, now, PlanStatus.GATE, closed)
-        now = self._watch.judged(now, observation.history)
-        if now.watch.alarm:
-            now = self._watch.shadowed(self._ahead(observation), now)
-            reason = self._watch.reason(now.watch, observation.time_s)
-            return self._watch.asked(observation, self._stand_back(observation, now, PlanStatus.WATCH, reason))
-        return self._watch.asked(observation, self._guarded(observation, now, self._planned(observation, now)))
+        closed = [shut(self.config.gate, zone.card.competence) for zone in self._zones]
+        if all(closed):
+            said_of_all = "; ".join(dict.fromkeys(self._told(a, str(why)) for a, why in enumerate(closed)))
+            held = dict.fromkeys(range(actuators), Held(PlanStatus.GATE, said_of_all))
+            return self._stood_back(observation, now, held)
+        now = self._watched.judged(now, observation.history, self._forced_K(now, observation.history))
+        held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
+        for a, watch in enumerate(now.watch):
+            if watch.alarm:
+                held[a] = Held(PlanStatus.WATCH, self._watched.reason(watch, observation.time_s))
+        if any(watch.alarm for watch in now.watch):
+            now = self._watched.shadowed(self._ahead(observation), now)
+        if len(held) == actuators:
+            return self._watched.asked(observation, self._stood_back(observation, now, held))
+        return self._watched.asked(observation, self._planned(observation, now, held))
 
-    def _expected_power_W(self, record: Record) -> Array:
-        """Electric power (n,), W, for the levels of a record."""
-        return self._power(
-            np.clip(record.u, self.model.operator.heat_input.lowest, 1.0), record.T_out_C[:-1], record.T_return_C
-        )
+    def _forced_K(self, now: MPCState, history: Record) -> Array | None:
+        """Forced states of the building until now (Z, A, n + 1, r), K; None where one actuator acts, or if unknown."""
+        if len(self._zones) == 1 or now.predictor is None:
+            return None
+        try:
+            return self._base.predictor.followed(history, now.predictor).forced_K
+        except Exception:  # as in planning: without it, nothing is judged in this step
+            return None
 
-    def _planned(self, observation: Observation, now: MPCState) -> Plan:
+    def _expected_power_W(self, a: int, record: Record) -> Array:
+        """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
+        power = self._assembly.power[self._layout.machine_of[a]]
+        levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
+        return power(levels, record.T_out_C[:-1], record.T_return_C[0])
+
+    def _planned(self, observation: Observation, now: MPCState, held: Mapping[int, Held]) -> Plan:
         """Predict, solve and check; the fallback policy acts where one of them fails."""
         history = observation.history
         try:
-            adaptation = self._adaptation.update(now.adaptation, history)
-            planner = self._planner(adaptation.model)
+            adaptation = self._adapted_now(now, history)
+            planner = self._planner(adaptation)
             predictor = now.predictor
-            if predictor and now.adaptation and adaptation.model is not now.adaptation.model:
+            if predictor and any(
+                before is not None and after is not None and before.model is not after.model
+                for before, after in zip(now.adaptation, adaptation, strict=True)
+            ):
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
             context = planner.predictor.context(self._ahead(observation), predictor)
             problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
-            return self._fall_back(observation, now, f"no prediction ({said(error)})", "not started", {})
+            return self._fall_back(observation, now, held, f"no prediction ({said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
-        now = self._watch.put_down(now, context, planner.operator)
+        now = self._watched.put_down(now, context, planner)
         began = time.perf_counter()
         try:
             solution = planner.solver.solve(problem, self._guess(now.good, observation))
         except Exception as error:  # likewise for solvers
-            return self._fall_back(observation, now, f"the solver failed ({said(error)})", "raised", context.seconds)
+            reason = f"the solver failed ({said(error)})"
+            return self._fall_back(observation, now, held, reason, "raised", context.seconds)
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
-            return self._fall_back(observation, now, solution.problem, solution.status, seconds)
-        plan = self._accept(observation, now, planner.building, problem, context.free, solution, seconds)
+            return self._fall_back(observation, now, held, solution.problem, solution.status, seconds)
+        plan = self._accept(observation, now, held, planner.operator, problem, context.free, solution, seconds)
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
-    def _guarded(self, observation: Observation, now: MPCState, plan: Plan) -> Plan:
-        """The plan, or the guard's level in its place while the zone is far outside the comfort band."""
-        if self._actuation.by_rooms or any(block.u is None for block in plan.blocks):
-            return plan  # the plant's own control acts on the bounds
-        planned = sum((block.u or 0.0) * block.duration_s for block in plan.blocks) / self.step_s
-        sign, highest = self.model.operator.sign, self._actuation.highest
-        found = guard_level(self.config.guard, observation, u=planned, highest=highest, sign=sign)
-        if found is None:
-            return plan
-        level, why = found
-        blocks, actuation = self._actuation.realise(level, self.step_s, now.actuation)
-        if blocks == plan.blocks:  # minimum on or off time: the machine cannot do more
-            return plan
-        assert isinstance(plan.state, MPCState)
-        # The plan is not followed, so it must not be shifted later.
-        state = replace(plan.state, actuation=actuation, good=now.good)
-        return replace(plan, blocks=blocks, status=PlanStatus.GUARD, why=f"{why}; {plan.why}", state=state)
+    def _adapted_now(self, now: MPCState, history: Record) -> tuple[AdaptationState, ...]:
+        """States of all adaptations after `history`."""
+        forced_K = now.predictor.forced.forced_K if now.predictor and now.predictor.forced else None
+        return tuple(
+            adaptation.update(now.adaptation[a], own_record(self._base.model, history, forced_K, a))
+            for a, adaptation in enumerate(self._adaptations)
+        )
 
-    def _planner(self, model: ThermalModel) -> Planner:
-        """The planner of `model`, from the cache if present."""
-        for planner in (self._base, *self._adapted):
-            if planner.model is model:
+    def _planner(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
+        """The planner of the building with adapted models of its actuators (A,), from the cache if present."""
+        zones = tuple(
+            zone if state is None else state.model for zone, state in zip(self._zones, adaptation, strict=True)
+        )
+        for known, planner in ((self._zones, self._base), *self._adapted):
+            if all(one is other for one, other in zip(zones, known, strict=True)):
                 return planner
-        planner = self._build_planner(model)
-        self._adapted = [*self._adapted, planner][-_PLANNERS_KEPT:]
+        planner = self._build_planner(self._base.model.with_actuators(zones))
+        self._adapted = [*self._adapted, (zones, planner)][-_PLANNERS_KEPT:]
         return planner
 
     def _build_planner(self, model: ThermalModel) -> Planner:
         # The operator must match the actuation: below the lowest level the machine switches.
-        lowest = self._actuation.lowest_level
-        operator = replace(model.operator, heat_input=model.operator.heat_input.at_lowest_level(lowest))
+        operator = model.operator.map_actuators(
+            lambda a, pair: replace(
+                pair, heat_input=pair.heat_input.at_lowest_level(self._actuators.each[a].lowest_level)
+            )
+        )
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
-        predictor = Predictor(model.operator, self._free_response, estimator=estimator)
-        building = single(operator)
-        solver = build_solver(self.config, building, self._assembly.machinery(operator))
-        return Planner(model, predictor, operator, building, solver)
+        predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
+        return Planner(model, predictor, operator, build_solver(self.config, operator, self._assembly.machinery))
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
-        """Warm start (1, N): the plan of the previous step, shifted by one step; None without one."""
+        """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""
         if good is None or good.age(observation.time_s, self.step_s) != 1:
             return None
-        return np.append(good.u[1:], good.u[-1])[None]
+        return np.concatenate([good.u[:, 1:], good.u[:, -1:]], axis=1)
 
-    def _offset_K(self, before: MPCState, observation: Observation) -> float:
-        """Mean error of planned zone temperatures one step ahead, K, forgotten over `offset_h`.
+    def _offset_K(self, before: MPCState, observation: Observation) -> Array:
+        """Mean errors of planned zone temperatures one step ahead (Z,), K, forgotten over `offset_h`.
 
         A machine that gives more or less heat at a level than its law misses every step to the same side; the mean of
         these errors is added to the prediction, so that the zone settles on the bound (offset-free control).
@@ -230,127 +264,198 @@ class ThermoForceMPC(Acting):
         good, hours = before.good, self.config.offset_h
         if hours is None or good is None or good.age(observation.time_s, self.step_s) != 1:
             return before.offset_K
-        error = observation.T_zone_C - float(good.T_zone_C[0])
-        if not np.isfinite(error):
-            return before.offset_K
+        error = observation.T_zone_C - good.T_zone_C[:, 0]
         weight = -np.expm1(-self.step_s / HOUR_S / hours)
         # The plan held the offset of its time: what it missed comes on top.
-        found = before.offset_K + weight * error
-        return float(np.clip(found, -_OFFSET_K, _OFFSET_K))
+        found = before.offset_K + weight * np.where(np.isfinite(error), error, 0.0)
+        return np.clip(found, -_OFFSET_K, _OFFSET_K)
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
-        """Highest mean power of a step since the first plan, W."""
-        power = observation.history.power_W[-1:]
-        if power.size and observation.time_s > before.first_s and np.isfinite(power[0]):
-            return max(before.peak_W, float(power[0]))
+        """Highest mean power of the building over a step since the first plan, W."""
+        power = observation.history.power_W
+        if power.shape[1] and observation.time_s > before.first_s and np.isfinite(power[:, -1]).all():
+            return max(before.peak_W, float(power[:, -1].sum()))
         return before.peak_W
 
     def _accept(
         self,
         observation: Observation,
         now: MPCState,
+        held: Mapping[int, Held],
         operator: BuildingOperator,
         problem: MPCProblem,
         forecast: FreeForecast,
         solution: Solution,
         seconds: Mapping[str, float],
     ) -> Plan:
-        u = solution.u[0]
-        forced_K = problem.forced_K(operator, solution.u)[0]
-        T_zone_C = problem.T_free_C[0] + forced_K
-        slack_K = problem.slack_K(T_zone_C[None])[0]
+        u = solution.u
+        forced_K = problem.forced_K(operator, u)
+        T_zone_C = problem.T_free_C + forced_K
+        slack_K = problem.slack_K(T_zone_C)
         band_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
-        if self._actuation.by_rooms:
-            blocks, actuation = self._room_blocks(observation, float(u[0]), float(T_zone_C[0])), now.actuation
-        else:
-            blocks, actuation = self._actuation.realise(float(u[0]), self.step_s, now.actuation)
-        return Plan(
-            blocks=blocks,
+        demands = [
+            self._room_blocks(observation, a, float(u[a, 0]), float(T_zone_C[self._layout.home[a], 0]))
+            if actuation.by_rooms
+            else float(u[a, 0])
+            for a, actuation in enumerate(self._actuators.each)
+        ]
+        names = self._layout.names
+        plan = Plan(
+            blocks=(),
             status=PlanStatus.SOLVED,
-            why=_reason(problem, T_zone_C, slack_K, forecast),
+            why=reason_of(problem, names.zones, T_zone_C, slack_K, forecast),
             u=u,
-            T_free_now_C=float(problem.features[0, 0, ZONE]),
-            T_free_C=problem.T_free_C[0],
+            T_free_now_C=problem.features[:, 0, ZONE],
+            T_free_C=problem.T_free_C,
             T_forced_K=forced_K,
             T_free_low_C=forecast.quantile_C(0.1),
             T_free_high_C=forecast.quantile_C(0.9),
             slack_K=slack_K,
-            power_W=problem.power_W(solution.u).sum(axis=0),
-            time_s=observation.boundary.time_s[: u.size],
+            power_W=problem.power_W(u),
+            time_s=observation.boundary.time_s[: u.shape[1]],
             origin=observation.history.origin,
             solver_status=solution.status,
             iterations=solution.iterations,
             seconds=seconds,
-            state=replace(now, actuation=actuation, good=GoodPlan(observation.time_s, u, T_zone_C, band_K)),
+            names=names,
+            state=replace(now, good=GoodPlan(observation.time_s, u, T_zone_C, band_K)),
         )
+        return self._with_guard(observation, self._acted(observation, plan, demands, held), demands, held, now)
 
-    def _room_blocks(self, observation: Observation, u: float, T_end_C: float) -> tuple[Block, ...]:
-        """Room set-points of the first step."""
-        lower_C, upper_C = (float(bound[0]) for bound in (observation.boundary.lower_C, observation.boundary.upper_C))
-        bounds = within_C(lower_C, upper_C, self.config.comfort_margin_K)
-        last = observation.history.u[-1:]
+    def _acted(self, observation: Observation, plan: Plan, demands: Sequence[Demand], held: Mapping[int, Held]) -> Plan:
+        """The plan with the blocks of `demands` (A,), of those `held` what native control or the rule does instead."""
+        assert isinstance(plan.state, MPCState)
+        demands, why, status = list(demands), plan.why, plan.status
+        acting = [plan.status] * len(demands)
+        for a, one in held.items():
+            demands[a], who = self._fallbacks[a].standing_back(observation)
+            why = f"{self._told(a, one.why)}: {who}; {why}"
+            acting[a] = status = one.status
+        acted = self._actuators.realise(demands, self.step_s, plan.state.actuation)
+        state = replace(plan.state, actuation=acted.states)
+        return replace(plan, blocks=acted.together(), status=status, acting=tuple(acting), why=why, state=state)
+
+    def _with_guard(
+        self,
+        observation: Observation,
+        plan: Plan,
+        demands: Sequence[Demand],
+        held: Mapping[int, Held],
+        now: MPCState,
+    ) -> Plan:
+        """The plan, with the guard's level for actuators whose zone is far outside the comfort band."""
+        found = {}
+        for a, demand in enumerate(demands):
+            if a in held or not isinstance(demand, float):
+                continue  # the plant's own control acts on the bounds
+            planned = sum((block.u[a] or 0.0) * block.duration_s for block in plan.blocks) / self.step_s
+            level = guard_level(
+                self.config.guard,
+                observation,
+                u=planned,
+                highest=self._actuators.each[a].highest,
+                sign=self._layout.signs[a],
+                zone=self._layout.home[a],
+            )
+            if level is not None:
+                found[a] = level
+        if not found:
+            return plan
+        levels: list[Demand] = [found[a][0] if a in found else demand for a, demand in enumerate(demands)]
+        # The plan is not followed, so it must not be shifted later.
+        begun = replace(plan, why="", state=replace(now, good=now.good))
+        guarded = self._acted(observation, begun, levels, held)
+        if guarded.blocks == plan.blocks:  # minimum on or off time: the machine cannot do more
+            return plan
+        why = "; ".join([*(self._told(a, text) for a, (_, text) in found.items()), plan.why])
+        acting = tuple(PlanStatus.GUARD if a in found else status for a, status in enumerate(plan.acting))
+        return replace(guarded, status=PlanStatus.GUARD, acting=acting, why=why)
+
+    def _room_blocks(self, observation: Observation, a: int, u: float, T_end_C: float) -> tuple[Block, ...]:
+        """Room set-points of the first step for actuator `a`."""
+        z, bounds = self._layout.home[a], observation.boundary
+        within = within_C(float(bounds.lower_C[z, 0]), float(bounds.upper_C[z, 0]), self.config.comfort_margin_K)
+        last = observation.history.u[a, -1:]
         return room_blocks(
             u,
             T_end_C,
-            T_now_C=observation.T_zone_C,
+            T_now_C=float(observation.T_zone_C[z]),
             u_last=float(last[0]) if last.size else float("nan"),
-            bounds_C=bounds,
-            lowest=self.model.operator.heat_input.lowest,
+            bounds_C=within,
+            lowest=self._layout.lowest[a],
             step_s=self.step_s,
-            block_s=self.config.actuation.block_s,
+            block_s=self._actuators.each[a].config.block_s,
         )
 
-    def _stand_back(self, observation: Observation, now: MPCState, status: PlanStatus, reason: str) -> Plan:
-        """A step of native control or of the on/off rule (`fallback.stand_back`); nothing is planned."""
-        blocks, actuation, who = self._standing_back(observation, now.actuation)
+    def _stood_back(self, observation: Observation, now: MPCState, held: Mapping[int, Held]) -> Plan:
+        """A step of native control or of the on/off rule (`fallback.stand_back`) for all; nothing is planned."""
+        demands, told = [], []
+        for a, one in held.items():
+            demand, who = self._fallbacks[a].standing_back(observation)
+            demands.append(demand)
+            told.append(f"{one.why}: {who}" if one.status is PlanStatus.GATE else self._told(a, f"{one.why}: {who}"))
+        acted = self._actuators.realise(demands, self.step_s, now.actuation)
+        acting = tuple(one.status for one in held.values())
+        status = PlanStatus.WATCH if PlanStatus.WATCH in acting else acting[0]
         # The plan before was not followed, so it must not be shifted later.
-        return Plan(blocks, status, f"{reason}: {who}", state=replace(now, actuation=actuation, good=None))
+        state = replace(now, actuation=acted.states, good=None)
+        return Plan(
+            acted.together(),
+            status,
+            "; ".join(dict.fromkeys(told)),
+            acting=acting,
+            names=self._layout.names,
+            state=state,
+        )
 
     def _fall_back(
-        self, observation: Observation, now: MPCState, reason: str, solver_status: str, seconds: Mapping[str, float]
+        self,
+        observation: Observation,
+        now: MPCState,
+        held: Mapping[int, Held],
+        reason: str,
+        solver_status: str,
+        seconds: Mapping[str, float],
     ) -> Plan:
-        good = None if self._watch.doubtful(now.watch) else now.good
-        u = self._fallback.level_to_follow(good, observation)
-        if u is not None:
-            status, why = PlanStatus.SHIFTED, f"following the previous plan (u = {u:.2f})"
-        else:
-            status = PlanStatus.THERMOSTAT
-            u, why = self._fallback.rule(observation)
-        blocks, actuation = self._actuation.realise(u, self.step_s, now.actuation)
-        return Plan(
-            blocks,
+        """The last plan one step on, or the on/off rule, actuator by actuator; the guard comes after."""
+        demands: list[Demand] = []
+        acting, told = [], []
+        for a, fallback in enumerate(self._fallbacks):
+            good = None if self._watched.doubtful(now, a) else now.good
+            u = fallback.level_to_follow(good, observation, a)
+            if u is not None:
+                acting.append(PlanStatus.SHIFTED)
+                why = f"following the previous plan (u = {u:.2f})"
+            else:
+                acting.append(PlanStatus.THERMOSTAT)
+                u, why = fallback.rule(observation)
+            demands.append(u)
+            told.append(self._told(a, why))
+        status = PlanStatus.THERMOSTAT if PlanStatus.THERMOSTAT in acting else PlanStatus.SHIFTED
+        plan = Plan(
+            (),
             status,
-            f"{reason}; {why}",
+            f"{reason}; {'; '.join(told)}",
             solver_status=solver_status,
             seconds=seconds,
-            state=replace(now, actuation=actuation),
+            names=self._layout.names,
+            state=now,
         )
+        plan = self._acted(observation, plan, demands, held)
+        acting = [held[a].status if a in held else one for a, one in enumerate(acting)]
+        plan = replace(plan, acting=tuple(acting))
+        return self._with_guard(observation, plan, demands, held, now)
 
 
-def _build_free_response(config: FreeResponseConfig, model: ThermalModel) -> FreeResponse:
+@dataclass(frozen=True)
+class Held:
+    """Why an actuator is not left to the plan."""
+
+    status: PlanStatus
+    why: str
+
+
+def _build_free_response(config: FreeResponseConfig, free: RcParameters | None) -> FreeResponse:
     from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
 
-    return build_free_response(config.name, rc=model.free, **config.options)
-
-
-def _reason(problem: MPCProblem, T_zone_C: Array, slack_K: Array, forecast: FreeForecast) -> str:
-    """One sentence: which bound is binding and when, and the width of the forecast's 80 % band there."""
-    band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
-    lower_C, upper_C = problem.lower_C[0], problem.upper_C[0]
-    violated = int(np.argmax(slack_K))
-    if slack_K[violated] > 1e-3:
-        side = "below" if T_zone_C[violated] < lower_C[violated] else "above"
-        what = f"{slack_K[violated]:.2f} K {side} the comfort band cannot be avoided economically"
-        when = violated
-    else:
-        gap = np.minimum(T_zone_C - lower_C, upper_C - T_zone_C)
-        # The first binding bound, not the tightest: it determines the plan of the next hours.
-        when = int(np.argmax(gap <= max(_BINDING_K, float(gap.min()))))
-        if gap[when] > _BINDING_K:
-            return (
-                f"comfort is not binding within the horizon (nearest {gap[when]:.2f} K); free forecast: {forecast.note}"
-            )
-        side = "lower" if T_zone_C[when] - lower_C[when] <= upper_C[when] - T_zone_C[when] else "upper"
-        what = f"{side} bound binds"
-    hours = (when + 1) * problem.step_s / HOUR_S
-    return f"{what} in {hours:g} h (80 % band of the free forecast there: {band[when]:.2f} K)"
+    return build_free_response(config.name, rc=free, **config.options)

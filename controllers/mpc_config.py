@@ -122,6 +122,9 @@ class MPCConfig(StrictModel):
     estimator: EstimatorConfig = EstimatorConfig()
     adaptation: AdaptationConfig = AdaptationConfig()
     actuation: ActuationConfig = ActuationConfig()
+    actuations: dict[str, ActuationConfig] = Field(
+        default_factory=dict, description="actuation of single actuators, by name; `actuation` otherwise"
+    )
     fallback: FallbackConfig = FallbackConfig()
     gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()
@@ -130,6 +133,10 @@ class MPCConfig(StrictModel):
     milp: MilpConfig = MilpConfig()
     ipopt: IpoptConfig = IpoptConfig()
     search: SearchConfig = SearchConfig()
+
+    def actuation_of(self, actuator: str) -> ActuationConfig:
+        """Actuation of an actuator."""
+        return self.actuations.get(actuator, self.actuation)
 
     def n_steps(self, step_s: float) -> int:
         """Number of steps of `step_s` seconds in the horizon."""

@@ -34,4 +34,6 @@ class NativeController:
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """One block of native control; stateless."""
-        return Plan((Block(None, self.step_s),), PlanStatus.RULE, "the plant's own controller acts")
+        names = observation.names
+        blocks = (Block.native(len(names.actuators), self.step_s),)
+        return Plan(blocks, PlanStatus.RULE, "the plant's own controller acts", names=names)

@@ -9,15 +9,16 @@ PID Control, 2006, section 3.5).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.actuators import Actuators
 from controllers.inputs import checked_state
-from thermoforce_mpc.data import HOUR_S, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -42,15 +43,19 @@ class PIConfig(StrictModel):
 
 @dataclass(frozen=True)
 class PIState:
-    """Integral, share of full output; time of its last update, s; state of the machine."""
+    """Of each actuator (A,): integral, share of full output, and state of the machine; time of the last update, s."""
 
-    integral: float = 0.0
+    integral: tuple[float, ...]
     time_s: float | None = None
-    actuation: ActuationState | None = None
+    actuation: tuple[ActuationState, ...] | None = None
 
 
 class PIController:
-    """PI controller on the comfort bound.
+    """PI controller of each zone on its comfort bound.
+
+    Args:
+        config: options.
+        layout: what acts where; by default one zone with one actuator of the option `mode`.
 
     Raises:
         ControllerConfigError: the actuation does not fit the step.
@@ -58,10 +63,11 @@ class PIController:
 
     name = "pi"
 
-    def __init__(self, config: PIConfig | None = None) -> None:
+    def __init__(self, config: PIConfig | None = None, layout: Layout | None = None) -> None:
         self.config = config or PIConfig()
-        self._actuation = Actuation(self.config.actuation)
-        self._actuation.check_step(self.config.step_s)
+        self.layout = layout or Layout.single(self.config.mode)
+        self._actuators = Actuators(self.layout, [Actuation(self.config.actuation) for _ in self.layout.home])
+        self._actuators.check_step(self.config.step_s)
 
     @property
     def step_s(self) -> float:
@@ -80,31 +86,46 @@ class PIController:
         Raises:
             DataError: `state` is not from a plan of a PI controller.
         """
-        c, last = self.config, checked_state(state, PIState) or PIState()
-        machine = self._actuation.now(last.actuation, observation.history)
-        T, target = observation.T_zone_C, self._target_C(observation)
+        names = self.layout.names
+        last = checked_state(state, PIState) or PIState((0.0,) * len(names.actuators))
+        machines = self._actuators.now(last.actuation, observation.history)
+        elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
+        demands: list[float | None] = []
+        integrals, told = [], []
+        for a, actuator in enumerate(names.actuators):
+            share, integral, why = self._law(a, observation, last.integral[a], elapsed_s)
+            demands.append(None if share is None else share * self._actuators.each[a].highest)
+            integrals.append(integral)
+            told.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+        acted = self._actuators.realise(demands, self.step_s, machines)
+        # Under native control of all, the law has not been applied.
+        time_s = last.time_s if all(demand is None for demand in demands) else observation.time_s
+        after = PIState(tuple(integrals), time_s, acted.states)
+        return Plan(acted.together(), PlanStatus.RULE, "; ".join(told), names=names, state=after)
+
+    def _law(
+        self, a: int, observation: Observation, before: float, elapsed_s: float
+    ) -> tuple[float | None, float, str]:
+        """Share of full output of actuator `a` (None: native control), its integral, and why."""
+        c = self.config
+        T, target = float(observation.T_zone_C[self.layout.home[a]]), self._target_C(observation, a)
         if not (math.isfinite(T) and math.isfinite(target)):
             what = "comfort bound" if math.isfinite(T) else "zone temperature"
-            blocks, machine = self._actuation.realise(None, self.step_s, machine)
-            why = f"{what} missing: native control"
-            return Plan(blocks, PlanStatus.RULE, why, state=replace(last, actuation=machine))
-        error_K = (target - T) * (1.0 if c.mode == "heating" else -1.0)
-        elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
-        integral = last.integral + c.kp * error_K * elapsed_s / c.ti_s
+            return None, before, f"{what} missing: native control"
+        error_K = (target - T) * self.layout.signs[a]
+        integral = before + c.kp * error_K * elapsed_s / c.ti_s
         asked = c.kp * error_K + integral
         # Anti-windup: do not integrate further into saturation.
         if not ((0.0 < asked < 1.0) or (asked >= 1.0 and error_K < 0) or (asked <= 0.0 and error_K > 0)):
-            integral = last.integral
+            integral = before
         share = min(max(c.kp * error_K + integral, 0.0), 1.0)
         share = 0.0 if share < c.off_below else share
-        blocks, machine = self._actuation.realise(share * self._actuation.highest, self.step_s, machine)
-        why = f"{error_K:+.2f} K from {target:.2f} °C, integral {integral:.2f}: {share:.2f} of full"
-        return Plan(blocks, PlanStatus.RULE, why, state=PIState(integral, observation.time_s, machine))
+        return share, integral, f"{error_K:+.2f} K from {target:.2f} °C, integral {integral:.2f}: {share:.2f} of full"
 
-    def _target_C(self, observation: Observation) -> float:
-        """Set-point: tightest bound within the lead time, with the offset, °C."""
-        c, boundary = self.config, observation.boundary
-        ahead = min(math.floor(c.lead_h * HOUR_S / self.step_s + 1e-9), boundary.lower_C.size - 1)
-        if c.mode == "heating":
-            return float(np.max(boundary.lower_C[: ahead + 1])) + c.offset_K
-        return float(np.min(boundary.upper_C[: ahead + 1])) - c.offset_K
+    def _target_C(self, observation: Observation, a: int) -> float:
+        """Set-point: tightest bound of the home zone within the lead time, with the offset, °C."""
+        c, boundary, z = self.config, observation.boundary, self.layout.home[a]
+        ahead = min(math.floor(c.lead_h * HOUR_S / self.step_s + 1e-9), boundary.n_steps)
+        if self.layout.signs[a] > 0:
+            return float(np.max(boundary.lower_C[z, : ahead + 1])) + c.offset_K
+        return float(np.min(boundary.upper_C[z, : ahead + 1])) - c.offset_K

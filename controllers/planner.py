@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from controllers.actuation import ActuationState
 from controllers.fallback import GoodPlan
 from controllers.solvers import Solver
 from controllers.watch import WatchState
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.adaptation import AdaptationState
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import Predictor, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -18,27 +21,27 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 class MPCState:
     """Controller state passed from one plan to the next.
 
-    `first_s`: time of the first plan, s; `peak_W`: highest mean power of a step since, W; `actuation`: state of the
-    machine; `good`: last solved plan; `predictor`, `adaptation`: states of predictor and online adaptation; `watch`:
-    what the watch knows of the predictions; `offset_K`: recent mean error of the zone temperature planned for the end
-    of a step.
+    `first_s`: time of the first plan, s; `peak_W`: highest mean power of the building over a step since, W; `good`:
+    last solved plan; `predictor`: state of the predictor. Of each actuator (A,): `actuation` (state of its machine),
+    `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
+    recent mean error of the zone temperatures planned for the end of a step.
     """
 
     first_s: float
     peak_W: float = 0.0
-    actuation: ActuationState = field(default_factory=ActuationState)
+    actuation: tuple[ActuationState, ...] = (ActuationState(),)
     good: GoodPlan | None = None
     predictor: PredictorState | None = None
-    adaptation: AdaptationState | None = None
-    watch: WatchState = field(default_factory=WatchState)
-    offset_K: float = 0.0
+    adaptation: tuple[AdaptationState | None, ...] = (None,)
+    watch: tuple[WatchState, ...] = (WatchState(),)
+    offset_K: Array = field(default_factory=lambda: np.zeros(1))
 
 
 @dataclass(frozen=True)
 class Planner:
-    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation mode."""
+    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation."""
 
     model: ThermalModel
     predictor: Predictor
-    operator: OperatorParameters
+    operator: BuildingOperator
     solver: Solver

@@ -101,7 +101,7 @@ class Programme:
         shape.check(operator)
         self.operator, self.shape = operator, shape
         machinery = shape.machinery
-        (A, M), n, m = machinery.shape, shape.n_steps, shape.n_moves
+        (A, _), n, m = machinery.shape, shape.n_steps, shape.n_moves
         Z = len(operator.zones)
         self._step, self._move = np.arange(n), shape.move_of_step
         self._groups = _groups(operator, n)

@@ -44,12 +44,19 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
     if isinstance(model, str):
         from controllers.standing_back import StandingBack
 
-        return StandingBack(model, config, testcase.mode, testcase.step_s, name=name)
-    if model.operator.mode != testcase.mode:
+        return StandingBack(model, config, testcase.layout, testcase.step_s, name=name)
+    if model.names != testcase.layout.names:
         raise ControllerConfigError(
-            f"the model was identified for {model.operator.mode}, test case '{testcase.name}' is for {testcase.mode}: "
-            f"what the one does says nothing of the other; identify on data of {testcase.mode}"
+            f"the model is of {model.names}, test case '{testcase.name}' of {testcase.layout.names}"
         )
+    for a, actuator in enumerate(model.operator.actuators):
+        found, wanted = model.layout.mode(a), testcase.layout.mode(a)
+        if found != wanted:
+            of = "" if model.names.single else f" {actuator}"
+            raise ControllerConfigError(
+                f"the model{of} was identified for {found}, test case '{testcase.name}' is for {wanted}: "
+                f"what the one does says nothing of the other; identify on data of {wanted}"
+            )
     return ThermoForceMPC(model, config, name=name)
 
 
@@ -113,14 +120,14 @@ REGISTRY: dict[str, Entry] = {
         "on/off thermostat, optional weekday setback",
         False,
         lambda: ThermostatConfig,
-        lambda name, config, testcase, model: Thermostat(config),
+        lambda name, config, testcase, model: Thermostat(config, testcase.layout),
         {},
     ),
     "pi": Entry(
         "PI on the comfort bound with anti-windup and optimal start, on/off blocks",
         False,
         lambda: PIConfig,
-        lambda name, config, testcase, model: PIController(config),
+        lambda name, config, testcase, model: PIController(config, testcase.layout),
         {},
     ),
     "native": Entry(

@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from controllers.acting import Acting
 from controllers.actuation import Actuation, ActuationState
 from controllers.mpc_config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 
 
 @dataclass(frozen=True)
 class StandingBackState:
-    """State of the machine between two steps."""
+    """States of the actuators between two steps (A,)."""
 
-    actuation: ActuationState = field(default_factory=ActuationState)
+    actuation: tuple[ActuationState, ...] = ()
 
 
 class StandingBack(Acting):
     """Takes the place of an MPC that has no model; its plans have the status `gate`."""
 
-    def __init__(self, reason: str, config: MPCConfig, mode: str, step_s: float, *, name: str) -> None:
+    def __init__(self, reason: str, config: MPCConfig, layout: Layout, step_s: float, *, name: str) -> None:
         """Set up the rule.
 
         Args:
             reason: why there is no model.
             config: options of the MPC whose place is taken; `fallback`, `actuation` and `step_s` count.
-            mode: 'heating' or 'cooling'.
+            layout: what acts where.
             step_s: control step where `config` has none, s.
             name: name in reports.
 
@@ -38,7 +38,8 @@ class StandingBack(Acting):
         step_s = config.step_s or step_s
         # As far as the on/off rule looks.
         n_steps = max(1, math.ceil(config.fallback.look_ahead_h * HOUR_S / step_s))
-        super().__init__(name, step_s, n_steps, Actuation(config.actuation), config.fallback, mode)
+        actuations = [Actuation(config.actuation_of(actuator)) for actuator in layout.names.actuators]
+        super().__init__(name, step_s, n_steps, layout, actuations, config.fallback)
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """One step of native control, or of the on/off rule (`fallback.stand_back`).
@@ -46,7 +47,12 @@ class StandingBack(Acting):
         Raises:
             DataError: the boundary forecast does not fit `horizon_s` and `step_s`, or `state` is another controller's.
         """
-        _, actuation = self._begun(observation, state, StandingBackState)
-        blocks, actuation, who = self._standing_back(observation, actuation)
-        why = f"gate: no model could be identified ({self.reason}): {who}"
-        return Plan(blocks, PlanStatus.GATE, why, state=StandingBackState(actuation))
+        _, states = self._begun(observation, state, StandingBackState)
+        demands, who = zip(*(fallback.standing_back(observation) for fallback in self._fallbacks), strict=True)
+        acting = self._actuators.realise(demands, self._step_s, states)
+        told = "; ".join(self._told(a, one) for a, one in enumerate(who))
+        if len(set(who)) == 1:
+            told = who[0]
+        why = f"gate: no model could be identified ({self.reason}): {told}"
+        after = StandingBackState(acting.states)
+        return Plan(acting.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)

@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from controllers.inputs import checked_state
-from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -36,29 +36,39 @@ class ThermostatConfig(StrictModel):
     """Options of the on/off thermostat. Defaults are the reference thermostat of this test case."""
 
     setpoint_C: float = Field(21.3, ge=0, le=40, description="centre of the dead band, °C")
+    setpoints_C: dict[str, float] = Field(
+        default_factory=dict,
+        description="centre of the dead band of single actuators, by name, °C; `setpoint_C` otherwise",
+    )
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
     step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
     mode: Literal["heating", "cooling"] = Field(
-        "heating", description="heating: on below the dead band; cooling: on above it"
+        "heating", description="heating: on below the dead band; cooling: on above it; counts for one actuator"
     )
     setback: Setback | None = Field(None, description="weekday hours during which the machine stays off; null: none")
 
 
 @dataclass(frozen=True)
 class ThermostatState:
-    """Whether the machine is on."""
+    """Whether each actuator is on (A,)."""
 
-    on: bool = False
+    on: tuple[bool, ...]
 
 
 class Thermostat:
-    """On/off control of the zone temperature with hysteresis, at one level while on."""
+    """On/off control of each zone's temperature with hysteresis, at one level while on.
+
+    Args:
+        config: options.
+        layout: what acts where; by default one zone with one actuator of the option `mode`.
+    """
 
     name = "thermostat"
 
-    def __init__(self, config: ThermostatConfig | None = None) -> None:
+    def __init__(self, config: ThermostatConfig | None = None, layout: Layout | None = None) -> None:
         self.config = config or ThermostatConfig()
+        self.layout = layout or Layout.single(self.config.mode)
 
     @property
     def step_s(self) -> float:
@@ -76,20 +86,31 @@ class Thermostat:
         Raises:
             DataError: `state` is not from a plan of a thermostat.
         """
-        c, last = self.config, checked_state(state, ThermostatState) or ThermostatState()
-        T = observation.T_zone_C
-        if not math.isfinite(T):
-            why = "zone temperature missing: native control"
-            return Plan((Block(None, self.step_s),), PlanStatus.RULE, why, state=last)
+        names = self.layout.names
+        last = checked_state(state, ThermostatState) or ThermostatState((False,) * len(names.actuators))
+        levels: list[float | None] = []
+        on, told = [], []
+        for a, actuator in enumerate(names.actuators):
+            T_zone_C = float(observation.T_zone_C[self.layout.home[a]])
+            found, why = self._switched(a, T_zone_C, observation.time_s, last.on[a])
+            levels.append(None if found is None else self.config.level * found)
+            on.append(last.on[a] if found is None else found)
+            told.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+        block = Block(levels, self.step_s)
+        return Plan((block,), PlanStatus.RULE, "; ".join(told), names=names, state=ThermostatState(tuple(on)))
+
+    def _switched(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
+        """Whether actuator `a` is on, and why; None for native control."""
+        c = self.config
+        if not math.isfinite(T_zone_C):
+            return None, "zone temperature missing: native control"
         # Distance from the set-point on the side that needs the machine: below it heating, above it cooling.
-        need_K = (c.setpoint_C - T) * (1.0 if c.mode == "heating" else -1.0)
-        if c.setback and c.setback.active(observation.time_s):
-            on, why = False, "setback"
-        elif need_K > c.deadband_K:
-            on, why = True, f"{T:.2f} °C is beyond the dead band: on"
-        elif need_K < -c.deadband_K:
-            on, why = False, f"{T:.2f} °C is beyond the dead band: off"
-        else:
-            on, why = last.on, f"{T:.2f} °C is inside the dead band: unchanged"
-        block = Block(c.level if on else 0.0, self.step_s)
-        return Plan((block,), PlanStatus.RULE, why, state=ThermostatState(on))
+        setpoint_C = c.setpoints_C.get(self.layout.names.actuators[a], c.setpoint_C)
+        need_K = (setpoint_C - T_zone_C) * self.layout.signs[a]
+        if c.setback and c.setback.active(time_s):
+            return False, "setback"
+        if need_K > c.deadband_K:
+            return True, f"{T_zone_C:.2f} °C is beyond the dead band: on"
+        if need_K < -c.deadband_K:
+            return False, f"{T_zone_C:.2f} °C is beyond the dead band: off"
+        return was_on, f"{T_zone_C:.2f} °C is inside the dead band: unchanged"

@@ -26,13 +26,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pydantic import Field
 
+from controllers.own_record import OwnContext
 from controllers.watch_checks import applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
-from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.predictor import PredictorState
+from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
 LEADS_H = (1.0, 6.0)
@@ -163,9 +164,7 @@ class WatchState:
 class Watch:
     """Judges predictions and decides when control is handed back and when it returns; all state is in `WatchState`."""
 
-    def __init__(
-        self, config: WatchConfig, model: ThermalModel, n_steps: int, power: Callable[[Record], Array]
-    ) -> None:
+    def __init__(self, config: WatchConfig, model: ZoneModel, n_steps: int, power: Callable[[Record], Array]) -> None:
         """Watch predictions of `n_steps` steps at the step of `model`.
 
         Args:
@@ -187,7 +186,7 @@ class Watch:
         """Whether a prediction is to be put down at `time_s`."""
         return self.config.enabled and round(time_s / self.step_s) % self.every == 0
 
-    def issued(self, track: Track, context: PredictionContext, operator: OperatorParameters) -> Track:
+    def issued(self, track: Track, context: OwnContext, operator: OperatorParameters) -> Track:
         """The track with the prediction of `context` put down, made with `operator`."""
         at = np.array(self.leads) - 1
         free, now = context.free, float(context.boundary.time_s[0])
@@ -272,7 +271,7 @@ class Watch:
         start = int(np.searchsorted(history.time_s, item.time_s - 0.5 * self.step_s))
         if start + n > history.n_steps or abs(history.time_s[start] - item.time_s) > 0.5 * self.step_s:
             return None
-        u, T_zone = levels[start : start + n], float(history.T_zone_C[start + n])
+        u, T_zone = levels[start : start + n], float(history.T_zone_C[0, start + n])
         if not (np.isfinite(u).all() and math.isfinite(T_zone)):
             return None
         runs = np.stack([np.clip(u, self._model.operator.heat_input.lowest, 1.0), np.zeros(n)])
@@ -397,7 +396,7 @@ def _without_force(state: PredictorState | None) -> PredictorState:
     return replace(state or PredictorState(), forced=None)
 
 
-def _relative_gain_sd(model: ThermalModel, hours: float) -> float:
+def _relative_gain_sd(model: ZoneModel, hours: float) -> float:
     """Relative standard deviation of the effect of `hours` at full level, from the card; 0 where it says nothing."""
     known = model.card.uncertainty
     at = [int(key.split("_")[2][:-1]) for key in known if key.startswith("step_response_") and key.endswith("h_K")]

@@ -29,13 +29,13 @@ def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_i
     was measured: it holds levels for which the map from level to heat was not identified, so the level that gives the
     measured heat is taken.
     """
-    levels = np.array(history.u)
+    levels = np.array(history.u[0])
     if heat_input.heat is not None:
         for time_s, level in asked:
             step = _step_of(time_s, history)
-            if step is None or np.isfinite(level) or not np.isfinite(history.heat_W[step] + history.T_out_C[step]):
+            if step is None or np.isfinite(level) or not np.isfinite(history.heat_W[0, step] + history.T_out_C[step]):
                 continue
-            share = abs(float(history.heat_W[step])) / heat_input.reference_W
+            share = abs(float(history.heat_W[0, step])) / heat_input.reference_W
             levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
     return levels
 
@@ -44,12 +44,12 @@ def heat_ratio(history: Record, heat_input: HeatInput) -> float | None:
     """Measured heat of a record over that of the map at its levels; None where little of both is known."""
     if heat_input.heat is None:
         return None
-    known = np.isfinite(history.heat_W) & np.isfinite(history.u) & np.isfinite(history.T_out_C[:-1])
-    u = np.clip(history.u[known], 0.0, 1.0)
+    known = np.isfinite(history.heat_W[0]) & np.isfinite(history.u[0]) & np.isfinite(history.T_out_C[:-1])
+    u = np.clip(history.u[0, known], 0.0, 1.0)
     if not u.size or float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
         return None
     modelled = heat_input.heat(u, history.T_out_C[:-1][known])
-    return float(np.abs(history.heat_W[known]).sum() / modelled.sum())
+    return float(np.abs(history.heat_W[0, known]).sum() / modelled.sum())
 
 
 def level_fault(asked: Sequence[tuple[float, float]], history: Record) -> str:
@@ -87,15 +87,15 @@ def machine_ratio(
     """
     want, got, index = _steps(asked, history)
     used = index[np.abs(got - want) <= _SAME]
-    for what, measured in (("heat", np.abs(history.heat_W)), ("power", history.power_W)):
+    for what, measured in (("heat", np.abs(history.heat_W[0])), ("power", history.power_W[0])):
         if what == "heat" and heat is None:
             continue
         steps = used[np.isfinite(measured[used]) & np.isfinite(history.T_out_C[used])]
-        if not steps.size or float(history.u[steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
+        if not steps.size or float(history.u[0, steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
             continue
         if what == "heat":
             assert heat is not None
-            modelled = heat(np.clip(history.u[steps], 0.0, 1.0), history.T_out_C[steps])
+            modelled = heat(np.clip(history.u[0, steps], 0.0, 1.0), history.T_out_C[steps])
         else:
             first = int(steps[0])
             modelled = power_W(history.slice(first, history.n_steps))[steps - first]
@@ -117,8 +117,8 @@ def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array
     want, got, index = [], [], []
     for time_s, level in asked:
         step = _step_of(time_s, history)
-        if step is not None and np.isfinite(level) and np.isfinite(history.u[step]):
+        if step is not None and np.isfinite(level) and np.isfinite(history.u[0, step]):
             want.append(level)
-            got.append(float(history.u[step]))
+            got.append(float(history.u[0, step]))
             index.append(step)
     return np.array(want), np.array(got), np.array(index, dtype=np.intp)

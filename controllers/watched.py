@@ -1,83 +1,130 @@
-"""The watch inside an MPC: what it is given before and after each plan, and predictions in the shadow."""
+"""The watch inside an MPC: what it is given before and after each plan, and predictions in the shadow.
+
+Each actuator is watched on its home zone (`own_record`), so that control of one may be handed back alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from controllers.errors import said
+from controllers.own_record import own_context, own_record
 from controllers.planner import MPCState, Planner
 from controllers.watch import Track, Watch, WatchState
-from thermoforce_mpc.data import HOUR_S, Observation, Plan, Record
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
+from thermoforce_mpc.identification.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
+Item = TypeVar("Item")
+
 
 class WatchedPredictions:
-    """Moves what the watch needs in and out of the state of an MPC; it holds no state.
+    """Moves what the watches need in and out of the state of an MPC; it holds no state.
 
     Args:
-        watch: judges the predictions.
-        planner: the planner of a thermal model.
+        watches: judge the predictions, one per actuator (A,).
+        planner: the planner of an adapted model, given the adaptations of all actuators.
+        model: the building as identified.
     """
 
-    def __init__(self, watch: Watch, planner: Callable[[ThermalModel], Planner]) -> None:
-        self._watch, self._planner = watch, planner
+    def __init__(
+        self,
+        watches: Sequence[Watch],
+        planner: Callable[[Sequence[AdaptationState | None]], Planner],
+        model: ThermalModel,
+    ) -> None:
+        self._watches, self._planner, self._model = tuple(watches), planner, model
 
-    def judged(self, now: MPCState, history: Record) -> MPCState:
-        """The state with the predictions that came due judged; where control returns, with the model that held."""
-        try:
-            watch = self._watch.judged(now.watch, history, now.adaptation, now.predictor)
-        except Exception as error:  # what watches must not stop what it watches
-            return replace(now, watch=replace(now.watch, news=f"predictions could not be judged ({said(error)})"))
-        if now.watch.alarm and not watch.alarm:
-            now = replace(now, adaptation=watch.tracks[0].adaptation, predictor=watch.tracks[0].predictor)
-        return replace(now, watch=watch)
+    @property
+    def enabled(self) -> bool:
+        """Whether predictions are judged."""
+        return self._watches[0].config.enabled
 
-    def put_down(self, now: MPCState, context: PredictionContext, operator: OperatorParameters) -> MPCState:
-        """The state with the prediction of a plan put down, where one is due."""
-        if not self._watch.due(float(context.boundary.time_s[0])):
-            return now
-        issued = self._watch.issued(now.watch.tracks[0], context, operator)
-        return replace(now, watch=replace(now.watch, tracks=(issued,)))
+    def judged(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
+        """The state with the predictions that came due judged; where control returns, with the model that held.
+
+        `forced_K` (Z, A, n + 1, r): forced states until now, see `own_record`.
+        """
+        for a, watch in enumerate(self._watches):
+            record = own_record(self._model, history, forced_K, a)
+            before = now.watch[a]
+            try:
+                found = watch.judged(before, record, now.adaptation[a], now.predictor)
+            except Exception as error:  # what watches must not stop what it watches
+                news = f"predictions could not be judged ({said(error)})"
+                now = replace(now, watch=_with(now.watch, a, replace(before, news=news)))
+                continue
+            if before.alarm and not found.alarm:
+                used = found.tracks[0]
+                now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=used.predictor)
+            now = replace(now, watch=_with(now.watch, a, found))
+        return now
+
+    def put_down(self, now: MPCState, context: PredictionContext, planner: Planner) -> MPCState:
+        """The state with the predictions of a plan put down for all actuators in use, where one is due."""
+        states = list(now.watch)
+        for a, watch in enumerate(self._watches):
+            if not watch.due(float(context.boundary.time_s[0])) or states[a].alarm:
+                continue
+            issued = watch.issued(states[a].tracks[0], own_context(context, a), planner.operator.of_actuator(a))
+            states[a] = replace(states[a], tracks=(issued,))
+        return replace(now, watch=tuple(states))
 
     def shadowed(self, observation: Observation, now: MPCState) -> MPCState:
         """The state with new predictions of the models that are judged while another controller acts.
 
         `observation` has the boundary forecast of the horizon.
         """
-        if not self._watch.due(observation.time_s):
-            return now
+        states = list(now.watch)
+        for a, watch in enumerate(self._watches):
+            if not states[a].alarm or not watch.due(observation.time_s):
+                continue
+            tracks = tuple(self._predicted(observation, now, a, track) for track in states[a].tracks)
+            states[a] = replace(states[a], tracks=tracks)
+        return replace(now, watch=tuple(states))
 
-        def predicted(track: Track) -> Track:
-            assert track.adaptation is not None
-            planner = self._planner(track.adaptation.model)
-            try:
-                context = planner.predictor.context(observation, track.predictor)
-            except Exception:  # as in planning; without predictions a model does not get control back
-                return track
-            return replace(self._watch.issued(track, context, planner.operator), predictor=context.state)
-
-        return replace(now, watch=replace(now.watch, tracks=tuple(map(predicted, now.watch.tracks))))
+    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Track:
+        planner = self._planner(_with(now.adaptation, a, track.adaptation))
+        try:
+            context = planner.predictor.context(observation, track.predictor)
+        except Exception:  # as in planning; without predictions a model does not get control back
+            return track
+        issued = self._watches[a].issued(track, own_context(context, a), planner.operator.of_actuator(a))
+        return replace(issued, predictor=context.state)
 
     def asked(self, observation: Observation, plan: Plan) -> Plan:
-        """The plan, its state with the level asked for."""
+        """The plan, its state with the levels asked for."""
         assert isinstance(plan.state, MPCState)
-        if not self._watch.config.enabled:
+        if not self.enabled:
             return plan
-        # What room set-points ask for is a temperature; its level is expected, not asked.
-        levels = [
-            float("nan") if block.u is None or block.band_C else block.u * block.duration_s for block in plan.blocks
-        ]
-        watch = self._watch.asked(plan.state.watch, observation.time_s, sum(levels) / self._watch.step_s)
-        news = f"watch: {watch.news}; " if watch.news else ""
-        return replace(plan, why=news + plan.why, state=replace(plan.state, watch=watch))
+        states, news = list(plan.state.watch), []
+        for a, watch in enumerate(self._watches):
+            # What room set-points ask for is a temperature; its level is expected, not asked.
+            levels = [
+                float("nan") if (u := block.u[a]) is None or block.band_C[a] else u * block.duration_s
+                for block in plan.blocks
+            ]
+            states[a] = watch.asked(states[a], observation.time_s, sum(levels) / watch.step_s)
+            if states[a].news:
+                news.append(self.named(a, f"watch: {states[a].news}; "))
+        return replace(plan, why="".join(news) + plan.why, state=replace(plan.state, watch=tuple(states)))
 
     def reason(self, state: WatchState, time_s: float) -> str:
         """Why control was handed back, and when."""
         return f"watch: {state.alarm} (found {(time_s - state.since_s) / HOUR_S:.1f} h ago)"
 
-    def doubtful(self, state: WatchState) -> bool:
+    def doubtful(self, now: MPCState, a: int) -> bool:
         """See `Watch.doubtful`."""
-        return self._watch.doubtful(state)
+        return self._watches[a].doubtful(now.watch[a])
+
+    def named(self, a: int, text: str) -> str:
+        """`text` with the actuator's name where there are several."""
+        names = self._model.operator.actuators
+        return text if len(names) == 1 else f"{names[a]}: {text}"
+
+
+def _with(values: tuple[Item, ...], at: int, value: Item) -> tuple[Item, ...]:
+    return (*values[:at], value, *values[at + 1 :])

@@ -147,6 +147,12 @@ class Layout:
         area = float("nan") if floor_area_m2 is None else floor_area_m2
         return cls(signs=(-1 if mode == "cooling" else 1,), lowest=(lowest,), floor_area_m2=(area,))
 
+    def mode(self, a: int) -> str:
+        """What actuator `a` does: 'heating', 'cooling', or 'both' where its levels are signed."""
+        if self.lowest[a] < 0.0:
+            return "both"
+        return "heating" if self.signs[a] > 0 else "cooling"
+
     def actuators_of(self, zone: int) -> list[int]:
         """The actuators that serve a zone."""
         return [a for a, home in enumerate(self.home) if home == zone]
@@ -217,7 +223,7 @@ class Block:
     band_C: tuple[tuple[float, float] | None, ...]
 
     def __init__(self, u: Levels, duration_s: float, band_C: Bands = None) -> None:
-        levels = (u,) if u is None or isinstance(u, int | float) or np.ndim(u) == 0 else tuple(u)  # type: ignore[arg-type]
+        levels: tuple[Any, ...] = tuple(u) if isinstance(u, Sequence) else (u,)
         if band_C is None:
             bands: tuple[Any, ...] = (None,) * len(levels)
         elif len(levels) == 1 and len(band_C) == 2:
@@ -658,7 +664,8 @@ class Plan:
     for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
     counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
     starts from.
-    `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` goes to the
+    `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
+    plan at one of them. `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` goes to the
     controller's next plan of this run and is opaque to others.
     """
 
@@ -679,9 +686,12 @@ class Plan:
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
     names: Names = SINGLE
+    acting: tuple[PlanStatus, ...] = ()
     state: object = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        if not self.acting:
+            object.__setattr__(self, "acting", (self.status,) * len(self.names.actuators))
         for name in _PLANNED:
             values = np.asarray(getattr(self, name), dtype=np.float64)
             if not values.size:

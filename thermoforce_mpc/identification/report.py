@@ -64,7 +64,7 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
 
     zones, actuators, _ = model.operator.shape
     figure = Figure(figsize=(max(9.0, 3.0 * actuators), 5.0 + 3.0 * zones), layout="constrained")
-    upper, lower = np.ravel(figure.subfigures(2, 1, height_ratios=[3 * zones + 1, 3 * zones]))
+    upper, lower = list(figure.subfigures(2, 1, squeeze=False, height_ratios=[3 * zones + 1, 3 * zones])[:, 0])
     courses = upper.subplots(zones + 1, 1, height_ratios=[3] * zones + [1], squeeze=False, sharex=True)[:, 0]
     days = record.time_s / DAY_S
     found = rollouts(model, record)
@@ -123,7 +123,7 @@ def _plot_answer(axes: Axes, model: ThermalModel, z: int, a: int, pair: Operator
 
 
 def step_response_of(model: ThermalModel, z: int, a: int) -> tuple[Array, Array]:
-    """Return the step response of a pair at 0 h and `STEP_RESPONSE_H`, and its standard deviation, K; empty if unknown."""
+    """Return the step response of a pair at 0 h and `STEP_RESPONSE_H` and its standard deviation, K; empty: unknown."""
     home = model.operator.home[a] == z
     # Effects between zones stand on the card of the zone's first actuator, by the other actuator's name.
     card = model.cards[a if home else model.operator.home.index(z) if z in model.operator.home else a]

@@ -207,6 +207,11 @@ class Predictor:
         """Control-free temperature T − F at each boundary of `history`, (Z, n + 1), °C; NaN where T is."""
         return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=(1, 3)))
 
+    def followed(self, history: Record, state: PredictorState | None = None) -> ForcedState:
+        """Forced states at all boundaries of `history`, from those that `state` knows; gaps are bridged (`gaps`)."""
+        filled, _ = bridged(history)
+        return self._checked_estimate(self._estimator.update(state.forced if state else None, filled), filled)
+
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from thermoforce_mpc.data import SINGLE, Array, Boundary, Names, Observation, Record
+from thermoforce_mpc.data import SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.encoding import decode, encode
@@ -84,6 +84,37 @@ class ThermalModel:
     def names(self) -> Names:
         """Names of zones, actuators and machines."""
         return Names(self.operator.zones, self.operator.actuators, self.machines)
+
+    @property
+    def layout(self) -> Layout:
+        """What acts where."""
+        heads = [self.operator.of_actuator(a) for a in range(len(self.operator.actuators))]
+        return Layout(
+            self.names,
+            tuple(head.sign for head in heads),
+            self.operator.home,
+            self.machine_of,
+            tuple(head.heat_input.lowest for head in heads),
+            self.shares,
+            (float("nan"),) * len(self.operator.zones),
+        )
+
+    def with_actuators(self, zones: Sequence[ZoneModel]) -> ThermalModel:
+        """The building with other operators of its actuators on their home zones (A,).
+
+        What an actuator delivers changes for all zones; its effect on zones other than its home stays as identified.
+        """
+
+        def changed(z: int, a: int, pair: OperatorParameters | None) -> OperatorParameters | None:
+            own = zones[a].operator
+            if pair is None or self.operator.home[a] == z:
+                return None if pair is None else own
+            return replace(own, poles=pair.poles, gains=pair.gains, pole_bounds=pair.pole_bounds)
+
+        pairs = tuple(
+            tuple(changed(z, a, pair) for a, pair in enumerate(row)) for z, row in enumerate(self.operator.pairs)
+        )
+        return replace(self, operator=replace(self.operator, pairs=pairs))
 
     def actuator(self, a: int) -> ZoneModel:
         """Actuator `a` on its home zone."""

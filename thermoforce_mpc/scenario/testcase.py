@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import Array, Layout
 from thermoforce_mpc.scenario.actuator_map import FanCoilMap, LinearMap, MapName, RadiatorMap
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -240,6 +240,11 @@ class TestCase(StrictModel):
     defaults: Defaults = Defaults()
     energyplus: EnergyPlusZone | None = Field(None, description="EnergyPlus zone of this test case")
     embedded: bool = Field(False, description="whether the embedded emulator implements this test case")
+
+    @property
+    def layout(self) -> Layout:
+        """What acts where."""
+        return Layout.single(self.mode, self.lowest_level, self.floor_area_m2)
 
     @property
     def lowest_level(self) -> float:

@@ -198,7 +198,13 @@ class BuildingOperator:
 
     def map(self, change: Callable[[OperatorParameters], OperatorParameters]) -> BuildingOperator:
         """The operator with `change` applied to every pair."""
-        pairs = tuple(tuple(None if pair is None else change(pair) for pair in row) for row in self.pairs)
+        return self.map_actuators(lambda a, pair: change(pair))
+
+    def map_actuators(self, change: Callable[[int, OperatorParameters], OperatorParameters]) -> BuildingOperator:
+        """The operator with `change` applied to every pair, given the actuator's number."""
+        pairs = tuple(
+            tuple(None if pair is None else change(a, pair) for a, pair in enumerate(row)) for row in self.pairs
+        )
         return replace(self, pairs=pairs)
 
     def certificates(self, n_steps: int = 48) -> dict[tuple[str, str], Certificate]:

@@ -1,0 +1,132 @@
+"""The actuators of a building, acting together: levels of all become blocks of all.
+
+Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie together, so that the machine
+runs no longer than the longest of them: all at the start of a step while the machine runs, all at its end while it
+stands. Two such steps in a row join to one run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from controllers.actuation import Actuation, ActuationState
+from thermoforce_mpc.data import Block, Layout, Record
+
+# Two instants nearer than this are one, s.
+_SAME_S = 1e-6
+
+Demand = float | None | tuple[Block, ...]
+"""What one actuator is to do in a step: a mean level, native control (None), or blocks of its own (room set-points)."""
+
+
+@dataclass(frozen=True)
+class Acted:
+    """Blocks of each actuator (A,), each of one actuator, and the states after them (A,)."""
+
+    blocks: tuple[tuple[Block, ...], ...]
+    states: tuple[ActuationState, ...]
+
+    def together(self) -> tuple[Block, ...]:
+        """The blocks of all actuators: one wherever any of them changes."""
+        return merged(self.blocks)
+
+
+class Actuators:
+    """Converts demands on all actuators into blocks.
+
+    Args:
+        layout: what acts where.
+        actuations: how each actuator is run (A,).
+    """
+
+    def __init__(self, layout: Layout, actuations: Sequence[Actuation]) -> None:
+        self.layout, self.each = layout, tuple(actuations)
+        self._shared = [layout.fed_by(m) for m in range(len(layout.names.machines)) if len(layout.fed_by(m)) > 1]
+
+    def check_step(self, step_s: float) -> None:
+        """Raise `ControllerConfigError` where a step of `step_s` seconds is too short for blocks."""
+        for actuation in self.each:
+            actuation.check_step(step_s)
+
+    def now(self, states: Sequence[ActuationState] | None, history: Record) -> tuple[ActuationState, ...]:
+        """States at the start of the next step, see `Actuation.now`."""
+        return tuple(
+            actuation.now(None if states is None else states[a], history.part(self.layout.home[a], [a]))
+            for a, actuation in enumerate(self.each)
+        )
+
+    def realise(self, demands: Sequence[Demand], step_s: float, states: Sequence[ActuationState]) -> Acted:
+        """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after."""
+        found = [self._alone(a, demand, step_s, states[a]) for a, demand in enumerate(demands)]
+        for fed in self._shared:
+            switched = [a for a in fed if isinstance(demands[a], float | int) and not self.each[a].modulates]
+            if len(switched) > 1:
+                lead = max(switched, key=lambda a: demands[a])  # type: ignore[arg-type, return-value]
+                for a in switched:
+                    found[a] = self._with(a, float(demands[a]), step_s, states, lead, found[lead])  # type: ignore[arg-type]
+        return Acted(tuple(blocks for blocks, _ in found), tuple(state for _, state in found))
+
+    def _alone(
+        self, a: int, demand: Demand, step_s: float, state: ActuationState
+    ) -> tuple[tuple[Block, ...], ActuationState]:
+        if isinstance(demand, tuple):
+            return demand, state
+        return self.each[a].realise(demand, step_s, state)
+
+    def _with(
+        self,
+        a: int,
+        level: float,
+        step_s: float,
+        states: Sequence[ActuationState],
+        lead: int,
+        led: tuple[tuple[Block, ...], ActuationState],
+    ) -> tuple[tuple[Block, ...], ActuationState]:
+        """Blocks of actuator `a` beside those of the `lead` of its machine, which wants to be on longest."""
+        if a == lead:
+            return led
+        c, (blocks, _) = self.each[a].config, led
+        first_on = bool(blocks[0].u[0])
+        running_s = sum(block.duration_s for block in blocks if block.u[0])
+        wanted_s = level / c.level * step_s + states[a].owed_s if level > 0 else 0.0
+        on_s = min(round(max(wanted_s, 0.0) / c.block_s) * c.block_s, running_s)
+        owed_s = min(max(wanted_s - on_s, -c.block_s), c.block_s)
+        on, off = Block(c.level, on_s), Block(0.0, step_s - on_s)
+        own = tuple(block for block in ((on, off) if first_on else (off, on)) if block.duration_s > _SAME_S)
+        ends_on = bool(own[-1].u[0])
+        state = replace(states[a], on=ends_on, held_s=own[-1].duration_s, owed_s=owed_s, native=False)
+        return own, state
+
+
+def merged(blocks: Sequence[Sequence[Block]]) -> tuple[Block, ...]:
+    """Blocks of single actuators (A,), each sequence of one length in time, as blocks of all."""
+    if len(blocks) == 1:
+        return tuple(blocks[0])
+    ends = sorted({end for one in blocks for end in _ends(one)})
+    instants = [end for i, end in enumerate(ends) if i == 0 or end - ends[i - 1] > _SAME_S]
+    out, start = [], 0.0
+    for end in instants:
+        at = [_at(one, 0.5 * (start + end)) for one in blocks]
+        bands = [block.band_C[0] for block in at]
+        out.append(Block(tuple(block.u[0] for block in at), end - start, bands if any(bands) else None))
+        start = end
+    return tuple(out)
+
+
+def _ends(blocks: Sequence[Block]) -> list[float]:
+    ends, t = [], 0.0
+    for block in blocks:
+        t += block.duration_s
+        ends.append(t)
+    return ends
+
+
+def _at(blocks: Sequence[Block], time_s: float) -> Block:
+    """The block in force at `time_s` from the start of the step."""
+    t = 0.0
+    for block in blocks:
+        t += block.duration_s
+        if time_s < t:
+            return block
+    return blocks[-1]
