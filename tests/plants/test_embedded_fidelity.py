@@ -91,7 +91,8 @@ def test_the_boundary_is_the_test_cases_own(plant, shared):
     ours = plant.forecast(float(real.time.iloc[-1]), 3600)
     pairs = {
         "TDryBul": ours.T_out_C, "HGloHor": ours.solar_W_m2, "Occupancy[1]": ours.occupancy[0],
-        "LowerSetp[1]": ours.lower_C[0], "UpperSetp[1]": ours.upper_C[0], "PriceElectricPowerDynamic": ours.price_per_kWh[0],
+        "LowerSetp[1]": ours.lower_C[0], "UpperSetp[1]": ours.upper_C[0],
+        "PriceElectricPowerDynamic": ours.price_per_kWh[0],
         "EmissionsElectricPower": ours.emission_kg_per_kWh[0],
     }  # fmt: skip
     for column, values in pairs.items():

@@ -10,7 +10,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded.schedule import bounds_C
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, compute_kpis, excess, peak_power
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, compute_kpis, excess, peak_power, zone_kpis
 
 TIME = np.arange(0, 7200 + 1, 30.0)
 
@@ -140,11 +140,15 @@ def test_carriers_add_up_and_zones_are_averaged():
             "cost_tot": 0.02 * 0.3 + 0.06 * 0.05,
             "emis_tot": 0.02 * 0.2 + 0.06 * 0.1,
             "tdis_tot": 2.0,
+            "tdis_tot[a]": 1.0,
+            "tdis_tot[b]": 3.0,
             "idis_tot": 50.0,
             "pele_tot": 0.02,
             "pgas_tot": 0.06,
         }
     )
+    assert zone_kpis(kpis) == pytest.approx({"a": 1.0, "b": 3.0})
+    assert zone_kpis({"tdis_tot": 2.0}) == {}
 
 
 def test_a_hole_in_a_series_is_no_kpi():

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simple_house import SimpleHouse
+from two_houses import TWO, TwoHouses
 
-from thermoforce_mpc.data import CONDITIONS, HOUR_S, Block, Measurement, Names, Period, Plan, PlanStatus, Record
+from thermoforce_mpc.data import HOUR_S, Block, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
 from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
 
@@ -45,9 +45,6 @@ def test_an_unfit_duration_is_replaced_by_one_step_of_native_control(duration):
     assert why
 
 
-TWO = Names(("bath", "hall"), ("radiator", "floor"), ("boiler", "heat pump"))
-
-
 @pytest.mark.parametrize(
     ("block", "told"),
     [
@@ -62,52 +59,6 @@ def test_what_is_wrong_with_one_actuator_refuses_the_plan_for_all(block, told):
     assert blocks == (Block((None, None), HOUR_S),)
     assert re.search(told, why)
     assert checked_blocks(plan(Block((0.5, None), HOUR_S)), HOUR_S, HOUR_S, names=TWO)[1] == ""
-
-
-class TwoHouses:
-    """Two simple houses as the zones of one building; the level of the second is not measured."""
-
-    def __init__(self) -> None:
-        self.houses = (SimpleHouse(), SimpleHouse(T_start_C=19.0))
-        self.info = self.houses[0].info
-
-    def _both(self, parts):
-        def rows(name):
-            return np.array([getattr(part, name)[0] for part in parts])
-
-        u = rows("u") * np.array([1.0, np.nan])
-        first = parts[0]
-        return Measurement(
-            first.time_s,
-            rows("T_zone_C"),
-            first.T_out_C,
-            first.solar_W_m2,
-            u,
-            rows("power_W"),
-            rows("heat_W"),
-            names=TWO,
-        )
-
-    def reset(self, start_s, warmup_s, price="constant"):
-        return self._both([house.reset(start_s, warmup_s, price) for house in self.houses])
-
-    def advance(self, u, duration_s):
-        levels = check_levels(u, duration_s, names=TWO).u
-        return self._both([h.advance(level, duration_s) for h, level in zip(self.houses, levels, strict=True)])
-
-    def forecast(self, horizon_s, interval_s):
-        one = self.houses[0].forecast(horizon_s, interval_s)
-        both = {
-            name: np.repeat(getattr(one, name), 2, axis=0) for name in CONDITIONS if np.ndim(getattr(one, name)) == 2
-        }
-        both["upper_C"] = both["upper_C"] + np.array([[0.0], [1.0]])
-        return replace(one, **both, names=TWO)
-
-    def past(self, step_s):
-        return Record.beginning(self._both([house._measure() for house in self.houses]))
-
-    def kpis(self):
-        return {}
 
 
 def test_every_zone_actuator_and_machine_is_recorded_by_name():

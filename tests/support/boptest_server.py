@@ -209,7 +209,7 @@ class Service:
                 out[name] = plant._tariffs[_PRICES[name]](boundary.time_s).tolist()
             elif name in _FORECAST:
                 attribute, shift = _FORECAST[name]
-                out[name] = (getattr(boundary, attribute) + shift).tolist()
+                out[name] = (np.atleast_2d(getattr(boundary, attribute))[0] + shift).tolist()
             else:
                 raise rejected(f"Invalid forecast point: {name}")
         return out

@@ -25,6 +25,7 @@ from thermoforce_mpc.simulation.comparison.runner import run_cells
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.variants import Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
+from thermoforce_mpc.simulation.display import zone_table
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3
@@ -169,6 +170,9 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
             style = "bold" if row["pareto"] else None
             table.add_row(row["controller"], *(figures[key] for key in _ON_CONSOLE), style=style)
         console.print(table)
+        zones = {row["controller"]: row["zones"] for row in members}
+        if any(zones.values()):
+            console.print(zone_table(zones))
     for text in verdicts(rows):
         console.print(text, soft_wrap=True, markup=False)
     for row in rows:

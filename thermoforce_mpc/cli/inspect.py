@@ -74,14 +74,15 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
     proofs = operator.certificates(n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
     wrong = [f"{actuator} on {zone}" for (zone, actuator), proof in proofs.items() if not proof.certified]
     console.print(
-        f"{name}: {Z} zones, {A} actuators, {len(thermal.machines)} machines; {len(pairs)} pairs with an effect, "
-        f"{operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h"
+        f"{name}: zones: {Z}, actuators: {A}, machines: {len(thermal.machines)}; {len(pairs)} pairs with an effect, "
+        f"{operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h",
+        soft_wrap=True,
     )
     for m, machine in enumerate(thermal.machines):
         fed = [operator.actuators[a] for a, other in enumerate(thermal.machine_of) if other == m]
-        console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}")
+        console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
-    console.print(f"Certificate: {certified}")
+    console.print(f"Certificate: {certified}", soft_wrap=True)
     from thermoforce_mpc.identification.report import step_response_of
     from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 

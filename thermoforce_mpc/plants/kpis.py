@@ -61,7 +61,7 @@ def building_kpis(
 
     Returns:
         `ener_tot` kWh/m², `cost_tot` currency/m², `emis_tot` kg/m², `tdis_tot` K·h, `idis_tot` ppm·h, and `pele_tot`,
-        `pgas_tot`, `pdih_tot` kW/m².
+        `pgas_tot`, `pdih_tot` kW/m². With several zones also `tdis_tot[zone]`, the discomfort of each, K·h.
 
     Raises:
         DataError: arrays differ in length, time does not increase, or a value is not finite.
@@ -82,11 +82,27 @@ def building_kpis(
         totals["emis_tot"] += float(np.trapezoid(kW * supply.emission_kg_per_kWh, hours))
     for name, zones in (("tdis_tot", thermal), ("idis_tot", air_quality)):
         if zones:
-            totals[name] = float(np.mean([np.trapezoid(zone.excess, hours) for zone in zones]))
+            integrals = [float(np.trapezoid(zone.excess, hours)) for zone in zones]
+            totals[name] = float(np.mean(integrals))
+            if name == "tdis_tot" and len(zones) > 1:
+                totals |= _of_each_zone(name, zones, integrals)
     for supply in supplies:
         if supply.carrier in PEAKS:
             totals[PEAKS[supply.carrier]] = peak_power(time_s, supply.power_W) / 1e3 / area_m2
     return totals
+
+
+def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[float]) -> dict[str, float]:
+    """Mean integral of each zone by `name[zone]`; a zone may have several signals."""
+    found: dict[str, list[float]] = {}
+    for zone, integral in zip(zones, integrals, strict=True):
+        found.setdefault(f"{name}[{zone.zone}]", []).append(integral)
+    return {key: float(np.mean(values)) for key, values in found.items()} if len(found) > 1 else {}
+
+
+def zone_kpis(kpis: Mapping[str, float], name: str = "tdis_tot") -> dict[str, float]:
+    """Return the values of the KPI `name` of each zone, by zone; empty for one zone."""
+    return {key[len(name) + 1 : -1]: value for key, value in kpis.items() if key.startswith(f"{name}[")}
 
 
 def _check(values: Array, time_s: Array, name: str) -> None:

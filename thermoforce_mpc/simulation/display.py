@@ -13,7 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
-from thermoforce_mpc.simulation.closed_loop import StepRecord
+from thermoforce_mpc.plants.kpis import zone_kpis
+from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
 from thermoforce_mpc.simulation.identifying import ProbingProgress
 
 Kpis = Callable[[], Mapping[str, float]]
@@ -74,16 +75,27 @@ class LoopDisplay:
 
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
-        mean_u = np.average([s.u_measured for s in record.samples], weights=[s.duration_s for s in record.samples])
+        weights = [sample.duration_s for sample in record.samples]
+        mean_u = np.average([sample.u_measured for sample in record.samples], weights=weights, axis=0)
         line = (
             f"{self._controller}: day {day:5.2f}/{self._period.scored_s / DAY_S:g}"
-            f"  T {last.T_zone_C:5.2f} °C in [{last.lower_C:g}, {last.upper_C:g}]  u {mean_u:4.2f}{self._so_far}"
+            f"  T {_temperatures(last)}  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
         )
         solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
         line += f"  gate {self._gated}" if self._gated else ""
         line += f"  watch {self._watched}" if self._watched else ""
         return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")
+
+
+def _temperatures(sample: Sample) -> str:
+    """Zone temperatures as text: with their bounds for one zone, else by name, with '!' outside the bounds."""
+    bounds = list(zip(sample.T_zone_C, sample.lower_C, sample.upper_C, strict=True))
+    if len(bounds) == 1:
+        ((T, lower, upper),) = bounds
+        return f"{T:5.2f} °C in [{lower:g}, {upper:g}]"
+    named = zip(sample.names.zones, bounds, strict=True)
+    return ", ".join(f"{name} {T:.2f}{'' if low <= T <= high else '!'}" for name, (T, low, high) in named) + " °C"
 
 
 def _so_far(kpis: Mapping[str, float], currency: str) -> str:
@@ -192,8 +204,23 @@ class RunDisplay:
                 ),
             )
         self.console.print(table)
+        zones = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
+        if any(zones.values()):
+            self.console.print(zone_table(zones))
         for name, why in (held or {}).items():
             self.console.print(f"{name}: {why}", soft_wrap=True, markup=False)
+
+
+def zone_table(zones: Mapping[str, Mapping[str, float]]) -> Table:
+    """Discomfort of each zone, one row per controller."""
+    table = Table(title="Discomfort by zone, K·h", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("controller", no_wrap=True)
+    names = list(dict.fromkeys(zone for of in zones.values() for zone in of))
+    for zone in names:
+        table.add_column(zone, justify="right")
+    for controller, of in zones.items():
+        table.add_row(controller, *(f"{of[zone]:.2f}" if zone in of else "–" for zone in names))
+    return table
 
 
 def _cell(key: str, value: float) -> str:

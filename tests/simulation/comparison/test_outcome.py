@@ -85,3 +85,18 @@ def test_the_files_tell_the_same(tmp_path):
     first = (tmp_path / "pareto.svg").read_bytes()
     write_outcome(tmp_path, [*RECORDS, FAILED], name="compare", title="A <title>", currency="EUR")
     assert (tmp_path / "pareto.svg").read_bytes() == first
+
+
+def test_the_discomfort_of_every_zone_is_shown(tmp_path):
+    def with_zones(name: str, bath: float, hall: float) -> dict:
+        found = record(name, 0.6, (bath + hall) / 2, needs_model=False)
+        return found | {"kpis": found["kpis"] | {"tdis_tot[bath]": bath, "tdis_tot[hall]": hall}}
+
+    records = [with_zones("native", 1.25, 0.25), with_zones("thermostat", 0.0, 3.5)]
+    write_outcome(tmp_path, records, name="compare", title="t", currency="EUR")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text())))
+    assert [row["tdis_tot[hall]"] for row in rows] == ["0.25", "3.5"]
+    assert "| native | 1.25 | 0.25 |" in (tmp_path / "table.md").read_text()
+    page = (tmp_path / "comparison.html").read_text()
+    assert "<th>bath</th><th>hall</th>" in page
+    assert "<td>3.50</td>" in page

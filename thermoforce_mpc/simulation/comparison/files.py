@@ -80,7 +80,7 @@ def write_outcome(
             emulated=any(plant.startswith("embedded") for plant in plants),
             plants=plants,
             headings=headings(currency),
-            groups=[(group_title(group), _shown(members)) for group, members in grouped(rows).items()],
+            groups=[(group_title(group), _shown(members), _zones(members)) for group, members in grouped(rows).items()],
             verdicts=says,
             failed=failures(rows),
             plot=Markup(svg),
@@ -121,6 +121,7 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
             front = " (front)" if row["pareto"] else ""
             lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row)) + " |")
         lines.append("")
+        lines += _zone_lines(members)
     lines += ["`*`: best of its table; (front): on the Pareto front of cost and discomfort.", ""]
     lines += [f"- {text}" for text in says]
     lines += [
@@ -129,20 +130,41 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
     return "\n".join(lines) + "\n"
 
 
+def _zone_lines(members: Sequence[Row]) -> list[str]:
+    """Table of the discomfort of each zone in Markdown; nothing for one zone."""
+    zones = _zones(members)
+    if not zones:
+        return []
+    lines = ["| discomfort, K·h | " + " | ".join(zones) + " |", "|---" + "|---:" * len(zones) + "|"]
+    for row in members:
+        cells = [f"{row['zones'][zone]:.2f}" if zone in row["zones"] else "–" for zone in zones]
+        lines.append(f"| {row['controller']} | " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
 def _csv(rows: Sequence[Row]) -> str:
+    zones = dict.fromkeys(f"tdis_tot[{zone}]" for row in rows for zone in row["zones"])
     columns = [
-        "window", "price", "uncertainty", "controller", "status", *KPIS, "best_cost", "best_discomfort", "pareto",
-        "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
+        "window", "price", "uncertainty", "controller", "status", *KPIS, *zones, "best_cost", "best_discomfort",
+        "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(row | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows)
     return text.getvalue()
 
 
+def _zones(members: Sequence[Row]) -> list[str]:
+    """The zones of a group, none where there is one only."""
+    return list(dict.fromkeys(zone for row in members for zone in row["zones"]))
+
+
 def _shown(members: Sequence[Row]) -> list[dict[str, Any]]:
-    return [{"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row)} for row in members]
+    return [
+        {"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row), "zones": row["zones"]}
+        for row in members
+    ]
 
 
 def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from thermoforce_mpc.data import PlanStatus
+from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.bench_result import Target
 from thermoforce_mpc.simulation.comparison.store import DONE
 
@@ -19,7 +20,9 @@ Row = dict[str, Any]
 
 
 def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
-    """One flat row per cell, in the order given; units as in the KPIs of BOPTEST, times in s and ms.
+    """One row per cell, in the order given; units as in the KPIs of BOPTEST, times in s and ms.
+
+    `zones` has the discomfort of each zone by name, K·h; it is empty where there is one zone.
 
     `best_cost`, `best_discomfort` and `pareto` (no other cell dominates it) refer to the cells of one group.
     Failed cells have None for every figure and a `reason`.
@@ -137,6 +140,7 @@ def _row(record: Mapping[str, Any]) -> Row:
         "needs_model": record["needs_model"],
         "status": record["status"],
         **{name: kpis.get(name) for name in KPIS},
+        "zones": zone_kpis(kpis),
         "best_cost": False,
         "best_discomfort": False,
         "pareto": False,

@@ -17,10 +17,11 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
     the scored plan and the later plans that were applied.
 
     Returns:
-        One row per lead time with `hours`, `bias_K` (planned − measured), `rmse_K`, and the number `n` of plans scored.
+        One row per zone and lead time with `zone`, `hours`, `bias_K` (planned − measured), `rmse_K`, and the number `n`
+        of plans scored.
     """
     measured = {round(step.time_s): step.T_zone_C for step in result.steps}
-    rows = []
+    found: dict[tuple[str, float], dict[str, Any]] = {}
     for hours in horizons_h:
         errors = []
         for step in result.steps:
@@ -29,13 +30,13 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
                 continue
             index = round(hours * HOUR_S / step.boundary.step_s) - 1
             later = measured.get(round(step.time_s + hours * HOUR_S))
-            if later is not None and 0 <= index < plan.u.size:
-                errors.append(float(plan.T_zone_C[index]) - later)
-        if errors:
-            error = np.array(errors)
+            if later is not None and 0 <= index < plan.u.shape[-1]:
+                errors.append(plan.T_zone_C[:, index] - later)
+        for zone, error in zip(result.names.zones, np.transpose(errors), strict=False):
             rmse = float(np.sqrt(np.nanmean(error**2)))
-            rows.append({"hours": hours, "bias_K": float(np.nanmean(error)), "rmse_K": rmse, "n": len(errors)})
-    return rows
+            bias = float(np.nanmean(error))
+            found[zone, hours] = {"zone": zone, "hours": hours, "bias_K": bias, "rmse_K": rmse, "n": error.size}
+    return _by_zone(found, result, horizons_h)
 
 
 def free_forecast_scores(
@@ -47,27 +48,36 @@ def free_forecast_scores(
     actions do not affect the score. Plans of the first `settle_h` hours are left out, while corrections adapt.
 
     Returns:
-        One row per lead time with `hours`, `mae_K`, `coverage` (share) and the number `n` of forecasts scored.
+        One row per zone and lead time with `zone`, `hours`, `mae_K`, `coverage` (share) and the number `n` of forecasts
+        scored.
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0
-    rows = []
+    found: dict[tuple[str, float], dict[str, Any]] = {}
     for hours in horizons_h:
         errors, inside = [], []
         for step in result.steps:
-            plan, later = step.plan, came.get(round(step.time_s + hours * HOUR_S), np.nan)
+            plan, later = step.plan, came.get(round(step.time_s + hours * HOUR_S))
             index = round(hours * HOUR_S / step.boundary.step_s) - 1
-            if step.time_s - start_s < settle_h * HOUR_S or not 0 <= index < plan.u.size or not np.isfinite(later):
+            if later is None or step.time_s - start_s < settle_h * HOUR_S or not 0 <= index < plan.u.shape[-1]:
                 continue
-            errors.append(abs(plan.T_free_C[index] - later))
-            inside.append(plan.T_free_low_C[index] <= later <= plan.T_free_high_C[index])
-        if errors:
-            rows.append(
-                {
+            errors.append(np.abs(plan.T_free_C[:, index] - later))
+            inside.append((plan.T_free_low_C[:, index] <= later) & (later <= plan.T_free_high_C[:, index]))
+        for zone, error, covered in zip(result.names.zones, np.transpose(errors), np.transpose(inside), strict=False):
+            known = np.isfinite(error)  # NaN where the zone's sensor was silent
+            if known.any():
+                found[zone, hours] = {
+                    "zone": zone,
                     "hours": hours,
-                    "mae_K": float(np.mean(errors)),
-                    "coverage": float(np.mean(inside)),
-                    "n": len(errors),
+                    "mae_K": float(np.mean(error[known])),
+                    "coverage": float(np.mean(covered[known])),
+                    "n": int(known.sum()),
                 }
-            )
-    return rows
+    return _by_zone(found, result, horizons_h)
+
+
+def _by_zone(
+    found: dict[tuple[str, float], dict[str, Any]], result: RunResult, horizons_h: tuple[float, ...]
+) -> list[dict[str, Any]]:
+    """The rows zone by zone, then by lead time."""
+    return [found[zone, h] for zone in result.names.zones for h in horizons_h if (zone, h) in found]

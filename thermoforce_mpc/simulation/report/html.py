@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup
 
-from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.data import HOUR_S, Names
+from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
 from thermoforce_mpc.simulation.report.plots import actuation_plot, kpi_plot, temperature_plot
@@ -38,6 +39,7 @@ def write_report(
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
     fallen_back = steps.status.isin(["shifted", "thermostat", "guard"])
     events = steps[fallen_back | (steps.refused != "") | (steps.notes != "")]
+    names = result.names
     template = page_environment().get_template("report.html.j2")
     page = template.render(
         kpis=kpis,
@@ -45,15 +47,18 @@ def write_report(
         table=_kpi_rows(everyone, currency),
         controllers=list(everyone),
         gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
-        temperature=Markup(temperature_plot(trajectory, steps, others)),
-        actuation=Markup(actuation_plot(trajectory, currency)),
+        advice=_advice(manifest["identification"]),
+        zones=names.zones if len(names.zones) > 1 else (),
+        actuators=names.actuators if len(names.actuators) > 1 else (),
+        temperature=Markup(temperature_plot(trajectory, steps, others, names)),
+        actuation=Markup(actuation_plot(trajectory, currency, names)),
         comparison=Markup(kpi_plot(everyone, currency)),
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words() for spell in watch_spells(result)],
         events=events.to_dict("records"),
         fallback_levels=result.fallback_levels(),
-        sentences=_sentences(steps),
+        sentences=_sentences(steps, names),
     )
     path = folder / "report.html"
     path.write_text(page, encoding="utf-8")
@@ -79,11 +84,35 @@ def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> lis
         rows.append(
             {"label": label, "unit": unit.format(currency=currency), "key": key, "values": values, "best": best}
         )
+        if key == "tdis_tot":
+            found = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
+            for zone in dict.fromkeys(zone for of in found.values() for zone in of):
+                of_zone = [found[name].get(zone) for name in everyone]
+                best = min((value for value in of_zone if value is not None), default=None)
+                rows.append({"label": f"· {zone}", "unit": unit, "key": key, "values": of_zone, "best": best})
     return rows
 
 
-def _sentences(steps: pd.DataFrame) -> list[dict[Hashable, Any]]:
-    """Reasons of the plans of the first 24 h, one per hour."""
+def _advice(identification: Mapping[str, Any]) -> list[str]:
+    """What the verdicts on the models advise; with several actuators, each by name."""
+    named = identification.get("actuators")
+    if named is None:
+        return list((identification.get("competence") or {}).get("advice", ()))
+    return [f"{name}: {advice}" for name, of in named.items() for advice in (of["competence"] or {}).get("advice", ())]
+
+
+def _sentences(steps: pd.DataFrame, names: Names) -> list[dict[str, Any]]:
+    """Reasons of the plans of the first 24 h, one per hour, with temperatures and levels as text."""
     hour = ((steps.time_s - steps.time_s.iloc[0]) // HOUR_S).astype(int)
-    hourly = steps[~hour.duplicated()]
-    return hourly.head(24)[["time_s", "T_zone_C", "u_planned", "why"]].to_dict("records")
+    hourly = steps[~hour.duplicated()].head(24)
+    T = [names.label("T_zone_C", z) for z in range(len(names.zones))]
+    u = ["u_planned" + names.label("u", a).removeprefix("u") for a in range(len(names.actuators))]
+    return [
+        {
+            "time_s": row["time_s"],
+            "T_zone_C": ", ".join(f"{row[key]:.2f}" for key in T),
+            "u_planned": ", ".join("–" if pd.isna(row[key]) else f"{row[key]:.2f}" for key in u),
+            "why": row["why"],
+        }
+        for row in hourly.to_dict("records")
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -12,74 +12,149 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.data import DAY_S, SINGLE, Names
 
 INK, FREE, FORCED, BAND, QUIET = "#1b1f24", "#228b22", "#b22222", "#dfeaf5", "#8a939c"
 BASELINE_COLOURS = ("#8a6d3b", "#6b5b95", "#3b7a8a", "#a05a7a", "#5a7d3b", "#c47f2c", "#4a5568")
 
 
-def temperature_plot(trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: Mapping[str, pd.DataFrame]) -> str:
-    """Zone temperature and comfort band, °C; below, predicted free response, °C, and forced response, K."""
-    figure = Figure(figsize=(11, 6.2), layout="constrained")
-    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+def temperature_plot(
+    trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: Mapping[str, pd.DataFrame], names: Names = SINGLE
+) -> str:
+    """Zone temperature and comfort band, °C; below, predicted free response, °C, and forced response, K.
+
+    With several zones a row for each, the responses on the right, and the prediction of a step beside what came.
+    """
+    if len(names.zones) == 1:
+        figure = Figure(figsize=(11, 6.2), layout="constrained")
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+        _temperature(top, trajectory, baselines)
+        top.set_ylabel("zone temperature, °C")
+        top.legend(loc="upper center", bbox_to_anchor=(0.5, 1.13), ncols=5, frameon=False)
+        _responses(below, trajectory, steps)
+        below.set_xlabel("day of the scored window")
+        return svg_text(figure)
+    figure = Figure(figsize=(11, 0.6 + 2.3 * len(names.zones)), layout="constrained")
+    axes = figure.subplots(len(names.zones), 2, sharex=True, squeeze=False, width_ratios=[3, 2])
+    for (left, right), zone in zip(axes, names.zones, strict=True):
+        of_zone, planned = _of(trajectory, zone), _of(steps, zone).dropna(subset=["T_free_next_C"])
+        _temperature(left, of_zone, {name: _of(frame, zone) for name, frame in baselines.items()})
+        if len(planned):
+            predicted = (planned.T_free_next_C + planned.T_forced_next_K).astype(float)
+            at = _relative_days(planned.time_s, of_zone)
+            left.plot(at, predicted, color=FORCED, linewidth=0.9, linestyle=":", label="predicted a step before")
+        left.set_title(zone, loc="left", fontsize=10)
+        left.set_ylabel("°C")
+        _responses(right, of_zone, _of(steps, zone))
+    axes[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.12), ncols=5, frameon=False)
+    for axis in axes[-1]:
+        axis.set_xlabel("day of the scored window")
+    return svg_text(figure)
+
+
+def _temperature(axis: Axes, trajectory: pd.DataFrame, baselines: Mapping[str, pd.DataFrame]) -> None:
+    """Temperature of one zone, its comfort band and the temperatures of the baselines."""
     day = _days(trajectory)
-    top.fill_between(
+    axis.fill_between(
         day, trajectory.lower_C, trajectory.upper_C, step="post", color=BAND, linewidth=0, label="comfort band"
     )
     for (name, frame), colour in zip(baselines.items(), BASELINE_COLOURS, strict=False):
-        top.plot(_days(frame, end=True), frame.T_zone_C, color=colour, linewidth=0.8, alpha=0.8, label=name)
-    top.plot(_days(trajectory, end=True), trajectory.T_zone_C, color=INK, linewidth=1.3, label="zone temperature")
+        axis.plot(_days(frame, end=True), frame.T_zone_C, color=colour, linewidth=0.8, alpha=0.8, label=name)
+    axis.plot(_days(trajectory, end=True), trajectory.T_zone_C, color=INK, linewidth=1.3, label="zone temperature")
     T = trajectory.T_zone_C
-    top.set_ylim(min(T.min(), 20) - 0.7, max(T.max(), 24) + 0.7)
-    top.set_ylabel("zone temperature, °C")
-    top.legend(loc="upper center", bbox_to_anchor=(0.5, 1.13), ncols=5, frameon=False)
+    axis.set_ylim(min(T.min(), 20) - 0.7, max(T.max(), 24) + 0.7)
+
+
+def _responses(axis: Axes, trajectory: pd.DataFrame, steps: pd.DataFrame) -> None:
+    """Predicted free and forced response of one zone; where nothing was planned, the outdoor temperature."""
     planned = steps.dropna(subset=["T_free_next_C"])
-    if len(planned):
-        # The first predicted values hold at the end of the plan's step.
-        planned_day = _relative_days(planned.time_s, trajectory)
-        below.plot(planned_day, planned.T_free_next_C, color=FREE, linewidth=1.1, label="free, °C")
-        below.fill_between(
-            planned_day,
-            planned.T_free_low_next_C.astype(float),
-            planned.T_free_high_next_C.astype(float),
-            color=FREE,
-            alpha=0.15,
-            linewidth=0,
-        )
-        below.set_ylabel("free response, °C", color=FREE)
-        forced = below.twinx()
-        forced.plot(planned_day, planned.T_forced_next_K, color=FORCED, linewidth=1.1, label="forced, K")
-        forced.set_ylabel("forced response, K", color=FORCED)
+    if not len(planned):
+        axis.plot(_days(trajectory, end=True), trajectory.T_out_C, color=QUIET, linewidth=1.0)
+        axis.set_ylabel("outdoor, °C")
+        return
+    # The first predicted values hold at the end of the plan's step.
+    planned_day = _relative_days(planned.time_s, trajectory)
+    axis.plot(planned_day, planned.T_free_next_C, color=FREE, linewidth=1.1, label="free, °C")
+    axis.fill_between(
+        planned_day,
+        planned.T_free_low_next_C.astype(float),
+        planned.T_free_high_next_C.astype(float),
+        color=FREE,
+        alpha=0.15,
+        linewidth=0,
+    )
+    axis.set_ylabel("free response, °C", color=FREE)
+    forced = axis.twinx()
+    forced.plot(planned_day, planned.T_forced_next_K, color=FORCED, linewidth=1.1, label="forced, K")
+    forced.set_ylabel("forced response, K", color=FORCED)
+
+
+def actuation_plot(trajectory: pd.DataFrame, currency: str, names: Names = SINGLE) -> str:
+    """Actuator level (below 0: cooling), power, kW, outdoor temperature, °C, irradiance, W/m², and price.
+
+    With several actuators or machines a panel for each, by name.
+    """
+    if len(names.actuators) == len(names.machines) == 1:
+        figure = Figure(figsize=(11, 6.2), layout="constrained")
+        panels = figure.subplots(4, 1, sharex=True)
+        below = panels[-1:]
     else:
-        below.plot(_days(trajectory, end=True), trajectory.T_out_C, color=QUIET, linewidth=1.0)
-        below.set_ylabel("outdoor, °C")
-    below.set_xlabel("day of the scored window")
+        n = len(names.actuators) + 2 * len(names.machines) + 1
+        rows = -(-n // 2)
+        figure = Figure(figsize=(11, 0.4 + 1.6 * rows), layout="constrained")
+        grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
+        panels, below = grid.ravel()[:n], grid[-1]
+        for unused in grid.ravel()[n:]:
+            unused.axis("off")
+    waiting = iter(panels)
+    for name in names.actuators:
+        _level(next(waiting), _of(trajectory, name), _titled("level u", name, names.actuators))
+    for name in names.machines:
+        _power(next(waiting), _of(trajectory, name), _titled("power, kW", name, names.machines))
+    _weather(next(waiting), trajectory)
+    for name in names.machines:
+        _price(next(waiting), _of(trajectory, name), _titled("price", name, names.machines), currency)
+    for axis in below:
+        axis.set_xlabel("day of the scored window")
     return svg_text(figure)
 
 
-def actuation_plot(trajectory: pd.DataFrame, currency: str) -> str:
-    """Actuator level (below 0: cooling), power, kW, outdoor temperature, °C, irradiance, W/m², and price."""
-    figure = Figure(figsize=(11, 6.2), layout="constrained")
-    axes = figure.subplots(4, 1, sharex=True)
-    day = _days(trajectory)
-    hourly = _hourly_means(trajectory)
+def _titled(label: str, name: str, names: Sequence[str]) -> str:
+    return label if len(names) == 1 else f"{label}\n{name}"
+
+
+def _level(axis: Axes, trajectory: pd.DataFrame, label: str) -> None:
     least = float(np.nanmin(trajectory.u_measured)) if trajectory.u_measured.notna().any() else 0.0
-    _steps(axes[0], day, trajectory.u_measured, INK, "level u" if least >= 0 else "level u\n(< 0: cooling)")
-    axes[0].set_ylim(min(least, 0.0) - 0.05, 1.05)
-    axes[1].fill_between(day, trajectory.power_W / 1e3, step="post", color=FORCED, alpha=0.25, linewidth=0)
-    axes[1].plot(hourly.index, hourly.power_W / 1e3, color=FORCED, linewidth=1.1)
-    axes[1].set_ylabel("power, kW\n(line: hourly mean)")
-    axes[2].plot(_days(trajectory, end=True), trajectory.T_out_C, color=QUIET, linewidth=1.1)
-    axes[2].set_ylabel("outdoor, °C")
-    sun = axes[2].twinx()
+    text = label if least >= 0 else f"{label}\n(< 0: cooling)"
+    _steps(axis, _days(trajectory), trajectory.u_measured, INK, text)
+    axis.set_ylim(min(least, 0.0) - 0.05, 1.05)
+
+
+def _power(axis: Axes, trajectory: pd.DataFrame, label: str) -> None:
+    hourly = _hourly_means(trajectory)
+    axis.fill_between(_days(trajectory), trajectory.power_W / 1e3, step="post", color=FORCED, alpha=0.25, linewidth=0)
+    axis.plot(hourly.index, hourly.power_W / 1e3, color=FORCED, linewidth=1.1)
+    axis.set_ylabel(f"{label}\n(line: hourly mean)")
+
+
+def _weather(axis: Axes, trajectory: pd.DataFrame) -> None:
+    axis.plot(_days(trajectory, end=True), trajectory.T_out_C, color=QUIET, linewidth=1.1)
+    axis.set_ylabel("outdoor, °C")
+    sun = axis.twinx()
     sun.fill_between(_days(trajectory, end=True), trajectory.solar_W_m2, color="#e6b800", alpha=0.4, linewidth=0)
     sun.set_ylabel("sun, W/m²")
-    _steps(axes[3], day, trajectory.price_per_kWh, INK, f"price,\n{currency}/kWh")
+
+
+def _price(axis: Axes, trajectory: pd.DataFrame, label: str, currency: str) -> None:
+    _steps(axis, _days(trajectory), trajectory.price_per_kWh, INK, f"{label},\n{currency}/kWh")
     low, high = trajectory.price_per_kWh.min(), trajectory.price_per_kWh.max()
     room = max(0.1 * (high - low), 0.01)
-    axes[3].set_ylim(min(low, 0) - room if low < 0 else low - room, high + room)
-    axes[3].set_xlabel("day of the scored window")
-    return svg_text(figure)
+    axis.set_ylim(min(low, 0) - room if low < 0 else low - room, high + room)
+
+
+def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The frame with the columns of a zone, actuator or machine, `signal[name]`, under the signals' names."""
+    return frame.rename(columns=lambda column: str(column).removesuffix(f"[{name}]"))
 
 
 def kpi_plot(kpis: Mapping[str, Mapping[str, float]], currency: str) -> str:

@@ -1,0 +1,72 @@
+"""`tf-mpc inspect` of a building with several zones: every actuator, machine and pair by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.simulation.identifying import may_act
+from thermoforce_mpc.simulation.run import _origin
+
+GOOD = Competence(True, effect_K=2.0, effect_sd_K=0.2)
+POOR = Competence(False, ("too weak",), ("hold full level",), effect_K=2.0, effect_sd_K=2.0)
+
+
+def card(verdict: Competence) -> ModelCard:
+    known = {f"step_response_{h}h_K": 0.1 * h for h in (1, 2, 4, 8, 12, 24, 48)}
+    sds = {f"step_response_{h}h_sd_K": 0.01 * h for h in (1, 2, 4, 8, 12, 24, 48)}
+    return ModelCard(source="3 days of probing", uncertainty=known | sds, competence=verdict)
+
+
+def building(*verdicts: Competence) -> ThermalModel:
+    """The radiator heats the bath and, less, the hall; the floor heats the hall alone; one boiler feeds both."""
+    own = linear_operator(np.array([0.9]), np.array([0.4]), step_s=3600.0)
+    less = replace(own, gains=0.25 * own.gains)
+    operator = BuildingOperator(("bath", "hall"), ("radiator", "floor"), ((own, None), (less, own)), (0, 1))
+    power = PowerModel(MachineLoad((100.0, 0.0, 900.0, 0.0), (-20.0, 30.0), lowest_level=1.0))
+    return ThermalModel(
+        operator, (power,), (None, None), tuple(card(v) for v in verdicts), ("boiler",), (0, 0), (0.5, 0.5)
+    )
+
+
+def test_every_actuator_machine_and_pair_is_told(tmp_path):
+    folder = building(GOOD, POOR).save(tmp_path / "model")
+    done = CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False)
+    assert done.exit_code == 0
+    told = done.output
+    assert "zones: 2, actuators: 2, machines: 1; 3 pairs with an effect" in told
+    assert "boiler feeds radiator, floor" in told
+    assert "every pair CERTIFIED" in told
+    bath, hall = (line for line in told.splitlines() if line.lstrip("│ ").startswith(("bath", "hall")))
+    assert "no effect" in bath
+    assert "4.80 (4.01 to 5.59)" in bath
+    assert hall.count("(") == 1, "the radiator's effect on the hall has no band on its card"
+    for head in ("radiator in bath", "floor in hall"):
+        assert head in told
+    assert told.count("Power of boiler:") == 1
+    assert told.index("Competence: COMPETENT") < told.index("floor in hall") < told.index("BELOW THE BAR")
+
+
+@pytest.mark.parametrize(("verdicts", "may"), [((GOOD, GOOD), True), ((GOOD, POOR), False), ((POOR, GOOD), False)])
+def test_a_model_acts_only_if_all_its_cards_are_competent(verdicts, may):
+    assert may_act(building(*verdicts)) == may
+
+
+def test_the_manifest_tells_of_every_actuator():
+    origin = _origin(building(GOOD, POOR))
+    assert {name: of["competence"]["competent"] for name, of in origin["actuators"].items()} == {
+        "radiator": True,
+        "floor": False,
+    }
+    assert origin["pairs"] == 3
