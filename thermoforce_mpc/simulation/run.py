@@ -311,10 +311,11 @@ def _follow(
 
 
 def _weight_hash(controller: Controller) -> str | None:
-    """Hash of the forecaster's weights, where the controller has a forecaster with weights."""
-    free = getattr(getattr(controller, "predictor", None), "free_response", None)
-    weight_hash = getattr(free, "weight_hash", None)
-    return weight_hash() if weight_hash else None
+    """Hash of the forecasters' weights, where the controller has any with weights; each different one once."""
+    methods = getattr(getattr(controller, "predictor", None), "free_responses", ())
+    different = {id(method): method for method in methods}.values()
+    hashes = [method.weight_hash() for method in different if hasattr(method, "weight_hash")]
+    return " ".join(dict.fromkeys(hashes)) or None
 
 
 def _frozen(controller: Controller, before: str | None) -> dict[str, Any]:

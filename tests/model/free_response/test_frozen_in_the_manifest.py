@@ -20,7 +20,7 @@ def test_hashes_before_and_after_are_equal_unless_a_weight_changed(
     import torch
 
     free_response = build_free_response(name, backbone=str(bolt_folder), calibrate=calibrate)
-    controller = SimpleNamespace(predictor=SimpleNamespace(free_response=free_response))
+    controller = SimpleNamespace(predictor=SimpleNamespace(free_responses=(free_response, free_response)))
     before = _weight_hash(controller)
     assert before is not None
     free = 15 + 2 * (hours(200) % 24 > 12)
