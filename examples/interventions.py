@@ -18,7 +18,7 @@ predictor = Predictor(model.operator, build_free_response("chronos"))
 context = predictor.context(Observation(plant.past(HOUR_S), plant.forecast(DAY_S, HOUR_S)))
 
 off, one_hour = np.zeros(24), np.eye(24)[0]
-print("One hour of full heat changes the zone by (K):", np.round(context.effect(one_hour, off)[[0, 3, 11, 23]], 3))
+print("One hour of full heat changes the zone by (K):", np.round(context.effect(one_hour, off)[0, [0, 3, 11, 23]], 3))
 levels = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-for level, T in zip(levels, context.counterfactuals(levels).total_C, strict=True):
+for level, T in zip(levels, context.counterfactuals(levels).total_C[:, 0], strict=True):
     print(f"u = {level:.2f} all day: {T[5]:6.2f} °C in 6 h, {T[23]:6.2f} °C in 24 h")

@@ -51,7 +51,7 @@ def on_the_emulator() -> Situation:
     plant.reset(window.start_s, window.warmup_s)
     observation = Observation(plant.past(HOUR_S), plant.forecast(DAY_S, HOUR_S))
     u = np.repeat(np.random.default_rng(3).choice(LEVELS, 8), 3)
-    truth = np.array([plant.advance(float(level), HOUR_S).T_zone_C for level in u])
+    truth = np.array([plant.advance(float(level), HOUR_S).T_zone_C[0] for level in u])
     return Situation(model, observation, u, truth, f"embedded plant, {plant.info.weather}")
 
 
@@ -66,7 +66,7 @@ def on_a_record(folder: Path) -> Situation:
     now = 10 * 24
     ahead = run.slice(now, now + 24)
     observation = Observation(run.slice(0, now), ahead.weather())
-    return Situation(model, observation, ahead.u, ahead.T_zone_C[1:], found[0].name)
+    return Situation(model, observation, ahead.u[0], ahead.T_zone_C[0, 1:], found[0].name)
 
 
 def main() -> None:
@@ -79,26 +79,27 @@ def main() -> None:
     forecaster = build_free_response("chronos")
     predictor = Predictor(situation.model.operator, forecaster)
     context = predictor.context(situation.observation)
-    raw_C = forecaster.forecast(history.T_zone_C, history, boundary).median_C
+    raw_C = forecaster.forecast(history.T_zone_C[0], history, boundary).median_C
     predicted = context.predict(situation.u)
     fan = context.counterfactuals(LEVELS)
 
+    free_C = predictor.free_history(history)[0, -SHOWN_H - 1 :]
     past_h = (history.time_s - history.time_s[-1])[-SHOWN_H - 1 :] / HOUR_S
     ahead_h = np.arange(1, boundary.n_steps + 1)
     options.out.mkdir(parents=True, exist_ok=True)
 
     figure = Figure(figsize=(9, 6), layout="constrained")
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
-    top.plot(past_h, history.T_zone_C[-SHOWN_H - 1 :], color=TRUTH, label="measured")
-    top.plot(past_h, predictor.free_history(history)[-SHOWN_H - 1 :], color=FREE, label="free: measured minus forced")
+    top.plot(past_h, history.T_zone_C[0, -SHOWN_H - 1 :], color=TRUTH, label="measured")
+    top.plot(past_h, free_C, color=FREE, label="free: measured minus forced")
     top.plot(ahead_h, situation.truth_C, color=TRUTH)
-    top.plot(ahead_h, predicted.free_C, color=FREE, linestyle=":", label="free, forecast")
-    top.plot(ahead_h, predicted.total_C, color=FORCED, label="free + forced, forecast")
+    top.plot(ahead_h, predicted.free_C[0], color=FREE, linestyle=":", label="free, forecast")
+    top.plot(ahead_h, predicted.total_C[0], color=FORCED, label="free + forced, forecast")
     top.plot(ahead_h, raw_C, color=RAW, linestyle="--", label="forecaster alone")
     top.axvline(0, color=RAW, linewidth=0.8)
     top.set_ylabel("°C")
     top.legend(frameon=False, ncols=2)
-    below.stairs(history.u[-SHOWN_H:], past_h, fill=True, color=RAW, alpha=0.5)
+    below.stairs(history.u[0, -SHOWN_H:], past_h, fill=True, color=RAW, alpha=0.5)
     below.stairs(situation.u, np.append(0, ahead_h), fill=True, color=FORCED, alpha=0.5)
     below.set(ylabel="u", ylim=(0, 1.05), xlabel="hours from now")
     top.set_title(situation.name)
@@ -106,7 +107,7 @@ def main() -> None:
 
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     axes = figure.subplots()
-    for level, T, tone in zip(LEVELS, fan.total_C, np.linspace(0.25, 1.0, LEVELS.size), strict=True):
+    for level, T, tone in zip(LEVELS, fan.total_C[:, 0], np.linspace(0.25, 1.0, LEVELS.size), strict=True):
         axes.plot(ahead_h, T, color=(0.7 * tone, 0.13, 0.5 * (1 - tone) + 0.1), label=f"u = {level:g}")
     axes.plot(ahead_h, raw_C, color=RAW, linestyle="--", label="forecaster alone")
     axes.set(xlabel="hours from now", ylabel="°C", title=situation.name)
@@ -117,8 +118,8 @@ def main() -> None:
         return float(np.sqrt(np.mean((forecast - situation.truth_C) ** 2)))
 
     print(f"{situation.name}: forecast of one day with known actions and weather")
-    print(f"RMSE over 24 h: free + forced {rmse(predicted.total_C):.2f} K, forecaster alone {rmse(raw_C):.2f} K")
-    spread = fan.total_C[-1] - fan.total_C[0]
+    print(f"RMSE over 24 h: free + forced {rmse(predicted.total_C[0]):.2f} K, forecaster alone {rmse(raw_C):.2f} K")
+    spread = fan.total_C[-1, 0] - fan.total_C[0, 0]
     print(f"effect of u = 1 against u = 0: {spread[5]:.1f} K after 6 h, {spread[23]:.1f} K after 24 h")
     print(f"figures: {options.out / 'decomposition.png'}, {options.out / 'counterfactuals.png'}")
 

@@ -15,5 +15,5 @@ history = plant.past(controller.step_s)
 plan = controller.plan(Observation(history, plant.forecast(controller.horizon_s, controller.step_s)))
 
 print(f"{plan.status}: {plan.why}")
-for hour, (u, free, forced) in enumerate(zip(plan.u, plan.T_free_C, plan.T_forced_K, strict=True), start=1):
+for hour, (u, free, forced) in enumerate(zip(plan.u[0], plan.T_free_C[0], plan.T_forced_K[0], strict=True), start=1):
     print(f"+{hour:2d} h  u {u:4.2f}   free {free:6.2f} °C + forced {forced:5.2f} K = {free + forced:6.2f} °C")

@@ -121,8 +121,8 @@ def test_bounds_must_hold_the_identified_gain():
 def test_gaps_are_bridged_and_a_block_full_of_them_is_not_looked_at(model, measured, name):
     run = _degrading(measured, days=6.0)
     values = np.array(getattr(run, name))
-    values[[3, 40]] = np.nan
-    values[72:84] = np.nan
+    values[..., [3, 40]] = np.nan
+    values[..., 72:84] = np.nan
     adaptation = OnlineAdaptation(model, ON)
     whole = adaptation.update(None, run)
     holed = adaptation.update(None, replace(run, **{name: values}))

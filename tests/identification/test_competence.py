@@ -107,7 +107,7 @@ def test_what_cannot_be_judged_is_not_judged():
 
     pairs_only = identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=LINEAR, floor_area_m2=190.0)
     assert pairs_only.only.card.competence is None
-    assert ThermalModel.single(pairs_only.only.operator).card.competence is None
+    assert ThermalModel.single(pairs_only.only.operator).only.card.competence is None
 
 
 def test_well_known_is_more_than_competent():

@@ -47,7 +47,8 @@ def test_without_priors_of_the_building_thirty_days_are_enough():
 def test_pairs_find_time_constants_and_gains():
     pairs = [make_pair(HOUSE, seed) for seed in range(6)]
     model = identify(pairs=pairs, config=LINEAR, floor_area_m2=190.0)
-    np.testing.assert_allclose(model.only.operator.time_constants_h, HOUSE.tau_h, rtol=0.15)  # the prior is centred at 50 h
+    found = model.only.operator.time_constants_h
+    np.testing.assert_allclose(found, HOUSE.tau_h, rtol=0.15)  # the prior is centred at 50 h
     rmse, effect = effect_rmse(model, HOUSE)
     assert rmse < 0.01 * effect
     assert model.only.free is None
@@ -72,7 +73,7 @@ def test_feedback_does_not_turn_the_effect_around():
     n = round(days * 96)
     u = np.zeros(n)
     for _ in range(30):  # fixed point of the loop thermostat -> temperature -> thermostat, hour by hour
-        T = record(HOUSE, days, step_s, seed=3, u=u).T_zone_C
+        T = record(HOUSE, days, step_s, seed=3, u=u).T_zone_C[0]
         wanted = np.repeat((T[:-1:4] < 19.0) * 1.0, 4)
         wrong = np.flatnonzero(wanted != u)
         if wrong.size == 0:
@@ -165,7 +166,7 @@ def _changed(**arrays) -> Record:
 
 def _at(index, value):
     def put(array):
-        array[index] = value
+        array[..., index] = value
         return array
 
     return put
@@ -198,7 +199,7 @@ def _with_gaps(signal: str, *places: slice) -> Record:
     history = record(HOUSE, 4.0, noise_K=0.01)
     values = np.array(getattr(history, signal))
     for place in places:
-        values[place] = np.nan
+        values[..., place] = np.nan
     return replace(history, **{signal: values})
 
 
@@ -316,9 +317,9 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
 
     def steep(*args, **kwargs):
         result = trained(*args, **kwargs)
-        weights = np.zeros_like(result.only.operator.hidden_weight)
+        weights = np.zeros_like(result.operator.hidden_weight)
         weights[:, 0] = 40.0
-        operator = replace(result.only.operator, hidden_weight=weights, output_weight=np.full(32, -10.0))
+        operator = replace(result.operator, hidden_weight=weights, output_weight=np.full(32, -10.0))
         return replace(result, operator=operator, linear_residuals=np.ones(9), residuals=np.linspace(0, 0.1, 9))
 
     monkeypatch.setattr(training, "train", steep)

@@ -29,7 +29,7 @@ def test_a_run_that_is_cut_short_does_not_turn_the_next_one_down():
 def test_probing_with_a_trial_holds_few_intermediate_levels():
     def levels(**options):
         config = ProbingConfig(design="random", warmup_days=0.0, margin_K=20.0, **options)
-        return probe(SimpleHouse(), 20 * DAY_S, 2.0, seed=3, config=config).u
+        return probe(SimpleHouse(), 20 * DAY_S, 2.0, seed=3, config=config).u[0]
 
     plain, tried = levels(), levels(trial_level=0.5)
     assert set(plain) == {0.0, 1.0}

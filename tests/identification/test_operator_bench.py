@@ -57,7 +57,8 @@ def reference(tmp_path_factory):
             row = {"pair": number, "start_day": day, "kind": "random", "h0": 2, "hour": hour}
             for side, run in runs.items():
                 k = first + hour
-                row |= {f"u{side}": run.u[0, k], f"T{side}_start": run.T_zone_C[0, k], f"T{side}_end": run.T_zone_C[0, k + 1]}
+                start_C, end_C = run.T_zone_C[0, k : k + 2]
+                row |= {f"u{side}": run.u[0, k], f"T{side}_start": start_C, f"T{side}_end": end_C}
                 row |= {f"Q{side}_W": run.heat_W[0, k], f"P{side}_W": run.power_W[0, k]}
             rows.append(row)
     pd.DataFrame(rows).to_csv(folder / "pairs" / "pairs_1h.csv.gz", index=False)

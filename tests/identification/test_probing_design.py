@@ -79,7 +79,7 @@ def test_pairs_share_start_and_weather_and_identify(plant):
     pairs = [probe_pair(plant, day * DAY_S, 1.25, seeds=(day, day + 500), config=config) for day in (20, 50, 80)]
     for pair in pairs:
         np.testing.assert_array_equal(pair.a.T_out_C, pair.b.T_out_C)
-        assert pair.a.T_zone_C[0] == pair.b.T_zone_C[0]
+        assert pair.a.T_zone_C[0, 0] == pair.b.T_zone_C[0, 0]
         assert np.abs(pair.a.u[0] - pair.b.u[0]).max() > 0.4
         assert np.abs(pair.a.T_zone_C[0] - pair.b.T_zone_C[0]).max() > 0.3
     model = identify(pairs=pairs, config=IdentificationConfig(modulation="linear"), floor_area_m2=192.0)

@@ -135,12 +135,14 @@ def test_actions_of_the_wrong_sign_are_refused_as_by_the_joint_method(with_pairs
             identify(runs, pairs, config=IdentificationConfig(method=method, modulation="linear"))
         messages.append(str(refused.value))
     assert all("check the sign of u" in message for message in messages)
-    assert identify(runs, pairs, config=IdentificationConfig(method="two_stage"), mode="cooling").only.operator.sign == -1
+    found = identify(runs, pairs, config=IdentificationConfig(method="two_stage"), mode="cooling")
+    assert found.only.operator.sign == -1
 
 
 def test_actions_without_any_effect_are_refused():
     run = arx_run(noise_K=0.01)
-    idle = replace(run, u=random_levels(run.n_steps, 77, hold=5), T_zone_C=arx_run(0.0 * run.u[0], noise_K=0.01).T_zone_C)
+    still = arx_run(0.0 * run.u[0], noise_K=0.01)
+    idle = replace(run, u=random_levels(run.n_steps, 77, hold=5), T_zone_C=still.T_zone_C)
     for mode in ("heating", "cooling"):
         with pytest.raises(DataError, match=f"no effect of the actuator with the sign of {mode}"):
             identify([idle], config=IdentificationConfig(method="two_stage"), mode=mode)

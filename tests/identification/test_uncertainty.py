@@ -84,8 +84,8 @@ def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
     record_ = record(HOUSE, 3.0, seed=0, noise_K=0.01)
     found = rollouts(models[0], record_)
     assert found.rmse_K < 0.6
-    assert np.isnan(found.predicted_C[:48]).all()
-    assert np.isfinite(found.predicted_C[49:]).all()
+    assert np.isnan(found.predicted_C[0, :48]).all()
+    assert np.isfinite(found.predicted_C[0, 49:]).all()
     for name in ("a.png", "b.png"):
         plot_identification(tmp_path / name, models[0], record_)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

@@ -22,7 +22,7 @@ def _runs(n: int):
 
 def test_same_as_one_after_another():
     runs = list(_runs(12))
-    T = np.array(runs[3].T_zone_C)
+    T = np.array(runs[3].T_zone_C[0])
     T[10:14] = np.nan
     runs[3] = replace(runs[3], T_zone_C=T)
     for together, alone in zip(fit_two_stage_many(runs), (fit_two_stage([run]) for run in runs), strict=True):

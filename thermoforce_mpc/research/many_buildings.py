@@ -112,10 +112,10 @@ def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Ar
     u = np.zeros((len(runs), n))
     for i, run in enumerate(runs):
         m = run.n_steps
-        sampled[0, i, : m + 1] = run.T_zone_C
+        sampled[0, i, : m + 1] = run.T_zone_C[0]
         sampled[1, i, : m + 1] = run.T_out_C
         sampled[2, i, : m + 1] = run.solar_W_m2
-        u[i, :m] = run.u
+        u[i, :m] = run.u[0]
     T, weather = sampled[0], sampled[1:]
     kept = np.isfinite(T[:, :-1]) & np.isfinite(T[:, 1:])
     T_out, solar = 0.5 * (weather[..., :-1] + weather[..., 1:])

@@ -28,8 +28,8 @@ def record(path, shift_K: float) -> None:
     rows = []
     for k in range(96):
         m = plant.advance(float(k % 8 < 4), 900)
-        power = {"reaPHeaPum_y": m.power_W, "reaPFan_y": 0.0, "reaPPumEmi_y": 0.0}
-        rows.append({"time": m.time_s, "reaTZon_y": m.T_zone_C + shift_K, "oveHeaPumY_u": float(k % 8 < 4)} | power)
+        power = {"reaPHeaPum_y": m.power_W[0], "reaPFan_y": 0.0, "reaPPumEmi_y": 0.0}
+        rows.append({"time": m.time_s, "reaTZon_y": m.T_zone_C[0] + shift_K, "oveHeaPumY_u": float(k % 8 < 4)} | power)
     pd.DataFrame(rows).to_csv(path, index=False)
 
 
@@ -56,7 +56,7 @@ def record_hourly_pair(path, shift_K: float) -> None:
         plant.restore(here)
         levels = [0.0, boost, 0.0, 0.0]
         sides[f"u{side}"] = levels
-        sides[f"T{side}_end"] = [plant.advance(u, 3600).T_zone_C for u in levels]
+        sides[f"T{side}_end"] = [plant.advance(u, 3600).T_zone_C[0] for u in levels]
     table = pd.DataFrame({"pair": 0, "start_day": 10, "hour": range(4)} | sides)
     table["TB_end"] += shift_K
     table.to_csv(path, index=False)
@@ -130,8 +130,8 @@ def test_processes_and_their_number_leave_no_trace_in_the_results():
     one, two = (run_in_processes(weather, [0.3, 0.9, 0.3], 2, n) for n in (1, 2))
     plant = EmbeddedPlant(weather)
     for level, alone, beside in zip((0.3, 0.9, 0.3), one, two, strict=True):
-        start = plant.reset(0.0, 0.0).T_zone_C
-        here = np.array([start, *(plant.advance(level, 3600.0).T_zone_C for _ in range(48))])
+        start = plant.reset(0.0, 0.0).T_zone_C[0]
+        here = np.array([start, *(plant.advance(level, 3600.0).T_zone_C[0] for _ in range(48))])
         assert here.tobytes() == alone.tobytes() == beside.tobytes()
 
 

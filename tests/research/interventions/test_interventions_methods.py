@@ -91,7 +91,7 @@ def test_ours_find_the_effect_with_its_sign_and_without_violations(climate, trai
 
 
 def test_two_states_find_the_time_constants_and_gains_of_the_zone(training):
-    found = build_thermoforce(training, FREE, orders=(2,), modulation="linear").model.operator
+    found = build_thermoforce(training, FREE, orders=(2,), modulation="linear").model.only.operator
     assert found.time_constants_h == pytest.approx([1.2, 20.0], rel=0.15)
     assert found.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
 
@@ -117,7 +117,7 @@ def test_a_curve_is_found_where_there_is_one(training):
     levels = np.linspace(0.0, 1.0, 4001)
 
     def bent(record):
-        return replace(record, u=np.interp(record.u, curved(levels, 0.8), levels))
+        return replace(record, u=np.interp(record.u[0], curved(levels, 0.8), levels))
 
     pair = Pair(bent(training.probe.pair.a), bent(training.probe.pair.b))
     windows = [
@@ -129,7 +129,7 @@ def test_a_curve_is_found_where_there_is_one(training):
         replace(training, probe=probe, validation=windows), FREE, orders=(2,), modulation="linear", exponents=EXPONENTS
     )
     assert predictor.exponent == 0.8
-    assert predictor.model.operator.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
+    assert predictor.model.only.operator.steady_gains_K == pytest.approx(GAINS_K, rel=0.1)
 
 
 def test_choosing_by_effects_alone_is_choosing_by_the_whole_prediction(climate, training):
@@ -222,11 +222,11 @@ def test_the_forecaster_is_asked_each_question_once_and_answers_as_before(climat
     remembering = Remembering(inner)
     one, two = climate.part("test")[:2]
     for w in (one, two, one):
-        answer = remembering.forecast(w.history.T_zone_C, w.history, w.boundary)
-        again = FREE.forecast(w.history.T_zone_C, w.history, w.boundary)
+        answer = remembering.forecast(w.history.T_zone_C[0], w.history, w.boundary)
+        again = FREE.forecast(w.history.T_zone_C[0], w.history, w.boundary)
         assert answer.quantiles_C.tobytes() == again.quantiles_C.tobytes()
     assert inner.asked == 2
-    remembering.forecast(one.history.T_zone_C + 1e-9, one.history, one.boundary)
+    remembering.forecast(one.history.T_zone_C[0] + 1e-9, one.history, one.boundary)
     assert inner.asked == 3
 
 

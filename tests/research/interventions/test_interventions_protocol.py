@@ -85,5 +85,5 @@ def test_steps_are_cut_with_the_samples_at_both_their_ends():
     part = record.slice(8, 12)
     assert part.n_steps == 4
     assert part.time_s[0] == record.time_s[8]
-    assert (part.u == record.u[8:12]).all()
-    assert part.T_zone_C[-1] == record.T_zone_C[12]
+    assert (part.u[0] == record.u[0, 8:12]).all()
+    assert part.T_zone_C[0, -1] == record.T_zone_C[0, 12]

@@ -25,13 +25,13 @@ def test_a_shift_of_the_set_point_changes_nothing_before_it_and_heats_after():
     moved = setpoint.copy()
     moved[132:148] += 2.0  # the second day, 09:00 to 13:00
     plain, shifted = simulate_all([OfficeJob(21, setpoint), OfficeJob(21, moved)], run=simulate_office, workers=2)
-    assert plain.T_zone_C[:133].tobytes() == shifted.T_zone_C[:133].tobytes()
-    assert plain.u[:132].tobytes() == shifted.u[:132].tobytes()
-    effect = shifted.T_zone_C[133:149] - plain.T_zone_C[133:149]
+    assert plain.T_zone_C[0, :133].tobytes() == shifted.T_zone_C[0, :133].tobytes()
+    assert plain.u[0, :132].tobytes() == shifted.u[0, :132].tobytes()
+    effect = shifted.T_zone_C[0, 133:149] - plain.T_zone_C[0, 133:149]
     assert effect[4:].min() > 0.5
     assert effect.max() < 2.1
-    assert shifted.heat_W[132:148].sum() > plain.heat_W[132:148].sum() + 1e4
-    assert plain.u == pytest.approx((plain.heat_W - RANGE_W[0]) / (RANGE_W[1] - RANGE_W[0]))
+    assert shifted.heat_W[0, 132:148].sum() > plain.heat_W[0, 132:148].sum() + 1e4
+    assert plain.u[0] == pytest.approx((plain.heat_W[0] - RANGE_W[0]) / (RANGE_W[1] - RANGE_W[0]))
 
 
 def test_only_run_period_step_and_reports_of_the_shipped_building_are_changed():

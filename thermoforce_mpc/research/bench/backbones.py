@@ -104,17 +104,17 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
     raw, composed, milliseconds = [], [], []
     weather: list[Array] = []
     residual = ResidualFreeResponse(backbone)
-    learned: object = None
+    learned: tuple[object, ...] = ()
     for origin in building.origins:
         observation, u, truth = _instant(building, origin)
         history, boundary = observation.history, observation.boundary
         began = time.perf_counter()
-        alone = backbone.forecast(history.T_zone_C, history, boundary).median_C
+        alone = backbone.forecast(history.T_zone_C[0], history, boundary).median_C
         milliseconds.append((time.perf_counter() - began) * 1e3)
         raw.append(alone - truth)
         composed.append(Predictor(building.model.operator, backbone).context(observation).predict(u).total_C[0] - truth)
         context = Predictor(building.model.operator, residual).context(observation, PredictorState(free=learned))
-        learned = context.state.free if context.state else None
+        learned = context.state.free if context.state else ()
         weather.append(context.predict(u).total_C[0] - truth)
     row = {
         "backbone": name,
@@ -135,7 +135,7 @@ def _instant(building: Building, origin: int) -> tuple[Observation, Array, Array
     record, n = building.record, building.horizon
     first = max(0, origin - round(_CONTEXT_DAYS * DAY_S / record.step_s))
     ahead = record.slice(origin, origin + n)
-    return Observation(record.slice(first, origin), ahead.weather()), ahead.u[None], ahead.T_zone_C[1:]
+    return Observation(record.slice(first, origin), ahead.weather()), ahead.u, ahead.T_zone_C[0, 1:]
 
 
 def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], None]) -> list[Building]:

@@ -129,7 +129,7 @@ def run_case(case: Case) -> Outcome:
     except ThermoForceError as error:
         return Outcome(case, failed=f"{type(error).__name__}: {error}", seconds=time.perf_counter() - began)
     found = done.models.get(CONTROLLER)
-    verdict = None if found is None else found.card.competence
+    verdict = None if found is None else found.only.card.competence
     words = "none" if found is None else verdict.in_words() if verdict else "not judged"
     return Outcome(case, done.kpis, done.result.fallback_levels(), words, seconds=time.perf_counter() - began)
 

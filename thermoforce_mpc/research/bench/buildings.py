@@ -173,7 +173,7 @@ def run_case(case: Case) -> Outcome:
         except DataError as error:
             refused = str(error)
         else:
-            scores = {name: float(value) for name, value in model.card.scores.items()}
+            scores = {name: float(value) for name, value in model.only.card.scores.items()}
             statuses = follow(CONTROLLER, model).fallback_levels()
         for name in (THERMOSTAT, NATIVE):
             follow(name)

@@ -63,7 +63,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     mpc, recorder, result = _recorded(days=1.0 if quick else 14.0)
     every = max(1, len(recorder.problems) // (_QUICK_INSTANCES if quick else _INSTANCES))
     problems = [without_extras(problem) for problem in recorder.problems[::every]]
-    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._base.building, progress)
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._base.operator, progress)
     rows = [_solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
     return bench_result("controller", rows, _targets(rows, result))
@@ -73,7 +73,7 @@ def _contestants(
     mpc: ThermoForceMPC, example: MPCProblem, progress: Callable[[str], None]
 ) -> dict[str, Callable[[MPCProblem], Array]]:
     """Every solver by name, built for problems like `example`; default move blocking is a separate entry."""
-    operator, config = mpc._base.building, MPCConfig()
+    operator, config = mpc._base.operator, MPCConfig()
     free = ProblemShape(every_step(example.n_steps), example.machinery)
     blocked = replace(
         free,
@@ -89,8 +89,8 @@ def _contestants(
         _IPOPT: _levels(IpoptSolver(operator, free, config.ipopt)),
     }
     try:
-        solvers[_PEER] = DoMpcPeer(mpc._base.operator, example, gain_beforehand=False).solve
-        solvers[_HELPED_PEER] = DoMpcPeer(mpc._base.operator, example, gain_beforehand=True).solve
+        solvers[_PEER] = DoMpcPeer(operator.of_actuator(0), example, gain_beforehand=False).solve
+        solvers[_HELPED_PEER] = DoMpcPeer(operator.of_actuator(0), example, gain_beforehand=True).solve
     except ConfigError as error:
         progress(str(error))
     return solvers

@@ -106,7 +106,7 @@ class DoMpcPeer:
         self._guessed = False
 
     def solve(self, problem: MPCProblem) -> Array:
-        """Solve one instance, including all set-up that do-mpc needs per step; returns levels (N,) of the only actuator."""
+        """Solve one instance, with all set-up that do-mpc needs per step; returns the only actuator's levels (N,)."""
         p, highest = problem, float(problem.machinery.u_max[0])
         full, features = np.full(self._n, highest), p.features[0]
         drive = self._operator.drive(full, features) / highest

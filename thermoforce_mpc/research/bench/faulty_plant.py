@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
 
 Fault = Literal["none", "weak", "window", "sensor", "stuck", "overridden"]
@@ -48,7 +49,7 @@ class FaultyPlant:
         """
         self.plant, self.fault, self.from_s, self.to_s, self.level = plant, fault, from_s, to_s, level
         self.reports_u, self.meters = reports_u, meters
-        self._shown_C: float | None = None
+        self._shown_C: Array | None = None
 
     @property
     def info(self) -> PlantInfo:
@@ -71,8 +72,8 @@ class FaultyPlant:
     def past(self, step_s: float) -> Record:
         """See `EmbeddedPlant.past`; before the fault, so only the meters are left out."""
         record = self.plant.past(step_s)
-        nothing = np.full(record.n_steps, math.nan)
-        return record if self.meters else replace(record, heat_W=nothing, power_W=nothing)
+        nothing = {name: np.full_like(getattr(record, name), math.nan) for name in ("heat_W", "power_W")}
+        return record if self.meters else replace(record, **nothing)
 
     def kpis(self) -> dict[str, float]:
         """Those of the plant: its true temperature counts, not the sensor's."""
@@ -82,20 +83,21 @@ class FaultyPlant:
         """Close the plant."""
         self.plant.close()
 
-    def advance(self, u: float | None, duration_s: float) -> Measurement:
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
         """See `EmbeddedPlant.advance`."""
+        level = check_levels(u, duration_s).u[0]
         faulty = self.from_s - 1e-6 <= self.plant.now_s < self.to_s - 1e-6
         fault = self.fault if faulty else "none"
         if fault == "weak":
-            return self._reported(self._weak(u, duration_s))
+            return self._reported(self._weak(level, duration_s))
         if fault == "window":
-            return self._reported(self._aired(u, duration_s))
-        applied = {"stuck": self.level, "overridden": None}.get(fault, u)
+            return self._reported(self._aired(level, duration_s))
+        applied = {"stuck": self.level, "overridden": None}.get(fault, level)
         measurement = self.plant.advance(applied, duration_s)
         if fault == "sensor":
             self._shown_C = measurement.T_zone_C if self._shown_C is None else self._shown_C
             share = 1.0 - math.exp(-duration_s / _SENSOR_LAG_S)
-            self._shown_C += share * (measurement.T_zone_C + _SENSOR_OFFSET_K - self._shown_C)
+            self._shown_C = self._shown_C + share * (measurement.T_zone_C + _SENSOR_OFFSET_K - self._shown_C)
             measurement = replace(measurement, T_zone_C=self._shown_C)
         return self._reported(measurement)
 
@@ -108,7 +110,7 @@ class FaultyPlant:
             error = s[kernel.SETPOINT] - s[kernel.T_OPERATIVE] + s[kernel.INTEGRAL]
             wanted.append(u if u is not None else min(max(kernel._GAIN * error, 0.0), 1.0))
             parts.append((duration_s / n, self.plant.advance(0.5 * wanted[-1], duration_s / n)))
-        return replace(parts[-1][1].averaged_with(parts), u=float(np.mean(wanted)))
+        return replace(parts[-1][1].averaged_with(parts), u=np.array([np.mean(wanted)]))
 
     def _aired(self, u: float | None, duration_s: float) -> Measurement:
         """Advance in short sub-steps, each of which replaces a share of the air by outdoor air."""
@@ -124,5 +126,7 @@ class FaultyPlant:
 
     def _reported(self, measurement: Measurement) -> Measurement:
         if not self.reports_u:
-            measurement = replace(measurement, u=math.nan)
-        return measurement if self.meters else replace(measurement, heat_W=math.nan, power_W=math.nan)
+            measurement = replace(measurement, u=np.full(1, math.nan))
+        if self.meters:
+            return measurement
+        return replace(measurement, heat_W=np.full(1, math.nan), power_W=np.full(1, math.nan))

@@ -57,7 +57,7 @@ def _hourly(record: Record) -> tuple[Record, np.ndarray[tuple[int], np.dtype[np.
     n = record.n_steps // every
     off = np.zeros(n)
     hourly = Record(
-        record.time_s[::every], record.T_zone_C[::every], record.T_out_C[::every], record.solar_W_m2[::every],
+        record.time_s[::every], record.T_zone_C[:, ::every], record.T_out_C[::every], record.solar_W_m2[::every],
         off, off, off,
     )  # fmt: skip
-    return hourly, hourly.T_zone_C
+    return hourly, hourly.T_zone_C[0]

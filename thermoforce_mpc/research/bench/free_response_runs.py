@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
-from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.research.bench.free_response_score import forecast_origins, mae_K, score, window
@@ -110,11 +110,12 @@ def cost_rows(source: Source, backbone: str) -> list[Row]:
     long = replace(
         boundary,
         **{
-            name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[1:]])
-            for name in boundary.__dataclass_fields__
+            name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
+            for name in CONDITIONS
             if name != "time_s"
         },
         time_s=boundary.time_s[0] + boundary.step_s * np.arange(2 * n + 1),
+        names=boundary.names,
     )
     one, two = (free, history, boundary), (free, history, long)
     rows = []

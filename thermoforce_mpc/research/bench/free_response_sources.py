@@ -102,11 +102,12 @@ def embedded_sources(step_s: float = HOUR_S, horizon_h: float = 24.0) -> list[So
         rows += [plant.advance(0.0, step_s) for _ in range(28 * per_day)]
         plant.close()
         time_s, T, T_out, solar = (
-            np.array([getattr(row, key) for row in rows]) for key in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
+            np.stack([getattr(row, key) for row in rows], axis=-1)
+            for key in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
         )
         off = np.zeros(time_s.size - 1)
         history = Record(time_s, T, T_out, solar, off, off, off)
-        sources.append(Source(name, "embedded", history, T, 14 * per_day, 7 * per_day, horizon_h))
+        sources.append(Source(name, "embedded", history, T[0], 14 * per_day, 7 * per_day, horizon_h))
     return sources
 
 
@@ -133,10 +134,10 @@ def hourly_record(path: Path, gains: Array | None = None) -> tuple[Record, Array
         heat_W=hour_mean(frame["reaQHeaPumCon_y"].to_numpy(float)),
     )
     if gains is None:
-        return history, history.T_zone_C
+        return history, history.T_zone_C[0]
     # The heat of row i acts until the time of row i; the first row is only used for the initial state.
     forced = forced_temperature(frame["reaQHeaPumCon_y"].to_numpy(float), gains)[1:]
-    return history, np.asarray(history.T_zone_C - forced[boundary])
+    return history, np.asarray(history.T_zone_C[0] - forced[boundary])
 
 
 def forced_gains(folder: Path) -> Array:

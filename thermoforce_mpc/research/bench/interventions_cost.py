@@ -50,8 +50,9 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     history, boundary = window.history.last(512), window.boundary
     features = np.tile([20.0, 0.0, 100.0, 0.0], (24, 1))
     u = np.full(24, 0.5)
-    rollout_ms = _milliseconds(lambda: forced_rollout(model.operator, np.zeros(1), u, features), _REPEATS)
-    forecast_ms = _milliseconds(lambda: free.forecast(history.T_zone_C, history, boundary), _REPEATS)
+    operator = model.only.operator
+    rollout_ms = _milliseconds(lambda: forced_rollout(operator, np.zeros(1), u, features), _REPEATS)
+    forecast_ms = _milliseconds(lambda: free.forecast(history.T_zone_C[0], history, boundary), _REPEATS)
     measured = {
         "RC identification (3 days)": linear_ms,
         "operator training": neural_ms,
@@ -88,7 +89,7 @@ def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]
         raise DataError(f"test case '{testcase.name}' has no `energyplus` section: it has no machine to plan for")
     power = electric_power_W(zone, testcase.mode, past.heat_W, past.T_out_C[:-1])
     lowest = testcase.defaults.actuation.get("lowest_level")
-    powered = replace(model, power=fit_power([replace(past, power_W=power)], lowest_level=lowest))
+    powered = replace(model, power=(fit_power([replace(past, power_W=power)], lowest_level=lowest),))
     # Repeated planning at one instant gives no data for calibration.
     free = {"name": "residual", "options": {"calibrate": False}}
     options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": free}

@@ -58,7 +58,7 @@ def run_misleading_priors(
                     model = identify([record], config=_CONFIG, floor_area_m2=share * floor_area_m2)
                 except DataError:
                     continue
-                errors.append(score_pairs(model.operator, pairs).rmse_K)
+                errors.append(score_pairs(model.only.operator, pairs).rmse_K)
                 inside.append(_inside(model, truth))
             covered = float(np.mean(inside))
             rows.append(
@@ -78,9 +78,9 @@ def run_misleading_priors(
 
 def _inside(model: ThermalModel, truth: ThermalModel) -> Array:
     """Whether the true step response per watt lies in the band, for each lag, shape (lags,), 1.0 or 0.0."""
-    known, true = model.card.uncertainty, truth.card.uncertainty
+    known, true = model.only.card.uncertainty, truth.only.card.uncertainty
     # Both are responses to full heat at the reference of the respective model, so they are scaled to equal heat.
-    scale = model.operator.heat_input.reference_W / truth.operator.heat_input.reference_W
+    scale = model.only.operator.heat_input.reference_W / truth.only.operator.heat_input.reference_W
     names = [f"step_response_{hours}h" for hours in _LAGS_H]
     return np.array(
         [abs(known[f"{n}_K"] - scale * true[f"{n}_K"]) <= _BAND * known[f"{n}_sd_K"] for n in names], dtype=np.float64

@@ -92,7 +92,7 @@ def _trained_on_pairs(
             start = perf_counter()
             model = identify(pairs=training, config=config, floor_area_m2=FLOOR_AREA_M2)
             seconds = perf_counter() - start
-            scores = score_pairs(model.operator, testing)
+            scores = score_pairs(model.only.operator, testing)
             key = (heat_input, str(order), modulation)
             if key not in worst or scores.rmse_K > worst[key].rmse_K:
                 worst[key] = scores
@@ -102,7 +102,7 @@ def _trained_on_pairs(
                     "data": f"fold {fold + 1}, {len(training)} pairs",
                     "input": heat_input,
                     "gain": modulation,
-                    "order": model.operator.order,
+                    "order": model.only.operator.order,
                     "rmse_K": scores.rmse_K,
                     "sign": scores.sign_accuracy,
                     "effect_K": scores.effect_K,

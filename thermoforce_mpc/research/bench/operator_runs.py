@@ -61,7 +61,7 @@ def few_shot(
                 refused += 1
                 continue
             for key, model in models.items():
-                found[key].append(score_pairs(model.operator, pairs))
+                found[key].append(score_pairs(model.only.operator, pairs))
             paper = _paper_estimate(record, pairs)
             if paper is not None:
                 found["identity", "two-stage, order 1"].append(paper)
@@ -102,7 +102,7 @@ def under_feedback(
             except DataError:
                 refused += 1
                 continue
-            scores.append(score_pairs(model.operator, pairs))
+            scores.append(score_pairs(model.only.operator, pairs))
         if scores:
             rows.append(_summary(days, "heat", "linear", scores, refused) | {"part": "under feedback"})
     return rows, []

@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator import OperatorParameters, feature_matrix, forced_rollout
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.research.bench.operator_data import ReferencePair
 
 # Smallest effect whose sign is scored, K.
@@ -41,10 +42,10 @@ def predicted_effect(operator: OperatorParameters, reference: ReferencePair) -> 
     """
     acted, baseline = reference.pair.a, reference.pair.b
     operator = operator.resampled(baseline.step_s)
-    free = baseline.T_zone_C - forced_history(operator, baseline).sum(axis=1)
+    free = baseline.T_zone_C[0] - forced_history(single(operator), baseline)[0, 0].sum(axis=1)
     features = feature_matrix(free[:-1], baseline.T_out_C[:-1], baseline.solar_W_m2[:-1], baseline.time_s[:-1])
     start = np.zeros(operator.order)
-    first, second = (forced_rollout(operator, start, run.u, features).sum(axis=-1) for run in (acted, baseline))
+    first, second = (forced_rollout(operator, start, run.u[0], features).sum(axis=-1) for run in (acted, baseline))
     return np.asarray(first - second)
 
 
@@ -58,7 +59,7 @@ def score_pairs(
         steps = round(horizon_h * HOUR_S / run.step_s)
         window = slice(reference.window_start, reference.window_start + steps)
         predicted.append(predicted_effect(operator, reference)[window])
-        measured.append((run.T_zone_C - reference.pair.b.T_zone_C)[1:][window])
+        measured.append((run.T_zone_C[0] - reference.pair.b.T_zone_C[0])[1:][window])
     p, m = np.concatenate(predicted), np.concatenate(measured)
     # A pair without effect in the window (late action) keeps the factor 1.
     seen = [(x, y) for x, y in zip(predicted, measured, strict=True) if np.abs(x).max() > SIGN_FROM_K]

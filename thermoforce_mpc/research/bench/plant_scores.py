@@ -70,13 +70,13 @@ def replay(plant: EmbeddedPlant, path: Path, warmup_s: float, *, native: bool = 
     start_s = float(real.time.iloc[0]) - STEP_S
     plant.reset(start_s, warmup_s)
     measured = [plant.advance(None if native else float(u), STEP_S) for u in real.oveHeaPumY_u]
-    error = np.array([m.T_zone_C for m in measured]) - real.reaTZon_y.to_numpy()
+    error = np.array([m.T_zone_C[0] for m in measured]) - real.reaTZon_y.to_numpy()
     row: Row = {
         "T_rmse_K": _rms(error),
         "T_bias_K": float(error.mean()),
         "last_day_bias_K": float(error[-96:].mean()),
     }
-    power, truth = np.array([m.power_W for m in measured]), real[_POWERS].sum(axis=1).to_numpy()
+    power, truth = np.array([m.power_W[0] for m in measured]), real[_POWERS].sum(axis=1).to_numpy()
     if truth.sum() > 0:
         row["energy_off"] = float(power.sum() / truth.sum() - 1)
         hours = power.size // 4
@@ -123,8 +123,9 @@ def thermostat_energy(plant: EmbeddedPlant, thermostat: Thermostat) -> float:
     measured = plant.reset(thermostat.start_day * DAY_S, WINDOW_WARMUP_S)
     on = False
     for _ in range(round(SCORED_S / STEP_S)):
-        if abs(measured.T_zone_C - thermostat.centre_C) > 0.1:
-            on = measured.T_zone_C < thermostat.centre_C
+        T_zone_C = float(measured.T_zone_C[0])
+        if abs(T_zone_C - thermostat.centre_C) > 0.1:
+            on = T_zone_C < thermostat.centre_C
         measured = plant.advance(thermostat.level if on else 0.0, STEP_S)
     return plant.kpis()["ener_tot"]
 
@@ -137,7 +138,7 @@ def pair_errors(plant: EmbeddedPlant, folder: Path) -> Iterator[Array]:
             real = read(folder / f"pair{number:02d}_{side}.csv.gz", ["time", "reaTZon_y", "oveHeaPumY_u"])
             start_s = float(real.time.iloc[0]) - STEP_S
             plant.reset(start_s, REPLAY_WARMUP_S)
-            ours.append(np.array([plant.advance(float(u), STEP_S).T_zone_C for u in real.oveHeaPumY_u]))
+            ours.append(np.array([plant.advance(float(u), STEP_S).T_zone_C[0] for u in real.oveHeaPumY_u]))
             truth.append(real.reaTZon_y.to_numpy())
         yield (ours[1] - ours[0]) - (truth[1] - truth[0])
 
@@ -149,11 +150,10 @@ def hourly_pair_errors(plant: EmbeddedPlant, path: Path) -> Iterator[Array]:
         start_s = float(real.start_day.iloc[0]) * DAY_S
         plant.reset(start_s, REPLAY_WARMUP_S)
         here = plant.snapshot()
-        ours = []
+        ours, effect = [], real.sort_values("hour")
         for column in ("uA", "uB"):
             plant.restore(here)
-            ours.append(np.array([plant.advance(float(u), HOUR_S).T_zone_C for u in real.sort_values("hour")[column]]))
-        effect = real.sort_values("hour")
+            ours.append(np.array([plant.advance(float(u), HOUR_S).T_zone_C[0] for u in effect[column]]))
         yield (ours[1] - ours[0]) - (effect.TB_end - effect.TA_end).to_numpy()
 
 

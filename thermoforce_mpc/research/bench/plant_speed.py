@@ -118,7 +118,7 @@ def _run(level: float, days: int) -> Array:
     if _plant is None:
         raise RuntimeError("the process was not given its plant")
     start = _plant.reset(0.0, 0.0)
-    return np.array([start.T_zone_C, *(_plant.advance(level, HOUR_S).T_zone_C for _ in range(24 * days))])
+    return np.array([start.T_zone_C[0], *(_plant.advance(level, HOUR_S).T_zone_C[0] for _ in range(24 * days))])
 
 
 def _cpu_s(level: float, days: int) -> float:

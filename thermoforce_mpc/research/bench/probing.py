@@ -92,7 +92,7 @@ def _designs(
                     except DataError:
                         refused += 1
                         continue
-                    errors.append(score_pairs(model.operator, pairs).rmse_K)
+                    errors.append(score_pairs(model.only.operator, pairs).rmse_K)
             found[days, design] = errors
             rows.append(
                 {
@@ -126,18 +126,18 @@ def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[
     run = _thermostat(plant, start_s, _WEEKS * 7)
     rows, targets = [], []
     for measured in (True, False):
-        given = record if measured else replace(record, heat_W=np.full(record.n_steps, np.nan))
-        seen = run if measured else replace(run, heat_W=np.full(run.n_steps, np.nan))
+        given = record if measured else replace(record, heat_W=np.full_like(record.heat_W, np.nan))
+        seen = run if measured else replace(run, heat_W=np.full_like(run.heat_W, np.nan))
         model = identify([given], config=_LINEAR, floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S)
-        adapted = OnlineAdaptation(model, AdaptationConfig(enabled=True)).update(None, seen)
+        adapted = OnlineAdaptation(model.only, AdaptationConfig(enabled=True)).update(None, seen)
         # True change of the estimated gain, from the heat at full level in the first third and in the last days: for an
         # operator on u the whole change, for one on heat only the part not predicted by its load map.
-        on, steps_from_start = run.u > 0, np.arange(run.n_steps)
+        on, steps_from_start = run.u[0] > 0, np.arange(run.n_steps)
         early = on & (steps_from_start < run.n_steps // 3)
         late = on & (steps_from_start >= run.n_steps - round(_LATE_DAYS * DAY_S / run.step_s))
-        load = model.operator.heat_input.heat
-        expected = load(run.u, run.T_out_C[:-1]) if load else np.ones(run.n_steps)
-        relative = run.heat_W / np.where(on, expected, 1.0)
+        load = model.only.operator.heat_input.heat
+        expected = load(run.u[0], run.T_out_C[:-1]) if load else np.ones(run.n_steps)
+        relative = run.heat_W[0] / np.where(on, expected, 1.0)
         true = float(relative[late].mean() / relative[early].mean())
         steps = adapted.steps
         before = [s for s in steps if s.time_s <= run.time_s[run.n_steps // 3]][-1]
@@ -169,14 +169,14 @@ def _thermostat(plant: EmbeddedPlant, start_s: float, days: int, step_s: float =
     for t in range(n):
         hour = now.time_s / HOUR_S % 24
         wanted = _SET_C - (_NIGHT_K if hour < 6 or hour >= 22 else 0.0)
-        on = now.T_zone_C < wanted + (_BAND_K if on else -_BAND_K)
+        on = float(now.T_zone_C[0]) < wanted + (_BAND_K if on else -_BAND_K)
         now = plant.advance(float(on) * (1.0 if t < n // 3 else _WEAKENED), step_s)
         history = history.extended(_asked(now, float(on)))
     return history
 
 
 def _asked(measurement: Measurement, u: float) -> Measurement:
-    return replace(measurement, u=u)
+    return replace(measurement, u=np.array([u]))
 
 
 def _hourly(run: Record) -> Record:

@@ -65,8 +65,10 @@ def fan_figure(fans: Sequence[Fan], methods: Sequence[str] = ("tsfm", "rc", MONO
         past, ahead = fan.window.history.last(24), fan.window.factual
         start = ahead.time_s[0]
         for axes, name in zip(row, shown, strict=True):
-            axes.plot((past.time_s - start) / HOUR_S, past.T_zone_C, color="#1b1f24", linewidth=1.2)
-            axes.plot((ahead.time_s - start) / HOUR_S, ahead.T_zone_C, color="#1b1f24", linewidth=1.2, label="measured")
+            axes.plot((past.time_s - start) / HOUR_S, past.T_zone_C[0], color="#1b1f24", linewidth=1.2)
+            axes.plot(
+                (ahead.time_s - start) / HOUR_S, ahead.T_zone_C[0], color="#1b1f24", linewidth=1.2, label="measured"
+            )
             for level, course in zip(LEVELS, fan.answers_C[name], strict=True):
                 colour = (0.85 * level + 0.1, 0.25, 0.95 - 0.85 * level)
                 hours = (ahead.time_s[1:] - start) / HOUR_S

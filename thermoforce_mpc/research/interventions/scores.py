@@ -69,7 +69,7 @@ def score_cell(name: str, predictor: Predictor, windows: Sequence[Window], days:
         held = np.broadcast_to(LEVELS[:, None], (LEVELS.size, both.shape[1]))
         answer = predictor.respond(window, np.concatenate([both, held]))
         effect, truth = answer[1] - answer[0], true_effect(window)
-        factual.append(answer[0] - window.factual.T_zone_C[1:])
+        factual.append(answer[0] - window.factual.T_zone_C[0, 1:])
         errors.append(effect - truth)
         up.append(sign * window.shift_K > 0)
         signs.append(signs_right(effect, truth))

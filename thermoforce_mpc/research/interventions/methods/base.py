@@ -63,19 +63,21 @@ P = TypeVar("P", bound=Predictor)
 
 def joined(first: Record, second: Record) -> Record:
     """Concatenation of two records, of which the second begins where the first ends."""
-    sampled = {name: np.concatenate([getattr(first, name)[:-1], getattr(second, name)]) for name in SAMPLED}
-    acting = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ACTING}
-    return Record(**sampled, **acting)
+    return Record(
+        **{n: np.concatenate([getattr(first, n)[..., :-1], getattr(second, n)], axis=-1) for n in SAMPLED},
+        **{n: np.concatenate([getattr(first, n), getattr(second, n)], axis=-1) for n in ACTING},
+        names=second.names,
+    )
 
 
 def plans(window: Window) -> Array:
     """The control of both runs of a window, shape (2, N): factual, perturbed."""
-    return np.stack([window.factual.u, window.perturbed.u])
+    return np.stack([window.factual.u[0], window.perturbed.u[0]])
 
 
 def true_effect(window: Window) -> Array:
     """True effect of the shift at the end of each step (paper eq:effect), shape (N,), K."""
-    return np.asarray(window.perturbed.T_zone_C[1:] - window.factual.T_zone_C[1:])
+    return np.asarray(window.perturbed.T_zone_C[0, 1:] - window.factual.T_zone_C[0, 1:])
 
 
 def predicted_effect(predictor: Predictor, window: Window) -> Array:
@@ -92,7 +94,7 @@ def effect_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
 
 def factual_rmse(predictor: Predictor, windows: Sequence[Window]) -> float:
     """RMSE of the temperature under the applied control, K."""
-    errors = [predictor.respond(w, w.factual.u[None])[0] - w.factual.T_zone_C[1:] for w in windows]
+    errors = [predictor.respond(w, w.factual.u)[0] - w.factual.T_zone_C[0, 1:] for w in windows]
     return float(np.sqrt(np.mean(np.square(errors))))
 
 

@@ -55,7 +55,7 @@ class CovariateForecast:
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`."""
         history, boundary = window.history, window.boundary
-        median = self._free_response.forecast(history.T_zone_C, history, boundary).median_C
+        median = self._free_response.forecast(history.T_zone_C[0], history, boundary).median_C
         return np.stack([median + _features(history, boundary, row, self._kind, self._ar) @ self._weights for row in u])
 
 
@@ -83,8 +83,8 @@ def _cases(run: Record, first: int, horizon: int, free_response: FreeResponse) -
     for origin in range(first, run.n_steps - horizon + 1, _STRIDE):
         history, ahead = run.slice(0, origin), run.slice(origin, origin + horizon)
         boundary = ahead.weather()
-        forecast = free_response.forecast(history.T_zone_C, history, boundary).median_C
-        cases.append(_Case(history, boundary, ahead.u, ahead.T_zone_C[1:], forecast))
+        forecast = free_response.forecast(history.T_zone_C[0], history, boundary).median_C
+        cases.append(_Case(history, boundary, ahead.u[0], ahead.T_zone_C[0, 1:], forecast))
     return cases
 
 
@@ -98,7 +98,7 @@ def _features(history: Record, boundary: Boundary, u: Array, kind: str, autoregr
     sampled_before = slice(history.n_steps - per_day + 1, history.n_steps - per_day + n + 1)
     ahead = [u, boundary.T_out_C[1:] / _OUTDOOR_UNIT_K, boundary.solar_W_m2[1:] / _SUN_UNIT_W_M2]
     before = [
-        history.u[day_before],
+        history.u[0, day_before],
         history.T_out_C[sampled_before] / _OUTDOOR_UNIT_K,
         history.solar_W_m2[sampled_before] / _SUN_UNIT_W_M2,
     ]
@@ -109,7 +109,7 @@ def _features(history: Record, boundary: Boundary, u: Array, kind: str, autoregr
         columns.append(lfilter([1.0 - pole], [1.0, -pole], covariates, axis=0))
     if autoregressive:
         hours = np.arange(1, n + 1) * step_s / HOUR_S
-        T = history.T_zone_C
+        T = history.T_zone_C[0]
         for deviation in (T[-1] - T[-1 - per_day], T[-1] - T[-5]):
             columns.append(np.stack([deviation * np.exp(-hours / tau) for tau in _AR_LAGS_H], axis=1))
     return np.concatenate([*columns, np.ones((n, 1))], axis=1)

@@ -36,8 +36,8 @@ class GreyBox:
         """See `Predictor.respond`."""
         na, nb = self.lags
         past = window.history
-        T0 = np.broadcast_to(past.T_zone_C[-na:], (u.shape[0], na))
-        u_past = np.broadcast_to(past.u[past.u.size - nb + 1 :], (u.shape[0], nb - 1))
+        T0 = np.broadcast_to(past.T_zone_C[0, -na:], (u.shape[0], na))
+        u_past = np.broadcast_to(past.u[0, past.n_steps - nb + 1 :], (u.shape[0], nb - 1))
         weather = _weather(window.boundary.T_out_C, window.boundary.solar_W_m2)
         weather = np.broadcast_to(weather, (u.shape[0], *weather.shape))
         return _rollout(self.weights, self.lags, T0, np.concatenate([u_past, u], axis=1), weather)
@@ -82,10 +82,10 @@ def _fit_one_step(runs: Sequence[Record], lags: tuple[int, int]) -> Array:
     designs, targets = [], []
     for run in runs:
         t = np.arange(longest - 1, run.n_steps)
-        T = np.stack([run.T_zone_C[t - i] for i in range(na)], axis=1)
-        u = np.stack([run.u[t - i] for i in range(nb)], axis=1)
+        T = np.stack([run.T_zone_C[0, t - i] for i in range(na)], axis=1)
+        u = np.stack([run.u[0, t - i] for i in range(nb)], axis=1)
         designs.append(np.concatenate([T, u, _weather(run.T_out_C, run.solar_W_m2)[t]], axis=1))
-        targets.append(run.T_zone_C[t + 1])
+        targets.append(run.T_zone_C[0, t + 1])
     design, target = np.concatenate(designs), np.concatenate(targets)
     scale = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-9)
     scaled = design / scale
@@ -100,10 +100,10 @@ def _fit_rollouts(runs: Sequence[Record], lags: tuple[int, int], start: Array, h
     for run in runs:
         drivers = _weather(run.T_out_C, run.solar_W_m2)
         for t in range(first, run.n_steps - horizon + 1, _STRIDE):
-            T0.append(run.T_zone_C[t - na + 1 : t + 1])
-            u.append(run.u[t - nb + 1 : t + horizon])
+            T0.append(run.T_zone_C[0, t - na + 1 : t + 1])
+            u.append(run.u[0, t - nb + 1 : t + horizon])
             weather.append(drivers[t : t + horizon])
-            target.append(run.T_zone_C[t + 1 : t + horizon + 1])
+            target.append(run.T_zone_C[0, t + 1 : t + horizon + 1])
     arrays = np.array(T0), np.array(u), np.array(weather)
     measured = np.array(target)
 

@@ -18,5 +18,6 @@ class RawForecast:
 
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`."""
-        median = self._free_response.forecast(window.history.T_zone_C, window.history, window.boundary).median_C
+        history = window.history
+        median = self._free_response.forecast(history.T_zone_C[0], history, window.boundary).median_C
         return np.broadcast_to(median, u.shape).copy()

@@ -79,7 +79,7 @@ class Surrogate:
 
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`."""
-        T = window.history.T_zone_C[-2:]
+        T = window.history.T_zone_C[0, -2:]
         boundary = window.boundary
         drivers = np.stack([_drivers(boundary.time_s, boundary.T_out_C, boundary.solar_W_m2, row) for row in u])
         with torch.inference_mode():
@@ -109,8 +109,8 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     start, drivers, course, taught = [], [], [], []
 
     def add(ahead: Record, T_before: float, T: Array, by_teacher: bool) -> None:
-        start.append([T_before, ahead.T_zone_C[0]])
-        drivers.append(_drivers(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, ahead.u))
+        start.append([T_before, ahead.T_zone_C[0, 0]])
+        drivers.append(_drivers(ahead.time_s, ahead.T_out_C, ahead.solar_W_m2, ahead.u[0]))
         course.append(T)
         taught.append(by_teacher)
 
@@ -119,13 +119,13 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     first = max(per_day + 1, plain.n_steps - (_TEACHER_DAYS + training.days) * per_day)
     for origin in range(first, plain.n_steps - horizon + 1, _TEACHER_STRIDE):
         past, ahead = plain.slice(0, origin), plain.slice(origin, origin + horizon)
-        forecast = free_response.forecast(past.T_zone_C, past, ahead.weather()).median_C
-        add(ahead, float(past.T_zone_C[-2]), forecast, True)
+        forecast = free_response.forecast(past.T_zone_C[0], past, ahead.weather()).median_C
+        add(ahead, float(past.T_zone_C[0, -2]), forecast, True)
     for run in (training.probe.pair.a, training.probe.pair.b):
         last = run.n_steps - horizon + 1
         for origin in range(1, last, max(_MEASURED_STRIDE, -(-last // _MOST_COURSES))):
             ahead = run.slice(origin, origin + horizon)
-            add(ahead, float(run.T_zone_C[origin - 1]), ahead.T_zone_C[1:], False)
+            add(ahead, float(run.T_zone_C[0, origin - 1]), ahead.T_zone_C[0, 1:], False)
     return _Lessons(
         torch.tensor(np.array(start)),
         torch.tensor(np.array(drivers)),

@@ -43,13 +43,13 @@ class SuperpositionPredictor:
     @property
     def modulated(self) -> bool:
         """Whether m(x) was trained and kept; otherwise m = 1."""
-        return bool(self.model.card.scores.get("modulation_kept", 0.0))
+        return bool(self.model.only.card.scores.get("modulation_kept", 0.0))
 
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`."""
         history = with_curve(window.history, self.exponent)
         context = self._predictor.context(Observation(history, window.boundary))
-        return context.predict(curved(u, self.exponent)).total_C
+        return context.predict(curved(u, self.exponent)[:, None]).total_C[:, 0]
 
 
 class LinearEffect:
@@ -63,7 +63,7 @@ class LinearEffect:
 
     def respond(self, window: Window, u: Array) -> Array:
         """See `Predictor.respond`; here without the free response, which is the same for all plans."""
-        operator = self.model.operator.resampled(window.boundary.step_s)
+        operator = self.model.only.operator.resampled(window.boundary.step_s)
         features = np.zeros((u.shape[1], N_FEATURES))
         rest = np.zeros(operator.order)
         return np.asarray(forced_rollout(operator, rest, curved(u, self.exponent), features).sum(axis=-1))
@@ -129,7 +129,7 @@ def build_thermoforce(
         if network.modulated and (not doubt_network or clearly_better(network, linear, training.validation)):
             model = trained
     chosen = SuperpositionPredictor(model, free_response, "", exponent)
-    chosen.note = describe(model.operator)
+    chosen.note = describe(model.only.operator)
     if modulation == "neural":
         chosen.note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
     if len(exponents) > 1:

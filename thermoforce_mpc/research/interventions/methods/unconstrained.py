@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.train import causal_convolution
 from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.parameters import HIDDEN
 from thermoforce_mpc.protocols import FreeResponse
@@ -47,12 +48,12 @@ class FreeGain:
     def history(self, history: Record) -> Array:
         """F at the boundaries of `history`, shape (n + 1,), K, from steady state at the mean action of day one."""
         F = np.empty(history.n_steps + 1)
-        T = history.T_zone_C
+        T, u = history.T_zone_C[0], history.u[0]
         x = feature_matrix(T[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
-        F[0] = float(np.mean(self.gain(x[:96]) * history.u[:96])) / (1.0 - self.pole)
+        F[0] = float(np.mean(self.gain(x[:96]) * u[:96])) / (1.0 - self.pole)
         for t in range(history.n_steps):
             x[t, 0] = T[t] - F[t]
-            F[t + 1] = self.pole * F[t] + self.gain(x[t]) * history.u[t]
+            F[t + 1] = self.pole * F[t] + self.gain(x[t]) * u[t]
         return F
 
 
@@ -66,7 +67,7 @@ class FreeGainPredictor:
         """See `Predictor.respond`."""
         history, boundary = window.history, window.boundary
         F = self.operator.history(history)
-        free_C = history.T_zone_C - F
+        free_C = history.T_zone_C[0] - F
         median = self._free_response.forecast(free_C, history, boundary).median_C
         starts = np.concatenate([free_C[-1:], median[:-1]])
         x = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
@@ -105,16 +106,16 @@ def build_unconstrained(training: Training, free_response: FreeResponse) -> Free
 
 def _fit(training: Training, decay: float) -> FreeGain:
     pair = training.probe.pair
-    linear = identified(training, (_START_H,), modulation="linear", time_constant_log_sd=1.0).operator
+    linear = identified(training, (_START_H,), modulation="linear", time_constant_log_sd=1.0).only.operator
     features = []
     for run in (pair.a, pair.b):
-        free = run.T_zone_C - forced_history(linear, run).sum(axis=1)
+        free = run.T_zone_C[0] - forced_history(single(linear), run)[0, 0].sum(axis=1)
         features.append(feature_matrix(free[:-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1]))
     stacked = np.concatenate(features)
     mean, scale = stacked.mean(axis=0), np.maximum(stacked.std(axis=0), [1.0, 1.0, 50.0, 0.5])
     x = torch.tensor(np.stack([(f - mean) / scale for f in features]))
-    u = torch.tensor(np.stack([pair.a.u, pair.b.u]))
-    target = torch.tensor(pair.a.T_zone_C[1:] - pair.b.T_zone_C[1:])
+    u = torch.tensor(np.stack([pair.a.u[0], pair.b.u[0]]))
+    target = torch.tensor(pair.a.T_zone_C[0, 1:] - pair.b.T_zone_C[0, 1:])
     n = u.shape[1]
     n_fft = 1 << (2 * n).bit_length()
     lags = torch.arange(n, dtype=torch.float64)
