@@ -156,14 +156,25 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     if name == "native":
         defaults["step_s"] = testcase.step_s
     if name in ("thermostat", "pi"):
-        defaults["mode"] = "cooling" if testcase.mode == "cooling" else "heating"
-    if isinstance(testcase.actuator, RoomSetpoints):
+        defaults["mode"] = "cooling" if testcase.layout.mode(0) == "cooling" else "heating"
+    points = testcase.points
+    actuators = [one.actuator for one in points.actuators]
+    if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
         if entry.needs_model:
             defaults = dict(merge(defaults, _ROOM_SETPOINTS))
     elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
-        defaults["actuation"] = testcase.defaults.actuation or _actuation_by_kind(testcase.actuator, entry)
-    if name == "thermostat" and testcase.thermostat_C is not None:
-        defaults["setpoint_C"] = testcase.thermostat_C
+        kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]
+        defaults["actuation"] = testcase.defaults.actuation or kinds[0]
+    if name == "thermostat":
+        set_points = {
+            actuator: zone.thermostat_C
+            for actuator, home in zip(points.layout.names.actuators, points.layout.home, strict=True)
+            if (zone := points.zones[home]).thermostat_C is not None
+        }
+        if testcase.thermostat_C is not None:
+            defaults["setpoint_C"] = testcase.thermostat_C
+        elif set_points:
+            defaults["setpoints_C"] = set_points
     return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
 
 

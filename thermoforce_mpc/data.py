@@ -665,8 +665,8 @@ class Plan:
     counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
     starts from.
     `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
-    plan at one of them. `why` is one sentence for people; `solver_status` is the status reported by the solver. `state` goes to the
-    controller's next plan of this run and is opaque to others.
+    plan at one of them. `why` is one sentence for people; `solver_status` is the status reported by the solver. `state`
+    goes to the controller's next plan of this run and is opaque to others.
     """
 
     blocks: tuple[Block, ...]

@@ -24,7 +24,7 @@ class Machine:
 
 
 def mean_level(blocks) -> float:
-    return sum(b.u * b.duration_s for b in blocks) / sum(b.duration_s for b in blocks)
+    return sum(b.u[0] * b.duration_s for b in blocks) / sum(b.duration_s for b in blocks)
 
 
 @given(
@@ -37,7 +37,7 @@ def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, st
         blocks = actuation.realise(u, step_s)
         assert sum(b.duration_s for b in blocks) == pytest.approx(step_s)
         for block in blocks:
-            assert block.u in (0.0, 1.0)
+            assert block.u in ((0.0,), (1.0,))
             assert block.duration_s % block_s == 0
             states += [block.u] * round(block.duration_s / block_s)
     # Runs of one state, but for the first (the machine had been off before) and the last, which the test cuts.
@@ -53,7 +53,7 @@ def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, st
 
 def test_shares_too_small_to_realise_are_owed_until_they_are_large_enough():
     actuation = Machine(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
-    given_s = [sum(b.duration_s for b in actuation.realise(0.03, HOUR) if b.u) for _ in range(40)]
+    given_s = [sum(b.duration_s for b in actuation.realise(0.03, HOUR) if b.u[0]) for _ in range(40)]
     assert given_s[0] == 0.0
     assert sum(given_s) == pytest.approx(40 * 0.03 * HOUR, abs=600.0)
 
@@ -67,20 +67,20 @@ def test_nothing_is_owed_to_a_plan_that_wants_the_machine_off():
 def test_a_running_machine_keeps_running_at_the_start_of_the_next_step():
     actuation = Machine(block_s=300.0)
     first, second = actuation.realise(0.5, HOUR), actuation.realise(0.5, HOUR)
-    assert [b.u for b in first + second] == [0.0, 1.0, 1.0, 0.0]
+    assert [b.u[0] for b in first + second] == [0.0, 1.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize(("u", "held"), [(0.0, 0.0), (0.1, 0.0), (0.2, 0.3), (0.3, 0.3), (0.77, 0.77), (1.0, 1.0)])
 def test_modulating_is_off_or_at_least_the_lowest_level(u, held):
     (block,) = Machine(mode="modulating", lowest_level=0.3).realise(u, HOUR)
-    assert (block.u, block.duration_s) == (held, HOUR)
+    assert (block.u, block.duration_s) == ((held,), HOUR)
 
 
 def test_blocks_shorter_than_the_minimum_are_finished_in_the_next_step():
     actuation = Machine(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
     first, second = actuation.realise(1 / 3, 900.0), actuation.realise(0.0, 900.0)
-    assert [(b.u, b.duration_s) for b in first] == [(0.0, 600.0), (1.0, 300.0)]
-    assert [(b.u, b.duration_s) for b in second] == [(1.0, 300.0), (0.0, 600.0)], "on for its minimum, then off"
+    assert [(b.u[0], b.duration_s) for b in first] == [(0.0, 600.0), (1.0, 300.0)]
+    assert [(b.u[0], b.duration_s) for b in second] == [(1.0, 300.0), (0.0, 600.0)], "on for its minimum, then off"
 
 
 def test_duty_at_a_partial_level_scales_the_share():

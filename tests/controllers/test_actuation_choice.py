@@ -61,14 +61,15 @@ def test_a_named_mode_stays():
 
 def test_a_machine_without_a_fixed_part_is_a_quadratic_programme_at_any_level():
     model = simple_model()
-    boiler = replace(model, power=PowerModel(law(0.0, 4300.0)))
+    boiler = replace(model, power=(PowerModel(law(0.0, 4300.0)),))
     controller = ThermoForceMPC(boiler, MPCConfig(step_s=None), free_response=object())
     assert isinstance(controller._base.solver, QPSolver)
     assert controller.actuation_in_words.startswith("modulating, any level")
-    (block,), _ = controller._actuation.realise(0.07, 3600.0, controller._actuation.now(None, beginning()))
-    assert block.u == 0.07
-    (block,), _ = controller._actuation.realise(1e-7, 3600.0, controller._actuation.now(None, beginning()))
-    assert block.u == 0.0, "what a solver leaves of zero does not run the pump"
+    actuators = controller._actuators
+    (block,) = actuators.realise([0.07], 3600.0, actuators.now(None, beginning())).together()
+    assert block.u == (0.07,)
+    (block,) = actuators.realise([1e-7], 3600.0, actuators.now(None, beginning())).together()
+    assert block.u == (0.0,), "what a solver leaves of zero does not run the pump"
 
 
 def test_set_points_modulate_and_rules_follow_the_map():

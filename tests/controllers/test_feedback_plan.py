@@ -17,25 +17,25 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 def seeing_model() -> ThermalModel:
     """The simple house's model, with a gain that falls by a third from 18 to 24 °C."""
-    model = simple_model()
-    weights = np.zeros_like(model.operator.hidden_weight)
+    zone = simple_model().only
+    weights = np.zeros_like(zone.operator.hidden_weight)
     weights[0, 0] = 1.0
     output = np.zeros(weights.shape[0])
     output[0] = -0.3
     operator = replace(
-        model.operator,
+        zone.operator,
         hidden_weight=weights,
         output_weight=output,
         feature_mean=np.array([21.0, 0.0, 0.0, 0.0]),
         feature_scale=np.array([3.0, 5.0, 100.0, 1.0]),
         feedback=True,
     )
-    return replace(model, operator=operator)
+    return ThermalModel.of_zone(replace(zone, operator=operator))
 
 
 def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
     model = seeing_model()
-    assert certificate(model.operator).certified
+    assert certificate(model.only.operator).certified
     house = SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     observation = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
@@ -45,7 +45,7 @@ def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
     context = mpc.predictor.context(observation)
     np.testing.assert_allclose(plan.T_forced_K, context.predict(plan.u).forced_K, atol=1e-4)
     blind = ThermoForceMPC(
-        replace(model, operator=replace(model.operator, feedback=False)),
+        ThermalModel.of_zone(replace(model.only, operator=replace(model.only.operator, feedback=False))),
         MPCConfig(step_s=None, horizon_h=24.0),
         free_response=OutdoorResponse(),
     ).plan(observation)

@@ -23,7 +23,7 @@ HOURLY = {"step_s": 3600.0, "horizon_h": 24.0}
 
 def judged(competence):
     model = simple_model()
-    return replace(model, card=replace(model.card, competence=competence))
+    return replace(model, cards=(replace(model.only.card, competence=competence),))
 
 
 def mpc(competence, **options) -> ThermoForceMPC:

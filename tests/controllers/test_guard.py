@@ -35,7 +35,7 @@ def run(off_K: float, **guard: object) -> RunResult:
 
 def outside_K(result: RunResult) -> Array:
     """How far each sample is outside the comfort band, K."""
-    T = np.array([sample.T_zone_C for sample in result.samples])
+    T = np.array([sample.T_zone_C[0] for sample in result.samples])
     lower, upper = bounds_C(np.array([sample.start_s + sample.duration_s for sample in result.samples]))
     return np.maximum(lower - T, T - upper)
 
@@ -50,7 +50,7 @@ def test_a_wrong_forecast_is_overruled_at_the_margin(off_K):
     overruled = [step for step in guarded.steps if step.plan.status is PlanStatus.GUARD]
     assert guarded.fallback_levels()["guard"] == len(overruled) > 0
     for step in overruled:
-        applied = np.mean([sample.u_applied for sample in step.samples])
+        applied = np.mean([sample.u_applied[0] for sample in step.samples])
         assert applied == pytest.approx(1.0 if off_K > 0 else 0.0)
         assert step.plan.why.startswith("guard: ")
         assert ("below" if off_K > 0 else "above") in step.plan.why
@@ -68,7 +68,7 @@ def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
     seen = Observation(Record.beginning(house._measure()), house.forecast(86400.0, 3600.0))
     plan = mpc.plan(seen)
     assert plan.status is PlanStatus.GUARD
-    assert plan.u[0] < 0.5, "the plan itself stays readable"
+    assert plan.u[0, 0] < 0.5, "the plan itself stays readable"
     assert sum(block.duration_s for block in plan.blocks) == 3600.0
     assert plan.state.good is None
 

@@ -17,6 +17,7 @@ from controllers.thermostat import Thermostat
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -53,9 +54,9 @@ def test_in_closed_loop_it_is_comfortable_and_cheaper_than_the_thermostat():
 def test_predictions_of_an_exact_model_come_true():
     house = SimpleHouse()
     result = run_closed_loop(house, controller(comfort_margin_K=0.0), house.period("x"))
-    actual = np.array([step.T_zone_C for step in result.steps[1:]])
-    predicted = np.array([step.plan.T_zone_C[0] for step in result.steps[:-1]])
-    owed = np.array([step.plan.u[0] - np.mean([s.u_measured for s in step.samples]) for step in result.steps[:-1]])
+    actual = np.array([step.T_zone_C[0] for step in result.steps[1:]])
+    predicted = np.array([step.plan.T_zone_C[0, 0] for step in result.steps[:-1]])
+    owed = np.array([step.plan.u[0, 0] - np.mean([s.u_measured[0] for s in step.samples]) for step in result.steps[:-1]])
     # What is left is the share that five-minute blocks could not realise, and where in the hour it was put.
     assert np.abs(actual - predicted).max() < 0.9 * np.abs(owed).max() + 0.05
 
@@ -65,9 +66,9 @@ def test_predictions_of_an_exact_model_come_true():
 def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
     if mode == "modulating":
         model = simple_model()
-        load = replace(model.power.load, lowest_level=0.3)
+        load = replace(model.only.power.load, lowest_level=0.3)
         mpc = ThermoForceMPC(
-            replace(model, power=replace(model.power, load=load)),
+            replace(model, power=(replace(model.only.power, load=load),)),
             MPCConfig(step_s=None, solver=solver, actuation={"mode": mode}, horizon_h=24),
             free_response=OutdoorResponse(),
         )
@@ -76,7 +77,7 @@ def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
     plan = mpc.plan(observation())
     assert plan.status is PlanStatus.SOLVED
     assert sum(block.duration_s for block in plan.blocks) == HOUR_S
-    assert all(0.0 <= block.u <= 1.0 for block in plan.blocks)
+    assert all(0.0 <= block.u[0] <= 1.0 for block in plan.blocks)
     assert np.isfinite(plan.T_zone_C).all()
     assert plan.why
 
@@ -118,7 +119,7 @@ def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted
     )
     plan = mpc.plan(later, state)
     assert plan.status is PlanStatus.THERMOSTAT
-    assert [block.u for block in plan.blocks] == [1.0], "the zone is cold"
+    assert [block.u for block in plan.blocks] == [(1.0,)], "the zone is cold"
 
 
 class Sabotage:
@@ -154,7 +155,7 @@ def test_a_broken_forecast_falls_back_with_a_reason(action):
     plan = controller(free=Sabotage(action)).plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("no prediction (")
-    assert plan.blocks[0].u in (0.0, 1.0)
+    assert plan.blocks[0].u in ((0.0,), (1.0,))
 
 
 class Raising:
@@ -194,10 +195,11 @@ def test_the_class_without_a_configuration_is_the_controller_of_the_command_line
 
 def test_a_silent_sensor_is_survived_without_inventing_a_temperature():
     seen = observation()
-    silent = replace(seen.history, T_zone_C=np.append(seen.history.T_zone_C[:-1], np.nan))
+    silent = replace(seen.history, T_zone_C=np.append(seen.history.T_zone_C[0, :-1], np.nan))
     mpc = controller()
     plan = mpc.plan(Observation(silent, seen.boundary))
-    assert plan.blocks[0].u is None or 0.0 <= plan.blocks[0].u <= 1.0
+    (level,) = plan.blocks[0].u
+    assert level is None or 0.0 <= level <= 1.0
     assert plan.why
 
 
@@ -208,7 +210,7 @@ def test_a_horizon_shorter_than_a_step_is_refused_with_advice():
 
 def test_a_model_without_power_is_refused():
     with pytest.raises(ControllerConfigError, match="without measured power"):
-        ThermoForceMPC(replace(simple_model(), power=None), free_response=OutdoorResponse())
+        ThermoForceMPC(replace(simple_model(), power=(None,)), free_response=OutdoorResponse())
 
 
 def test_same_observation_same_plan():
@@ -219,31 +221,35 @@ def test_same_observation_same_plan():
 
 @pytest.mark.parametrize(("sign", "inside"), [(1, (0.22, 0.12)), (-1, (0.12, 0.22))])
 def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its_own(sign, inside):
-    model = simple_model()
-    operator = replace(model.operator, gains=sign * model.operator.gains, sign=sign)
+    zone = simple_model().only
+    model = ThermalModel.of_zone(
+        replace(zone, operator=replace(zone.operator, gains=sign * zone.operator.gains, sign=sign))
+    )
     config = MPCConfig(
         step_s=None, horizon_h=24.0, backoff_level=0.1, backoff_level_other=0.3, backoff_violation_K=None
     )
-    mpc = ThermoForceMPC(replace(model, operator=operator), config, free_response=OutdoorResponse())
+    mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
     seen = observation()
-    problem = mpc._assembly.problem(operator, mpc.predictor.context(seen), seen.history, peak_W=0.0)
-    np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[1:], inside[0], atol=1e-9)
-    np.testing.assert_allclose(seen.boundary.upper_C[1:] - problem.upper_C, inside[1], atol=1e-9)
+    problem = mpc._assembly.problem(
+        model.operator, mpc.predictor.context(seen), seen.history, peak_W=0.0, offset_K=np.zeros(1)
+    )
+    np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[:, 1:], inside[0], atol=1e-9)
+    np.testing.assert_allclose(seen.boundary.upper_C[:, 1:] - problem.upper_C, inside[1], atol=1e-9)
 
 
 def test_planned_power_follows_the_return_water_expected_over_the_zone():
     model = simple_model()
     water = ReturnWater(0.01, reference_C=30.0, range_C=(0.0, 60.0), above_zone_K=9.0)
-    powered = replace(model, power=replace(model.power, water=water))
+    powered = replace(model, power=(replace(model.only.power, water=water),))
     seen = observation()
-    history = replace(seen.history, T_return_C=seen.history.T_zone_C[:-1] + 5.0)
+    history = replace(seen.history, T_return_C=seen.history.T_zone_C[:, :-1] + 5.0)
     plain = controller().plan(seen)
     mpc = ThermoForceMPC(powered, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
     context = mpc.predictor.context(seen)
-    problem = mpc._assembly.problem(mpc.model.operator, context, history, peak_W=0.0)
-    zone = np.clip(context.free.median_C, seen.boundary.lower_C[1:], seen.boundary.upper_C[1:])
+    problem = mpc._assembly.problem(mpc.model.operator, context, history, peak_W=0.0, offset_K=np.zeros(1))
+    zone = np.clip(context.free.median_C[0], seen.boundary.lower_C[0, 1:], seen.boundary.upper_C[0, 1:])
     above = 5.0 if (history.u > 0.02).any() else 9.0
-    expected = model.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))
-    np.testing.assert_allclose(problem.power_per_u_W, expected)
+    expected = model.only.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))
+    np.testing.assert_allclose(problem.power_per_u_W[0], expected)
     assert plain.status is PlanStatus.SOLVED
     assert mpc.plan(Observation(history, seen.boundary)).status is PlanStatus.SOLVED

@@ -12,6 +12,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc import MPCState
 from thermoforce_mpc.data import HOUR_S, Boundary, Observation, Record
 from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 HELD = {"mode": "modulating", "lowest_level": 0.0}
@@ -24,13 +25,13 @@ class Forgetful(OutdoorResponse):
 def settled_K(offset_h: float | None) -> float:
     """Mean distance of the zone from its lower bound in the second night's last hours, K."""
     strong = linear_operator(np.array([POLE]), np.array([1.4 * GAIN_K]), step_s=HOUR_S)
-    model = replace(simple_model(), operator=strong)
+    model = ThermalModel.of_zone(replace(simple_model().only, operator=strong))
     config = MPCConfig(step_s=None, horizon_h=24.0, offset_h=offset_h, backoff_level=0.5, backoff_violation_K=None)
     mpc = ThermoForceMPC(model, config, free_response=Forgetful())
     house = SimpleHouse()
     result = run_closed_loop(house, mpc, house.period("x"))
-    nights = [s for s in result.samples if s.lower_C > 20 and (s.start_s % 86400) / HOUR_S < 6]
-    return float(np.mean([s.T_zone_C - s.lower_C for s in nights[-6:]]))
+    nights = [s for s in result.samples if s.lower_C[0] > 20 and (s.start_s % 86400) / HOUR_S < 6]
+    return float(np.mean([s.T_zone_C[0] - s.lower_C[0] for s in nights[-6:]]))
 
 
 def test_a_machine_weaker_than_its_law_still_reaches_the_bound():
@@ -46,28 +47,30 @@ def test_the_offset_is_the_mean_of_recent_errors_and_limited():
     state = plan.state
     assert isinstance(state, MPCState)
     assert state.good is not None
-    assert state.offset_K == 0.0, "nothing was planned before"
+    assert state.offset_K.tolist() == [0.0], "nothing was planned before"
     cold = replace(state.good, time_s=start.time_s - HOUR_S, T_zone_C=np.full_like(state.good.T_zone_C, 20.0))
     off = replace(state, good=cold)
     error = observation.T_zone_C - 20.0
     assert mpc._offset_K(off, observation) == pytest.approx((1 - np.exp(-1 / 6)) * error)
     far = replace(off, good=replace(off.good, T_zone_C=off.good.T_zone_C - 30.0))
-    assert mpc._offset_K(far, observation) == 0.3
-    old = replace(off, offset_K=0.1, good=replace(off.good, time_s=start.time_s - 3 * HOUR_S))
-    assert mpc._offset_K(old, observation) == 0.1, "a plan of three hours ago says nothing of this step"
+    assert mpc._offset_K(far, observation).tolist() == [0.3]
+    old = replace(off, offset_K=np.array([0.1]), good=replace(off.good, time_s=start.time_s - 3 * HOUR_S))
+    assert mpc._offset_K(old, observation).tolist() == [0.1], "a plan of three hours ago says nothing of this step"
 
 
 @pytest.mark.parametrize(("gain", "held"), [(1.0, False), (20.0, True)])
 def test_in_a_fast_zone_the_end_of_a_step_meets_the_bound_that_held_during_it(gain, held):
-    model = simple_model()
-    model = replace(model, operator=replace(model.operator, gains=gain * model.operator.gains))
+    zone = simple_model().only
+    model = ThermalModel.of_zone(
+        replace(zone, operator=replace(zone.operator, gains=gain * zone.operator.gains))
+    )
     mpc = ThermoForceMPC(model, MPCConfig(step_s=None), free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * 86400.0, 24 * HOUR_S)
     boundary: Boundary = house.forecast(mpc.horizon_s, HOUR_S)
     history: Record = house.past(HOUR_S)
     context = mpc.predictor.context(Observation(history, boundary))
-    problem = mpc._assembly.problem(mpc.model.operator, context, history, 0.0)
-    drops = np.flatnonzero((boundary.lower_C[:-1] == 21.0) & (boundary.lower_C[1:] == 15.0))
+    problem = mpc._assembly.problem(mpc.model.operator, context, history, 0.0, np.zeros(1))
+    drops = np.flatnonzero((boundary.lower_C[0, :-1] == 21.0) & (boundary.lower_C[0, 1:] == 15.0))
     assert drops.size
     assert (problem.lower_C[0, drops] >= 21.0).all() == held

@@ -31,12 +31,12 @@ def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
         period = replace(house.period("x"), scored_s=8 * 86400.0)
         result = run_closed_loop(house, mpc, period)
         assert result.fallback_levels()["solved"] == len(result.steps)
-        actual = np.array([step.T_zone_C for step in result.steps[1:]])
-        predicted = np.array([step.plan.T_zone_C[0] for step in result.steps[:-1]])
+        actual = np.array([step.T_zone_C[0] for step in result.steps[1:]])
+        predicted = np.array([step.plan.T_zone_C[0, 0] for step in result.steps[:-1]])
         errors = (actual - predicted)[-72:]
-        learned = result.state.adaptation
+        (learned,) = result.state.adaptation
         found[enabled] = float(learned.model.operator.gains[0]), float(np.sqrt(np.mean(errors**2))), learned.steps
-    gain = simple_model().operator.gains[0]
+    gain = simple_model().only.operator.gains[0]
     assert found[False][0] == gain
     assert found[False][2] == ()
     assert found[True][0] == pytest.approx(0.8 * gain, rel=0.12)

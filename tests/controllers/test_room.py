@@ -101,28 +101,28 @@ def blocks(u: float, T_end_C: float, T_now_C: float, *, u_last: float = 0.0, bou
 
 def test_a_move_starts_as_late_as_it_can():
     idle, moving = blocks(0.3, 21.05, 18.0)
-    assert (idle.u, idle.band_C) == (0.0, (15.0, 30.0))
-    assert moving.band_C == (21.05, 30.0)
+    assert (idle.u, idle.band_C) == ((0.0,), ((15.0, 30.0),))
+    assert moving.band_C == ((21.05, 30.0),)
     assert moving.duration_s == 360.0  # 0.3 · 900 s, a quarter more, whole minutes
-    assert moving.u == pytest.approx(0.75)
+    assert moving.u == pytest.approx((0.75,))
     assert idle.duration_s + moving.duration_s == 900.0
     cooled = blocks(-0.3, 24.0, 27.0)
-    assert cooled[-1].band_C == (15.0, 24.0)
-    assert LOWEST <= cooled[-1].u < 0.0
+    assert cooled[-1].band_C == ((15.0, 24.0),)
+    assert LOWEST <= cooled[-1].u[0] < 0.0
 
 
 def test_heat_that_holds_the_zone_is_no_part_of_a_move():
     holding, moving = blocks(0.4, 21.05, 15.03, u_last=0.2, bounds=(15.03, 29.97))
-    assert holding.u == pytest.approx(0.2)
+    assert holding.u == pytest.approx((0.2,))
     assert moving.duration_s == 300.0  # a quarter of the 0.8 that are left, not 0.4 of the step
 
 
 def test_a_loop_at_its_bound_goes_on_where_nothing_is_planned():
     (block,) = blocks(0.0, 24.1, 23.95, u_last=-0.15, bounds=(21.03, 23.97))
-    assert block.u == pytest.approx(-0.15)
-    assert block.band_C == (21.03, 23.97)
+    assert block.u == pytest.approx((-0.15,))
+    assert block.band_C == ((21.03, 23.97),)
     (idle,) = blocks(0.0, 22.0, 22.5, u_last=-0.15, bounds=(21.03, 23.97))
-    assert idle.u == 0.0
+    assert idle.u == (0.0,)
 
 
 @pytest.mark.parametrize("T_now_C", [math.nan, -5.0, 21.0, 45.0])
@@ -134,8 +134,9 @@ def test_set_points_stay_within_the_bounds_in_force_whatever_the_plan_says(u, T_
             found, refused = checked_blocks(Plan(planned, PlanStatus.SOLVED, ""), 900.0, 900.0, LOWEST)
             assert refused == ""
             for block in found:
-                assert block.band_C is not None
-                assert 21.0 <= block.band_C[0] <= block.band_C[1] <= 24.0
+                (band,) = block.band_C
+                assert band is not None
+                assert 21.0 <= band[0] <= band[1] <= 24.0
 
 
 def test_a_level_or_band_that_is_not_possible_never_reaches_the_plant():
@@ -145,7 +146,7 @@ def test_a_level_or_band_that_is_not_possible_never_reaches_the_plant():
         Block(0.2, 900.0, (math.nan, 24.0)),
     ):
         found, refused = checked_blocks(Plan((block,), PlanStatus.SOLVED, ""), 900.0, 900.0, LOWEST)
-        assert found[0].u is None
+        assert found[0].u == (None,)
         assert "refused" in refused
 
 
@@ -163,7 +164,7 @@ def test_probing_heats_and_cools_inside_the_band(probed):
     lower, upper = LightOffice.bounds_C(probed.time_s[1:])
     assert probed.u.min() < -0.02
     assert probed.u.max() > 0.02
-    out = np.maximum(lower - probed.T_zone_C[1:], probed.T_zone_C[1:] - upper)
+    out = np.maximum(lower - probed.T_zone_C[0, 1:], probed.T_zone_C[0, 1:] - upper)
     assert out.max() < 0.3, "K beyond the band"
 
 
@@ -172,13 +173,13 @@ def test_one_operator_for_both_directions_is_found(model, tmp_path):
     full = np.array([1.0])
     u = np.zeros(4)
     u[0] = 1.0
-    step = float(model.operator.impulse(1)[0])
+    step = float(model.only.operator.impulse(1)[0])
     assert step == pytest.approx(office.step_response_K(900.0), rel=0.15)
-    assert float(model.power(full, 0.0)[0]) == pytest.approx(11000.0 / 0.9, rel=0.02)
-    assert float(model.power(-full, 0.0)[0]) == pytest.approx(11000.0 / 3.0, rel=0.02)
+    assert float(model.only.power(full, 0.0)[0]) == pytest.approx(11000.0 / 0.9, rel=0.02)
+    assert float(model.only.power(-full, 0.0)[0]) == pytest.approx(11000.0 / 3.0, rel=0.02)
     model.save(tmp_path / "office")
     again = load_model(tmp_path / "office")
-    assert again.operator.heat_input.lowest == LOWEST
+    assert again.only.operator.heat_input.lowest == LOWEST
     assert again.power == model.power
 
 
@@ -206,7 +207,8 @@ def test_closed_loop_is_far_more_comfortable_than_native_control_at_nearly_its_c
 
 
 def test_a_model_of_one_direction_does_not_run_room_setpoints(model):
-    one = replace(model, operator=replace(model.operator, heat_input=HeatInput()))
+    zone = model.only
+    one = ThermalModel.of_zone(replace(zone, operator=replace(zone.operator, heat_input=HeatInput())))
     with pytest.raises(ControllerConfigError, match="belong together"):
         ThermoForceMPC(one, MPCConfig.model_validate({"actuation": {"mode": "room_setpoints"}}))
     with pytest.raises(ControllerConfigError, match="belong together"):
@@ -216,6 +218,6 @@ def test_a_model_of_one_direction_does_not_run_room_setpoints(model):
 def test_the_weights_of_a_boundary_price_heating_at_its_own_carrier():
     n = np.zeros(3)
     plain = Boundary(np.arange(3.0) * 900, n, n, n, n + 15, n + 30, n + 0.2, n)
-    assert plain.heating_price_per_kWh.tolist() == [0.2] * 3
-    assert replace(plain, heating_price_per_kWh=n + 0.05).head(1).heating_price_per_kWh.tolist() == [0.05] * 2
+    assert plain.heating_price_per_kWh.tolist() == [[0.2] * 3]
+    assert replace(plain, heating_price_per_kWh=n + 0.05).head(1).heating_price_per_kWh.tolist() == [[0.05] * 2]
     assert Weights(5.0, 0.0).peak == 0.0

@@ -22,7 +22,7 @@ def levels(thermostat: Thermostat, temperatures: list[float]) -> list[float | No
     for T in temperatures:
         plan = thermostat.plan(observation(T), state)
         state = plan.state
-        found.append(plan.blocks[0].u)
+        found.append(plan.blocks[0].u[0])
     return found
 
 
@@ -37,7 +37,7 @@ def test_cooling_acts_on_the_other_side():
 
 def test_a_silent_sensor_hands_over_to_native_control():
     plan = Thermostat().plan(observation(float("nan")))
-    assert plan.blocks[0].u is None
+    assert plan.blocks[0].u == (None,)
     assert "missing" in plan.why
 
 
@@ -56,11 +56,11 @@ def test_setback_past_midnight():
 
 def test_setback_keeps_the_machine_off_in_a_cold_zone():
     config = ThermostatConfig(setback=Setback(from_hour=0, to_hour=24, weekend_days=()))
-    assert Thermostat(config).plan(observation(10.0)).blocks[0].u == 0.0
+    assert Thermostat(config).plan(observation(10.0)).blocks[0].u == (0.0,)
 
 
 def test_native_overwrites_nothing():
     house = SimpleHouse()
     house.reset(0, 0)
     plan = NativeController().plan(Observation(house.past(HOUR_S), house.forecast(HOUR_S, HOUR_S)))
-    assert [b.u for b in plan.blocks] == [None]
+    assert [b.u for b in plan.blocks] == [(None,)]

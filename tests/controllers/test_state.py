@@ -99,7 +99,7 @@ def test_the_state_of_another_controller_is_refused():
     for controller in (mpc(), PIController()):
         seen = Observation(house.past(controller.step_s), house.forecast(controller.horizon_s, controller.step_s))
         with pytest.raises(DataError, match="state is a ThermostatState, expected None"):
-            controller.plan(seen, ThermostatState(True))
+            controller.plan(seen, ThermostatState((True,)))
 
 
 class Failing:
@@ -167,7 +167,7 @@ def test_a_machine_that_was_not_seen_may_just_have_switched_off():
     actuation = Actuation(ActuationConfig())
     assert actuation.now(ActuationState(native=True), after([np.nan])) == ActuationState(on=False, held_s=0.0)
     blocks, _ = actuation.realise(1.0, 900.0, actuation.now(ActuationState(native=True), after([1.0, 0.5])))
-    assert [(block.u, block.duration_s) for block in blocks] == [(0.0, 600.0), (1.0, 300.0)]
+    assert [(block.u[0], block.duration_s) for block in blocks] == [(0.0, 600.0), (1.0, 300.0)]
 
 
 def test_after_a_silent_sensor_and_native_control_the_minimum_off_time_holds():
@@ -178,10 +178,10 @@ def test_after_a_silent_sensor_and_native_control_the_minimum_off_time_holds():
     history = house.past(HOUR_S)
     silent = replace(history, T_zone_C=np.full(history.time_s.size, np.nan))
     plan = controller.plan(Observation(silent, house.forecast(6 * HOUR_S, HOUR_S)))
-    assert [block.u for block in plan.blocks] == [None]
+    assert [block.u for block in plan.blocks] == [(None,)]
     # Native control ran for a part of the hour and may have stopped just now.
     told = replace(history, u=np.ones(history.n_steps))
     later = told.extended(replace(house.advance(None, HOUR_S), u=0.4))
     cold = replace(later, T_zone_C=later.T_zone_C - 3.0)
     plan = controller.plan(Observation(cold, house.forecast(6 * HOUR_S, HOUR_S)), plan.state)
-    assert [(block.u, block.duration_s) for block in plan.blocks] == [(0.0, 600.0), (1.0, 3000.0)]
+    assert [(block.u[0], block.duration_s) for block in plan.blocks] == [(0.0, 600.0), (1.0, 3000.0)]

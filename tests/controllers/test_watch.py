@@ -91,7 +91,7 @@ def test_a_changed_plant_is_noticed_within_a_day_and_control_returns(fault, says
         assert spell.why_back, "control returned, with a reason"
         assert spell.end_s <= TO_S + 2 * DAY_S
     inside = [s for s in result.steps if spells[0].start_s <= s.time_s < spells[0].end_s]
-    assert all(sample.u_applied is None for step in inside for sample in step.samples)
+    assert all(sample.u_applied == (None,) for step in inside for sample in step.samples)
 
 
 def test_without_a_change_nothing_is_noticed_and_plans_are_the_same():
@@ -114,7 +114,7 @@ def test_the_rule_can_act_instead_and_keeps_the_zone_warm():
     result = run("window", fallback={"stand_back": "rule"})
     steps = [step for step in result.steps if step.plan.status is PlanStatus.WATCH]
     assert steps
-    assert all(sample.u_applied in (0.0, 1.0) for step in steps for sample in step.samples)
+    assert all(sample.u_applied in ((0.0,), (1.0,)) for step in steps for sample in step.samples)
     assert result.kpis["tdis_tot"] <= 1.05 * run("window", watch={"enabled": False}).kpis["tdis_tot"]
 
 
@@ -129,7 +129,7 @@ def test_a_machine_that_stays_weak_is_adapted_to():
     result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=12 * DAY_S))
     assert watched(result)
     assert result.steps[-1].plan.status is PlanStatus.SOLVED
-    found = result.state.adaptation.model.operator.gains[0] / simple_model().operator.gains[0]
+    found = result.state.adaptation[0].model.operator.gains[0] / simple_model().only.operator.gains[0]
     assert found == pytest.approx(0.5, abs=0.12)
     assert any("the model adapted since" in spell.why_back for spell in watch_spells(result))
 
@@ -146,7 +146,7 @@ def test_the_e_value_has_mean_one_at_most_for_errors_as_promised():
 
 def test_false_alarms_are_no_more_frequent_than_stated():
     """Months of predictions whose errors are as promised, straight into the detectors."""
-    watch = Watch(WatchConfig(), simple_model(), 48, lambda record: record.u)
+    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
     assert watch.threshold == pytest.approx(2 * 2 * 720 / 0.05)
     rng, hours, runs = np.random.default_rng(5), 720, 300
     z = rng.standard_t(2, (runs, hours)) / 1.8856
@@ -190,7 +190,7 @@ def test_meters_are_compared_where_the_machine_ran():
 
 def test_an_old_plan_is_followed_only_while_its_own_promise_holds():
     policy = FallbackPolicy(FallbackConfig(), HOUR_S, 1.0, "heating")
-    good = GoodPlan(0.0, np.array([0.2, 0.4, 0.6]), np.array([21.0, 21.0, 21.0]), np.array([0.1, 0.1, 0.1]))
+    good = GoodPlan(0.0, np.array([[0.2, 0.4, 0.6]]), np.full((1, 3), 21.0), np.full((1, 3), 0.1))
     house = SimpleHouse()
     house.reset(10 * DAY_S, 0.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import Case, held_out, normalisation, power_model, ranges
+from thermoforce_mpc.identification.cases import Case, held_out, normalisation, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator

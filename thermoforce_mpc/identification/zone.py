@@ -1,7 +1,7 @@
 """Model of one zone from its records: order, linear fit, monotone-neural gain, verdict.
 
-Fit every order to the first part of the data and keep the one whose rollouts are best on the rest; fit it to everything;
-train the modulation the same way; refuse an operator that explains next to nothing or whose sign is not proven, whatever
+Fit every order to the first part of the data and keep the one whose rollouts are best on the rest; fit it to
+everything; train the modulation the same way; refuse an operator that explains next to nothing or whose sign is not proven, whatever
 the method. The zone's own actuator is the first of its records; the others' effects are estimated with it.
 """
 

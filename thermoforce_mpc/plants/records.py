@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import ACTING, Array, Measurement, Record
+from thermoforce_mpc.data import ACTING, Array, Block, Boundary, Measurement, Record
+from thermoforce_mpc.plants.checks import plant_inputs
+from thermoforce_mpc.scenario.building import BuildingPoints, Price
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.testcase import Actuator, Measurements
 
 _KELVIN = 273.15
 
@@ -36,67 +37,120 @@ def weighted_sum(record: Mapping[str, Array], points: Sequence[str] | Mapping[st
     return np.asarray(np.sum([factor * record[name] for name, factor in factors.items()], axis=0))
 
 
-def recorded_level(
-    record: Mapping[str, Array], m: Measurements, actuator: Actuator | RoomSetpoints, applied: Mapping[str, Array]
-) -> Array:
-    """Return the level u of each sample: from the `applied` values of the actuator's `sensed` points.
+def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied: Mapping[str, Array]) -> Array:
+    """Return the levels (A, n) of n samples: from the `applied` values of the points that the actuators sense.
 
     Where room set-points act it is the heat to the room over full heat, in range.
     """
-    if isinstance(actuator, RoomSetpoints):
-        return np.clip(weighted_sum(record, m.heat_factors) / actuator.heating_W, actuator.lowest, 1.0)
-    return actuator.level(applied[actuator.point], record[m.zone_temperature] - _KELVIN, applied)
+    rows = []
+    for one, home in zip(points.actuators, points.layout.home, strict=True):
+        actuator = one.actuator
+        if isinstance(actuator, RoomSetpoints):
+            rows.append(np.clip(weighted_sum(record, one.heat) / actuator.heating_W, actuator.lowest, 1.0))
+        else:
+            room_C = record[points.zones[home].temperature] - _KELVIN
+            rows.append(actuator.level(applied[actuator.point], room_C, applied))
+    return np.stack(rows)
 
 
-def acting_means(record: Mapping[str, Array], m: Measurements, u: Array, edges: Array) -> dict[str, Array]:
-    """Return means between `edges` (n + 1,) of power, heat and return temperature by `Record` names, and `u` (n,)."""
-    water = [m.return_water] if m.return_water else []
+def acting_means(record: Mapping[str, Array], points: BuildingPoints, u: Array, edges: Array) -> dict[str, Array]:
+    """Return means between `edges` (n + 1,) by `Record` names: power and return water (M, n), heat and `u` (A, n)."""
     return {
         "u": u,
-        "power_W": interval_means(record, m.electric_power, edges),
-        "heat_W": interval_means(record, m.heat_factors, edges),
-        "T_return_C": interval_means(record, water, edges) - _KELVIN,
+        "power_W": np.stack([interval_means(record, machine.power, edges) for machine in points.machines]),
+        "heat_W": np.stack([interval_means(record, one.heat, edges) for one in points.actuators]),
+        "T_return_C": np.stack(
+            [
+                interval_means(record, [machine.return_water] if machine.return_water else [], edges) - _KELVIN
+                for machine in points.machines
+            ]
+        ),
     }
 
 
+def mean_levels(time_s: Array, levels: Array, edges: Array) -> Array:
+    """Return the means (A, n) between `edges` (n + 1,) of sampled `levels` (A, k) at `time_s` (k,)."""
+    return np.stack([interval_means({"time": time_s, "u": row}, ["u"], edges) for row in levels])
+
+
 def past_record(
-    record: Mapping[str, Array], m: Measurements, levels: Callable[[Array], Array], now_s: float, step_s: float
+    record: Mapping[str, Array], points: BuildingPoints, levels: Callable[[Array], Array], now_s: float, step_s: float
 ) -> Record:
     """Return sampled points as a `Record` at `step_s` that ends at `now_s`; the oldest partial step is dropped.
 
-    `levels` gives the mean actuator level u between edges (n + 1,), shape (n,).
+    `levels` gives the mean actuator levels between edges (n + 1,), shape (A, n).
     """
     n = math.floor((now_s - record["time"][0]) / step_s + 1e-9)
     edges: Array = now_s - np.arange(float(n), -1.0, -1.0) * step_s
-    T_zone, T_out, solar = (
-        np.interp(edges, record["time"], record[name]) for name in (m.zone_temperature, m.outdoor_temperature, m.solar)
-    )
-    acting = acting_means(record, m, levels(edges), edges)
+    names = (*points.temperatures, points.outdoor_temperature, points.solar)
+    *T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
+    acting = acting_means(record, points, levels(edges), edges)
     return Record(
         time_s=edges,
-        T_zone_C=T_zone - _KELVIN,
+        T_zone_C=np.stack(T_zone) - _KELVIN,
         T_out_C=T_out - _KELVIN,
         solar_W_m2=solar,
         u=acting["u"],
         power_W=acting["power_W"],
         heat_W=acting["heat_W"],
         T_return_C=acting["T_return_C"],
+        names=points.layout.names,
     )
 
 
 def measurement(
-    time_s: float, points: Mapping[str, float], m: Measurements, acting: Mapping[str, Array] | None = None
+    time_s: float, values: Mapping[str, float], points: BuildingPoints, acting: Mapping[str, Array] | None = None
 ) -> Measurement:
-    """Return a measurement of one zone: sampled points (NaN if missing), step means `acting` (1,) (NaN if None)."""
-    means = dict.fromkeys(ACTING, np.array([math.nan])) if acting is None else acting
+    """Return a measurement: sampled `values` by point (NaN if missing), step means `acting` (rows, 1) (NaN if None)."""
+    means = {name: np.empty(0) if acting is None else acting[name][:, 0] for name in ACTING}
     return Measurement(
         time_s=time_s,
-        T_zone_C=np.array([points.get(m.zone_temperature, math.nan) - _KELVIN]),
-        T_out_C=points.get(m.outdoor_temperature, math.nan) - _KELVIN,
-        solar_W_m2=points.get(m.solar, math.nan),
+        T_zone_C=np.array([values.get(name, math.nan) for name in points.temperatures]) - _KELVIN,
+        T_out_C=values.get(points.outdoor_temperature, math.nan) - _KELVIN,
+        solar_W_m2=values.get(points.solar, math.nan),
         u=means["u"],
         power_W=means["power_W"],
         heat_W=means["heat_W"],
         T_return_C=means["T_return_C"],
-        points=dict(points),
+        points=dict(values),
+        names=points.layout.names,
     )
+
+
+def boundary(
+    time_s: Array, values: Mapping[str, Array], points: BuildingPoints, price: Price, weather: tuple[Array, Array]
+) -> Boundary:
+    """Return the boundary conditions from forecast points, `values` (N + 1,) by name, with `weather` °C and W/m²."""
+
+    def of_zones(name: str) -> Array:
+        return np.stack([values[getattr(zone, name)] for zone in points.zones])
+
+    return Boundary(
+        time_s=time_s,
+        T_out_C=weather[0],
+        solar_W_m2=weather[1],
+        occupancy=of_zones("occupancy"),
+        lower_C=of_zones("lower") - _KELVIN,
+        upper_C=of_zones("upper") - _KELVIN,
+        price_per_kWh=np.stack([values[machine.price[price]] for machine in points.machines]),
+        emission_kg_per_kWh=np.stack([values[machine.emission] for machine in points.machines]),
+        heating_price_per_kWh=np.stack(
+            [values[(machine.heating_price or machine.price)[price]] for machine in points.machines]
+        ),
+        names=points.layout.names,
+    )
+
+
+def inputs(points: BuildingPoints, block: Block, T_zone_C: Array) -> dict[str, float]:
+    """Return the inputs of all actuators for a block with the zones at `T_zone_C` (Z,), °C.
+
+    A point that one actuator holds and another releases stays held.
+
+    Raises:
+        InputError: see `plant_inputs`.
+    """
+    out: dict[str, float] = {}
+    for a, (one, home) in enumerate(zip(points.actuators, points.layout.home, strict=True)):
+        for name, value in plant_inputs(one.actuator, block.u[a], block.band_C[a], float(T_zone_C[home])).items():
+            out[name] = max(out.get(name, value), value) if name.endswith("_activate") else value
+    return out

@@ -16,7 +16,7 @@ from thermoforce_mpc.errors import ConfigError
 Model = TypeVar("Model", bound=BaseModel)
 
 
-UNION_TAGS = ("direct", "room")
+UNION_TAGS = ("direct", "room", "one_zone", "weather_only")
 """Tags of the alternatives of a key, which pydantic puts into the place of an error; no key has these names."""
 
 

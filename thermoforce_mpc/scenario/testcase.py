@@ -2,141 +2,38 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from thermoforce_mpc.data import Array, Layout
-from thermoforce_mpc.scenario.actuator_map import FanCoilMap, LinearMap, MapName, RadiatorMap
+from thermoforce_mpc.data import Layout
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.scenario.building import (
+    ELECTRICITY,
+    PRICES,
+    ActuatorPoints,
+    AnyActuator,
+    AnyZoneActuator,
+    BuildingPoints,
+    Machine,
+    Price,
+    Zone,
+    heat_factors,
+    layout_of,
+)
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel
 
-Price = Literal["constant", "dynamic", "highly_dynamic"]
-PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
-_KELVIN = 273.15
+__all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
 
 
-class Actuator(StrictModel):
-    """Mapping of the level u in [0, 1] to the plant: `<point>_u` in [`minimum`, `maximum`], `<point>_activate` = 1.
+class Weather(StrictModel):
+    """Measured weather. At the plant's interface temperatures are in K, irradiance in W/m²."""
 
-    u is the heating or cooling effort; `map` says how heat follows from the value and the room's temperature
-    (`thermoforce_mpc.scenario.actuator_map`). Values and temperatures are in the units of the plant's interface, the
-    room's temperature in °C.
-    """
-
-    point: str = Field(description="overwrite point of the test case, without the `_u` ending")
-    minimum: float = Field(0.0, description="lowest value, in `unit`; the value at u = 0 if `rising`")
-    maximum: float = Field(1.0, description="highest value, in `unit`; the value at u = 1 if `rising`")
-    rising: bool = Field(True, description="whether the value rises with u; false for the set-point of a cooled room")
-    unit: str = Field("1", description="unit of the value at the plant's interface")
-    kind: Literal["level", "setpoint"] = Field(
-        "level", description="level: heat follows u at once; setpoint: a control loop of the building follows the value"
-    )
-    map: MapName = Field(
-        "linear",
-        description="linear: the value itself; radiator: supply water, heat ~ (T_supply - T_zone)^exponent; fan_coil: "
-        "air flow, heat ~ flow * (T_supply - T_zone) with T_supply the held point `supply`",
-    )
-    exponent: float = Field(1.3, ge=1, le=2, description="radiator: exponent n of its data sheet (EN 442)")
-    reference_zone_C: float = Field(
-        20.0, ge=0, le=40, description="radiator, fan_coil: room temperature for which u = 1 is the value at its end"
-    )
-    held: dict[str, float] = Field(
-        default_factory=dict,
-        description="other overwrite points held at a value (unit of the interface) while u acts; native otherwise",
-    )
-    switch: str | None = Field(
-        None, description="a point of `held` without which nothing flows, such as a pump: 0 at u = 0 instead"
-    )
-    supply: str | None = Field(None, description="fan_coil: the point of `held` that sets the supply air, K")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Actuator:
-        if not self.minimum < self.maximum:
-            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
-        if self.point in self.held:
-            raise ValueError(f"held: '{self.point}' is the actuator itself")
-        for key, name in (("switch", self.switch), ("supply", self.supply)):
-            if name is not None and name not in self.held:
-                raise ValueError(f"{key}: '{name}' is not one of the points in held")
-        return self
-
-    @model_validator(mode="after")
-    def _mapped(self) -> Actuator:
-        if self.map != "linear" and not self.rising:
-            raise ValueError(f"map {self.map}: the value rises with u; leave rising out")
-        reference = self.reference_zone_C + _KELVIN
-        if self.map == "radiator" and not (self.unit == "K" and self.maximum > reference):
-            raise ValueError("map radiator: the value is a water temperature in K, its maximum above reference_zone_C")
-        if (self.map == "fan_coil") != (self.supply is not None):
-            raise ValueError("map fan_coil and supply go together: name the point in held that sets the supply air")
-        if self.supply is not None and abs(self.held[self.supply] - reference) < 1.0:
-            raise ValueError(f"supply: '{self.supply}' is held at the room's temperature, it would do nothing")
-        return self
-
-    @property
-    def sensed(self) -> tuple[str, ...]:
-        """Points whose applied values give the level: the actuator's own, its switch and its supply."""
-        return tuple(name for name in (self.point, self.switch, self.supply) if name is not None)
-
-    def value(self, u: float, T_zone_C: float = math.nan) -> float:
-        """Return the value of `<point>_u` for `u` in [0, 1], in `unit`; a room that is not measured is at reference."""
-        return float(self._value(np.asarray(u), self._room(T_zone_C)))
-
-    def inputs(self, u: float | None, T_zone_C: float = math.nan) -> dict[str, float]:
-        """Return the plant inputs for `u` in [0, 1] with the room at `T_zone_C` °C, or None for native control.
-
-        All points are set explicitly, since a point that is not set keeps its last value.
-        """
-        if u is None:
-            return {f"{name}_activate": 0.0 for name in (self.point, *self.held)}
-        values = {self.point: self.value(u, T_zone_C), **self.held}
-        if self.switch is not None and u <= 0:
-            values[self.switch] = 0.0
-        return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
-
-    def level(
-        self, value: float | Array, T_zone_C: float | Array = math.nan, others: Mapping[str, Array] | None = None
-    ) -> Array:
-        """Return the level u for `value` (in `unit`) with the room at `T_zone_C` °C, clipped to [0, 1].
-
-        Args:
-            value: applied value of `point`, any shape.
-            T_zone_C: room temperature, same shape; NaN: at reference.
-            others: applied values of the other points of `sensed`; by default as held.
-        """
-        applied = {**self.held, **(others or {})}
-        room, value = self._room(T_zone_C), np.asarray(value, dtype=np.float64)
-        if self.map == "fan_coil" and self.supply is not None:
-            planned = np.asarray(self.held[self.supply])
-            u = self._fan_coil.level(value, room, np.asarray(applied[self.supply]), planned)
-        else:
-            u = self._plain.level(value, room)
-        if self.switch is None:
-            return u
-        return np.where(np.asarray(applied[self.switch]) > 0.5 * self.held[self.switch], u, 0.0)
-
-    def _value(self, u: Array, room: Array) -> Array:
-        if self.map == "fan_coil" and self.supply is not None:
-            return self._fan_coil.value(u, room, np.asarray(self.held[self.supply]))
-        return self._plain.value(u, room)
-
-    def _room(self, T_zone_C: float | Array) -> Array:
-        T = np.asarray(T_zone_C, dtype=np.float64)
-        return np.where(np.isfinite(T), T, self.reference_zone_C) + _KELVIN
-
-    @property
-    def _plain(self) -> LinearMap | RadiatorMap:
-        if self.map == "radiator":
-            return RadiatorMap(self.minimum, self.maximum, self.reference_zone_C + _KELVIN, self.exponent)
-        return LinearMap(self.minimum, self.maximum, self.rising)
-
-    @property
-    def _fan_coil(self) -> FanCoilMap:
-        return FanCoilMap(self.minimum, self.maximum, self.reference_zone_C + _KELVIN)
+    outdoor_temperature: str
+    solar: str = Field(description="global horizontal irradiance")
 
 
 class Measurements(StrictModel):
@@ -155,15 +52,13 @@ class Measurements(StrictModel):
     )
     return_water: str | None = Field(None, description="return water temperature of the emitters, for the power model")
 
-    @property
-    def flows(self) -> list[str]:
-        """Points that are averaged over a step instead of sampled."""
-        return [*self.electric_power, *self.heat, *([self.return_water] if self.return_water else [])]
 
-    @property
-    def heat_factors(self) -> dict[str, float]:
-        """Factor of each heat point: 1 unless given."""
-        return dict(self.heat) if isinstance(self.heat, dict) else dict.fromkeys(self.heat, 1.0)
+def _which(measurements: object) -> str:
+    """Tag of the measured points: of a whole building of one zone, or of the weather."""
+    known = (
+        set(measurements) if isinstance(measurements, Mapping) else set(getattr(type(measurements), "model_fields", ()))
+    )
+    return "weather_only" if known <= set(Weather.model_fields) else "one_zone"
 
 
 class ForecastPoints(StrictModel):
@@ -177,13 +72,7 @@ class ForecastPoints(StrictModel):
     heating_price: dict[Price, str] | None = Field(
         None, description="price of the carrier of heating where it has one of its own, such as gas; `price` otherwise"
     )
-    price: dict[Price, str] = Field(
-        {
-            "constant": "PriceElectricPowerConstant",
-            "dynamic": "PriceElectricPowerDynamic",
-            "highly_dynamic": "PriceElectricPowerHighlyDynamic",
-        }
-    )
+    price: dict[Price, str] = Field(ELECTRICITY)
     emission: str = "EmissionsElectricPower"
 
 
@@ -209,12 +98,6 @@ class Defaults(StrictModel):
     identification: dict[str, Any] = Field(default_factory=dict, description="identification options")
 
 
-def _kind(actuator: object) -> str:
-    """Tag of an actuator, from its `kind`."""
-    kind = actuator.get("kind") if isinstance(actuator, Mapping) else getattr(actuator, "kind", None)
-    return "room" if kind == "room_setpoints" else "direct"
-
-
 class TestCase(StrictModel):
     """Building: point names, units, floor area (m²), actuator and default control step (s)."""
 
@@ -222,18 +105,23 @@ class TestCase(StrictModel):
 
     name: str
     description: str
-    floor_area_m2: float = Field(gt=0)
+    floor_area_m2: float | None = Field(None, gt=0, description="heated floor area, m²; of `zones` their sum")
     currency: str = "EUR"
     mode: Literal["heating", "cooling", "both"] = Field(
         "heating",
         description="sign of the actuator's effect on the zone; both: room set-points for heating and cooling",
     )
     step_s: float = Field(3600.0, ge=60, le=86400, description="default control step, s")
-    actuator: Annotated[
-        Annotated[Actuator, Tag("direct")] | Annotated[RoomSetpoints, Tag("room")], Discriminator(_kind)
-    ]
-    measurements: Measurements
+    actuator: AnyActuator | None = Field(None, description="the actuator of a building of one zone")
+    measurements: Annotated[
+        Annotated[Measurements, Tag("one_zone")] | Annotated[Weather, Tag("weather_only")], Discriminator(_which)
+    ] = Field(
+        description="measured points; with `zones` those of the weather, the others stand with zones and machines"
+    )
     forecast: ForecastPoints = ForecastPoints()
+    zones: dict[str, Zone] = Field(default_factory=dict, description="zones of a building of several, by name")
+    actuators: dict[str, AnyZoneActuator] = Field(default_factory=dict, description="their actuators, by name")
+    machines: dict[str, Machine] = Field(default_factory=dict, description="what feeds the actuators, by name")
     thermostat_C: float | None = Field(
         None, description="set-point of the baseline on/off thermostat, °C; default: that thermostat's own"
     )
@@ -244,19 +132,91 @@ class TestCase(StrictModel):
     @property
     def layout(self) -> Layout:
         """What acts where."""
-        return Layout.single(self.mode, self.lowest_level, self.floor_area_m2)
+        return self.points.layout
 
     @property
-    def lowest_level(self) -> float:
-        """Lowest level u: 0, or full cooling where one plant heats and cools."""
-        return self.actuator.lowest if isinstance(self.actuator, RoomSetpoints) else 0.0
+    def area_m2(self) -> float:
+        """Floor area of the building, m²."""
+        return self.floor_area_m2 or sum(zone.floor_area_m2 for zone in self.zones.values())
+
+    @property
+    def points(self) -> BuildingPoints:
+        """Points of all zones, actuators and machines; one of each where the file has `actuator`."""
+        f = self.forecast
+        weather = (self.measurements.outdoor_temperature, self.measurements.solar, f.outdoor_temperature, f.solar)
+        if self.zones:
+            return BuildingPoints(
+                layout_of(self.zones, self.actuators, self.machines),
+                tuple(self.zones.values()),
+                tuple(
+                    ActuatorPoints(one, heat_factors(one.heat), f"actuators.{name}")
+                    for name, one in self.actuators.items()
+                ),
+                tuple(self.machines.values()),
+                *weather,
+            )
+        m, actuator = self.metered, self.actuator
+        assert actuator is not None  # checked by `_one_form`
+        zone = Zone(
+            temperature=m.zone_temperature,
+            floor_area_m2=self.area_m2,
+            occupancy=f.occupancy,
+            lower=f.lower,
+            upper=f.upper,
+            thermostat_C=self.thermostat_C,
+        )
+        machine = Machine(
+            power=m.electric_power,
+            return_water=m.return_water,
+            price=f.price,
+            heating_price=f.heating_price,
+            emission=f.emission,
+        )
+        lowest = actuator.lowest if isinstance(actuator, RoomSetpoints) else 0.0
+        return BuildingPoints(
+            Layout.single(self.mode, lowest, self.area_m2),
+            (zone,),
+            (ActuatorPoints(actuator, heat_factors(m.heat), "actuator"),),
+            (machine,),
+            *weather,
+        )
+
+    @property
+    def metered(self) -> Measurements:
+        """Measured points of a building of one zone; raises `ConfigError` for one of several."""
+        if isinstance(self.measurements, Measurements):
+            return self.measurements
+        raise ConfigError(f"test case '{self.name}' has several zones: this plant has one")
 
     @model_validator(mode="after")
-    def _room_setpoints_heat_and_cool(self) -> TestCase:
-        room = isinstance(self.actuator, RoomSetpoints)
+    def _one_form(self) -> TestCase:
+        if not self.zones:
+            if self.actuators or self.machines:
+                raise ValueError("actuators and machines belong to zones: name the zones")
+            if self.actuator is None or self.floor_area_m2 is None or not isinstance(self.measurements, Measurements):
+                raise ValueError(
+                    "a building of one zone needs floor_area_m2, actuator and measurements.zone_temperature and "
+                    "electric_power; one of several zones, actuators and machines"
+                )
+            return self._of_one_zone(self.actuator, self.measurements)
+        if self.actuator is not None or isinstance(self.measurements, Measurements):
+            raise ValueError(
+                "with zones, leave out actuator and what measurements has besides the weather: those points stand with "
+                "zones, actuators and machines"
+            )
+        if not self.actuators:
+            raise ValueError("actuators: name one or more, each with its zone and machine")
+        layout_of(self.zones, self.actuators, self.machines)
+        for name, one in self.actuators.items():
+            if isinstance(one, RoomSetpoints) and not one.heat:
+                raise ValueError(f"actuators.{name}: room set-points need heat: the level is heat over full heat")
+        return self
+
+    def _of_one_zone(self, actuator: Actuator | RoomSetpoints, measurements: Measurements) -> TestCase:
+        room = isinstance(actuator, RoomSetpoints)
         if room != (self.mode == "both"):
             raise ValueError("mode both and an actuator of kind room_setpoints belong together")
-        if room and not self.measurements.heat:
+        if room and not measurements.heat:
             raise ValueError(
                 "an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat"
             )

@@ -137,8 +137,7 @@ def identify_on(
         plant,
         start_s,
         seed=seed,
-        mode=testcase.mode,
-        lowest=testcase.lowest_level,
+        layout=testcase.layout,
         config=probing,
         identification=config,
     )
@@ -151,9 +150,7 @@ def identify_on(
             model = identify(
                 [run.record],
                 config=config,
-                mode=testcase.mode,
-                lowest=testcase.lowest_level,
-                floor_area_m2=testcase.floor_area_m2,
+                layout=testcase.layout,
                 step_s=step_s or testcase.step_s,
                 source=f"{run.days:g} days of probing (days {first:g} to {first + run.days:g}) on "
                 f"{plant.info.kind} {plant.info.testcase}, {plant.info.weather}",

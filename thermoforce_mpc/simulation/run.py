@@ -306,7 +306,7 @@ def _follow(
             kept.append(record)
             follower.step(record)
 
-        allowed = limits_of(controller, testcase.floor_area_m2, testcase.lowest_level)
+        allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
         return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
 
 

@@ -24,8 +24,16 @@ from boptest_client import (
 from thermoforce_mpc.data import DAY_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times, plant_inputs
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, recorded_level
+from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times
+from thermoforce_mpc.plants.records import (
+    acting_means,
+    boundary,
+    inputs,
+    mean_levels,
+    measurement,
+    past_record,
+    recorded_levels,
+)
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
@@ -71,7 +79,7 @@ class BoptestPlant:
                 errors are requested with seed 0.
             PlantError: the service cannot be reached or failed.
         """
-        self.testcase = testcase
+        self.testcase, self._points = testcase, testcase.points
         self._url, self._config, self._start_timeout_s = url, config, start_timeout_s
         level = None if forecast_uncertainty == "none" else forecast_uncertainty
         if level and seed < 1:
@@ -87,7 +95,7 @@ class BoptestPlant:
         self._start_of: dict[str, float] = {}
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0
-        self._T_zone_C = math.nan
+        self._T_zone_C: Array = np.full(len(self._points.zones), math.nan)
         self._end_s = math.inf
         self._final_kpis: dict[str, float] | None = None
         self._client = self._select()
@@ -165,8 +173,9 @@ class BoptestPlant:
             InputError: `u`, `band_C` or `duration_s` is out of range.
             PlantError: the service failed, or its scenario is over.
         """
-        block = check_levels(u, duration_s, band_C, lowest=self.testcase.lowest_level)
-        inputs = plant_inputs(self.testcase.actuator, block.u[0], block.band_C[0], self._T_zone_C)
+        layout = self._points.layout
+        block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
+        applied = inputs(self._points, block, self._T_zone_C)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
                 f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
@@ -177,7 +186,7 @@ class BoptestPlant:
             if duration_s != self._step_s:
                 self._client.set_step(duration_s)
                 self._step_s = duration_s
-            points = self._client.advance(inputs)
+            points = self._client.advance(applied)
             if not points:
                 raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
             self._now_s = points["time"]
@@ -188,8 +197,7 @@ class BoptestPlant:
                 self._final_kpis = self._read_kpis()
             record = self._recorded(before_s, self._now_s, self._acting_names())
         edges = np.array([before_s, self._now_s])
-        m = self.testcase.measurements
-        return self._measured(points, acting_means(record, m, self._levels(record, edges), edges))
+        return self._measured(points, acting_means(record, self._points, self._levels(record, edges), edges))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return the service's forecast of boundary conditions from now to `horizon_s` ahead every `interval_s`.
@@ -200,13 +208,10 @@ class BoptestPlant:
                 other instants than requested.
         """
         instants = forecast_times(self._now_s, horizon_s, interval_s)
-        f = self.testcase.forecast
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
-        price, heating_price = f.price[tariff], (f.heating_price or f.price)[tariff]
-        names = [f.outdoor_temperature, f.solar, f.occupancy, f.lower, f.upper, price, heating_price, f.emission]
+        names = self._points.forecast(tariff)
         with _failures():
-            # A point may occur twice, for example one price for two tariffs.
-            data = self._client.forecast(list(dict.fromkeys(names)), horizon_s, interval_s)
+            data = self._client.forecast(list(names), horizon_s, interval_s)
         series = {name: np.array(values) for name, values in data.items()}
         told = series["time"]
         if told.size < instants.size or np.abs(told[: instants.size] - instants).max() > _CLOCK_TOLERANCE_S:
@@ -219,17 +224,8 @@ class BoptestPlant:
         holes = [name for name in names if not np.isfinite(series[name]).all()]
         if holes:
             raise PlantError(f"the service's forecast has no value for some instants of {', '.join(holes)}")
-        return Boundary(
-            time_s=series["time"],
-            T_out_C=series[f.outdoor_temperature] - _KELVIN,
-            solar_W_m2=series[f.solar],
-            occupancy=series[f.occupancy],
-            lower_C=series[f.lower] - _KELVIN,
-            upper_C=series[f.upper] - _KELVIN,
-            price_per_kWh=series[price],
-            emission_kg_per_kWh=series[f.emission],
-            heating_price_per_kWh=series[heating_price],
-        )
+        weather = series[self._points.forecast_outdoor] - _KELVIN, series[self._points.forecast_solar]
+        return boundary(series["time"], series, self._points, tariff, weather)
 
     def past(self, step_s: float) -> Record:
         """Return the service's record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
@@ -239,12 +235,11 @@ class BoptestPlant:
             PlantError: the service failed.
         """
         check_record_step(step_s)
-        m = self.testcase.measurements
-        names = [m.outdoor_temperature, m.solar, *self._acting_names()]
+        names = [self._points.outdoor_temperature, self._points.solar, *self._acting_names()]
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, names)
         # Services that do not record the warm-up start the record at the present.
-        return past_record(record, m, lambda edges: self._levels(record, edges), self._now_s, step_s)
+        return past_record(record, self._points, lambda edges: self._levels(record, edges), self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
         """Return the service's KPIs since the end of the warm-up; KPIs the test case does not have are omitted."""
@@ -313,14 +308,13 @@ class BoptestPlant:
 
     def _measured(self, points: Mapping[str, float], acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
-        found = measurement(self._now_s, points, self.testcase.measurements, acting)
-        self._T_zone_C = float(found.T_zone_C[0])
+        found = measurement(self._now_s, points, self._points, acting)
+        self._T_zone_C = found.T_zone_C
         return found
 
     def _acting_names(self) -> list[str]:
         """Return the points that the level and the means of a step are computed from."""
-        m = self.testcase.measurements
-        return [m.zone_temperature, *(f"{name}_u" for name in self.testcase.actuator.sensed), *m.flows]
+        return [*self._points.temperatures, *(f"{name}_u" for name in self._points.sensed), *self._points.flows]
 
     def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
         data = self._client.results(list(dict.fromkeys(names)), start_s, final_s)
@@ -329,11 +323,9 @@ class BoptestPlant:
         return {name: np.array(values) for name, values in data.items()}
 
     def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
-        """Return mean u between `edges` (n + 1,), shape (n,), under native or external control."""
-        actuator = self.testcase.actuator
-        applied = {name: record[f"{name}_u"] for name in actuator.sensed}
-        u = recorded_level(record, self.testcase.measurements, actuator, applied)
-        return interval_means({"time": record["time"], "u": u}, ["u"], edges)
+        """Return mean levels between `edges` (n + 1,), shape (A, n), under native or external control."""
+        applied = {name: record[f"{name}_u"] for name in self._points.sensed}
+        return mean_levels(record["time"], recorded_levels(record, self._points, applied), edges)
 
     def _read_kpis(self) -> dict[str, float]:
         return {name: value for name, value in self._client.kpi().items() if value is not None}

@@ -36,43 +36,57 @@ def check_points(
         ConfigError: lists every key that names an unknown point or one in another unit, and every value that the plant
             would silently clip.
     """
-    actuator, m, f = testcase.actuator, testcase.measurements, testcase.forecast
+    points, several = testcase.points, bool(testcase.zones)
     wanted = [
-        *_actuator_points(actuator, inputs),
-        _Wanted("measurements.zone_temperature", m.zone_temperature, measured, _KELVIN),
-        _Wanted("measurements.outdoor_temperature", m.outdoor_temperature, measured, _KELVIN),
-        _Wanted("measurements.solar", m.solar, measured, _IRRADIANCE),
-        *(_Wanted("measurements.electric_power", name, measured, _POWER) for name in m.electric_power),
-        *(_Wanted("measurements.heat", name, measured, _POWER) for name in m.heat),
-        *([_Wanted("measurements.return_water", m.return_water, measured, _KELVIN)] if m.return_water else []),
-        _Wanted("forecast.outdoor_temperature", f.outdoor_temperature, forecast, _KELVIN),
-        _Wanted("forecast.solar", f.solar, forecast, _IRRADIANCE),
-        _Wanted("forecast.occupancy", f.occupancy, forecast),
-        _Wanted("forecast.lower", f.lower, forecast, _KELVIN),
-        _Wanted("forecast.upper", f.upper, forecast, _KELVIN),
-        *(_Wanted(f"forecast.price.{key}", name, forecast) for key, name in f.price.items()),
-        *(_Wanted(f"forecast.heating_price.{key}", name, forecast) for key, name in (f.heating_price or {}).items()),
-        _Wanted("forecast.emission", f.emission, forecast),
+        _Wanted("measurements.outdoor_temperature", points.outdoor_temperature, measured, _KELVIN),
+        _Wanted("measurements.solar", points.solar, measured, _IRRADIANCE),
+        _Wanted("forecast.outdoor_temperature", points.forecast_outdoor, forecast, _KELVIN),
+        _Wanted("forecast.solar", points.forecast_solar, forecast, _IRRADIANCE),
     ]
+    for one in points.actuators:
+        wanted += _actuator_points(one.key, one.actuator, inputs)
+        key = f"{one.key}.heat" if several else "measurements.heat"
+        wanted += [_Wanted(key, name, measured, _POWER) for name in one.heat]
+    for zone, name in zip(points.zones, points.layout.names.zones, strict=True):
+        key = f"zones.{name}.temperature" if several else "measurements.zone_temperature"
+        of = f"zones.{name}" if several else "forecast"
+        wanted += [
+            _Wanted(key, zone.temperature, measured, _KELVIN),
+            _Wanted(f"{of}.occupancy", zone.occupancy, forecast),
+            _Wanted(f"{of}.lower", zone.lower, forecast, _KELVIN),
+            _Wanted(f"{of}.upper", zone.upper, forecast, _KELVIN),
+        ]
+    for machine, name in zip(points.machines, points.layout.names.machines, strict=True):
+        of = f"machines.{name}" if several else "measurements"
+        power = f"{of}.power" if several else f"{of}.electric_power"
+        wanted += [_Wanted(power, point, measured, _POWER) for point in machine.power]
+        if machine.return_water:
+            wanted.append(_Wanted(f"{of}.return_water", machine.return_water, measured, _KELVIN))
+        of = f"machines.{name}" if several else "forecast"
+        wanted += [_Wanted(f"{of}.price.{key}", point, forecast) for key, point in machine.price.items()]
+        heating = machine.heating_price or {}
+        wanted += [_Wanted(f"{of}.heating_price.{key}", point, forecast) for key, point in heating.items()]
+        wanted.append(_Wanted(f"{of}.emission", machine.emission, forecast))
     wrong = [problem for item in wanted if (problem := _problem(item, plant))]
-    for key, name, value in _actuator_values(actuator):
-        point = inputs.get(f"{name}_u")
-        if point is not None:
-            wrong += _clipped(f"actuator.{key}", value, point, plant)
+    for one in points.actuators:
+        for key, name, value in _actuator_values(one.actuator):
+            point = inputs.get(f"{name}_u")
+            if point is not None:
+                wrong += _clipped(f"{one.key}.{key}", value, point, plant)
     if wrong:
         raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
 
 
-def _actuator_points(actuator: Actuator | RoomSetpoints, inputs: Mapping[str, Point]) -> list[_Wanted]:
+def _actuator_points(at: str, actuator: Actuator | RoomSetpoints, inputs: Mapping[str, Point]) -> list[_Wanted]:
     """Overwrite points of an actuator, each with its activation; set-points and levels in the actuator's unit."""
     if isinstance(actuator, RoomSetpoints):
         main = {"heating": actuator.heating, "cooling": actuator.cooling}
         held = {f"{side}_held.{n}": n for side in main for n in getattr(actuator, f"{side}_held")}
     else:
         main, held = {"point": actuator.point}, {f"held.{name}": name for name in actuator.held}
-    wanted = [_Wanted(f"actuator.{key}", f"{name}_u", inputs, actuator.unit) for key, name in main.items()]
-    wanted += [_Wanted(f"actuator.{key}", f"{name}_u", inputs) for key, name in held.items()]
-    return wanted + [_Wanted(f"actuator.{key}", f"{name}_activate", inputs) for key, name in (main | held).items()]
+    wanted = [_Wanted(f"{at}.{key}", f"{name}_u", inputs, actuator.unit) for key, name in main.items()]
+    wanted += [_Wanted(f"{at}.{key}", f"{name}_u", inputs) for key, name in held.items()]
+    return wanted + [_Wanted(f"{at}.{key}", f"{name}_activate", inputs) for key, name in (main | held).items()]
 
 
 def _actuator_values(actuator: Actuator | RoomSetpoints) -> list[tuple[str, str, float]]:

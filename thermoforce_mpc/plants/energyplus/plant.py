@@ -234,7 +234,7 @@ class EnergyPlusPlant:
             ],
             thermal=[Violation("1", excess(record["T"][scored], lower, upper))],
             air_quality=[],
-            area_m2=self.testcase.floor_area_m2,
+            area_m2=self.testcase.area_m2,
         )
 
     def close(self) -> None:
@@ -328,7 +328,7 @@ class EnergyPlusPlant:
         names = ("T", "T_out", "solar")
         T, T_out, solar = (float(record[name][-1]) for name in names)
         T_zone = np.array([T])
-        m = self.testcase.measurements
+        m = self.testcase.metered
         points = {
             m.zone_temperature: T + _KELVIN,
             m.outdoor_temperature: T_out + _KELVIN,

@@ -23,13 +23,20 @@ from thermoforce_mpc.plants.checks import (
     check_start,
     day_period,
     forecast_times,
-    plant_inputs,
 )
 from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
-from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record, recorded_level
+from thermoforce_mpc.plants.records import (
+    acting_means,
+    boundary,
+    inputs,
+    mean_levels,
+    measurement,
+    past_record,
+    recorded_levels,
+)
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _KELVIN = 273.15
@@ -62,19 +69,20 @@ class FmuPlant:
         self._forecast_error = forecast_error
         self._archive = archive = read_archive(path)
         forecast = {name: Point(name, archive.boundary.unit(name), "", None, None) for name in archive.boundary.series}
-        inputs, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
-        check_points(testcase, inputs, outputs, forecast, f"the FMU {path}")
-        self._echoes = {name: f"{name}_y" for name in testcase.actuator.sensed}
+        given, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
+        check_points(testcase, given, outputs, forecast, f"the FMU {path}")
+        self._points = testcase.points
+        self._echoes = {name: f"{name}_y" for name in self._points.sensed}
         for echo in self._echoes.values():
             if echo not in archive.outputs:
                 raise ConfigError(f"the FMU {path} has no output '{echo}': the applied level cannot be recorded")
         self._scores = Scores(archive, testcase)
-        m = testcase.measurements
-        kept = [m.zone_temperature, m.outdoor_temperature, m.solar, *self._echoes.values(), *m.flows]
+        p = self._points
+        kept = [*p.temperatures, p.outdoor_temperature, p.solar, *self._echoes.values(), *p.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
         self._price: Price = "constant"
         self._worker: WorkerProcess | None = None
-        self._T_zone_C = math.nan
+        self._T_zone_C: Array = np.full(len(p.zones), math.nan)
         self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
         try:
             with zipfile.ZipFile(path) as file:
@@ -118,7 +126,7 @@ class FmuPlant:
         known = next((name for name in PRICES if name == price), None)
         if known is None:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
-        self._archive.boundary.at(self.testcase.forecast.outdoor_temperature, np.array([start_s]))
+        self._archive.boundary.at(self._points.forecast_outdoor, np.array([start_s]))
         self._price = known
         self._stop()
         self._start_s = float(start_s)
@@ -148,17 +156,16 @@ class FmuPlant:
             InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the FMU failed.
         """
-        block = check_levels(u, duration_s, band_C, lowest=self.testcase.lowest_level)
+        layout = self._points.layout
+        block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
         before_s = self._now_s if self._worker else 0.0
-        inputs = plant_inputs(self.testcase.actuator, block.u[0], block.band_C[0], self._T_zone_C)
-        stretch = self._run(inputs, block.duration_s)
+        stretch = self._run(inputs(self._points, block, self._T_zone_C), block.duration_s)
         edges = np.array([before_s, self._now_s])
         previous = self._stretches[-2]
         record = self._columns(
             np.concatenate([previous.time_s[-1:], stretch.time_s]), np.vstack([previous.rows[-1:], stretch.rows])
         )
-        m = self.testcase.measurements
-        acting = acting_means(record, m, interval_means(record, ["u"], edges), edges)
+        acting = acting_means(record, self._points, self._levels(record, edges), edges)
         return self._measured(stretch, acting)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
@@ -169,22 +176,13 @@ class FmuPlant:
             WeatherError: the horizon exceeds the FMU's boundary data.
         """
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
-        f, at = self.testcase.forecast, self._archive.boundary.at
-        T_out, solar = at(f.outdoor_temperature, time_s) - _KELVIN, at(f.solar, time_s)
+        p, at = self._points, self._archive.boundary.at
+        T_out, solar = at(p.forecast_outdoor, time_s) - _KELVIN, at(p.forecast_solar, time_s)
         if self._forecast_error:
             hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
-            T_out, solar = self._forecast_error.apply(time_s, T_out, at(f.solar, hours), solar)
-        return Boundary(
-            time_s=time_s,
-            T_out_C=T_out,
-            solar_W_m2=solar,
-            occupancy=at(f.occupancy, time_s),
-            lower_C=at(f.lower, time_s) - _KELVIN,
-            upper_C=at(f.upper, time_s) - _KELVIN,
-            price_per_kWh=at(f.price[self._price], time_s),
-            emission_kg_per_kWh=at(f.emission, time_s),
-            heating_price_per_kWh=at((f.heating_price or f.price)[self._price], time_s),
-        )
+            T_out, solar = self._forecast_error.apply(time_s, T_out, at(p.forecast_solar, hours), solar)
+        values = {name: at(name, time_s) for name in p.forecast(self._price)}
+        return boundary(time_s, values, p, self._price, (T_out, solar))
 
     def past(self, step_s: float) -> Record:
         """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
@@ -194,8 +192,7 @@ class FmuPlant:
         """
         check_record_step(step_s)
         record = self._record()
-        m = self.testcase.measurements
-        return past_record(record, m, lambda edges: interval_means(record, ["u"], edges), self._now_s, step_s)
+        return past_record(record, self._points, lambda edges: self._levels(record, edges), self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up, from the 30-s record; raises as `past` does."""
@@ -216,8 +213,8 @@ class FmuPlant:
 
     def _measured(self, stretch: Stretch, acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement at the end of `stretch`; its zone temperature serves the actuator's map next."""
-        found = measurement(self._now_s, stretch.final, self.testcase.measurements, acting)
-        self._T_zone_C = float(found.T_zone_C[0])
+        found = measurement(self._now_s, stretch.final, self._points, acting)
+        self._T_zone_C = found.T_zone_C
         return found
 
     def _stop(self) -> None:
@@ -242,7 +239,10 @@ class FmuPlant:
         )
 
     def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
-        """Return recorded signals by name, with 'time' and the applied level 'u' in [0, 1], native or not."""
-        record = {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
+        """Return recorded signals by name, with 'time'."""
+        return {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
+
+    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
+        """Return mean levels between `edges` (n + 1,), shape (A, n), under native or external control."""
         applied = {point: record[echo] for point, echo in self._echoes.items()}
-        return record | {"u": recorded_level(record, self.testcase.measurements, self.testcase.actuator, applied)}
+        return mean_levels(record["time"], recorded_levels(record, self._points, applied), edges)

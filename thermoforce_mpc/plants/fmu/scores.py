@@ -29,18 +29,17 @@ class Scores:
             ConfigError: a signal or series is missing, or the floor areas of FMU and test case file differ.
         """
         self._boundary = archive.boundary
-        self._area_m2 = testcase.floor_area_m2
-        if archive.area_m2 is not None and abs(archive.area_m2 - testcase.floor_area_m2) > 0.01 * archive.area_m2:
+        self._area_m2 = testcase.area_m2
+        if archive.area_m2 is not None and abs(archive.area_m2 - testcase.area_m2) > 0.01 * archive.area_m2:
             raise ConfigError(
-                f"test case '{testcase.name}' has {testcase.floor_area_m2:g} m2 of floor, "
+                f"test case '{testcase.name}' has {testcase.area_m2:g} m2 of floor, "
                 f"the FMU {archive.path} has {archive.area_m2:g} m2: this is another building"
             )
-        m = testcase.measurements
         self._prices, self._emissions = testcase.forecast.price, testcase.forecast.emission
         if archive.kpi_signals:  # BOPTEST bills each carrier at its own price, whichever the controller uses
             names = ForecastPoints()
             self._prices, self._emissions = names.price, names.emission
-        listed = archive.kpi_signals or {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
+        listed = archive.kpi_signals or _of_one_zone(testcase)
         self._carriers = {name: signals for name, signals in listed.items() if name in _CARRIERS}
         self._thermal = _zones(listed, _THERMAL)
         self._air_quality = _zones(listed, _AIR_QUALITY)
@@ -105,6 +104,12 @@ class Scores:
 
     def _emission(self, carrier: str) -> str:
         return self._emissions if carrier == _ELECTRIC else f"Emissions{carrier}"
+
+
+def _of_one_zone(testcase: TestCase) -> dict[str, tuple[str, ...]]:
+    """Signals of an FMU without kpis.json; raises `ConfigError` for several zones, whose bounds it would have to name."""
+    m = testcase.metered
+    return {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
 
 
 def _zones(listed: Mapping[str, tuple[str, ...]], categories: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

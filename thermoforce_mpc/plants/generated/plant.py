@@ -142,7 +142,7 @@ class GeneratedHousePlant:
         self._rows[0] = self._first_row()
         if self._start_s > self._now_s:
             self._advance(math.nan, self._start_s - self._now_s)
-        return measurement(self._now_s, self._points(), self.testcase.measurements)
+        return measurement(self._now_s, self._values(), self.testcase.points)
 
     def advance(self, u: Levels, duration_s: float) -> Measurement:
         """Apply the level `u` in [0, 1] (None: the house's own control) for `duration_s`.
@@ -155,9 +155,9 @@ class GeneratedHousePlant:
         self._advance(float(block.as_array()[0]), block.duration_s)
         edges = np.array([before_s, self._now_s])
         record = self.recorded(before_s, self._now_s)
-        m = self.testcase.measurements
-        acting = acting_means(record, m, interval_means(record, ["level"], edges), edges)
-        return measurement(self._now_s, self._points(), m, acting)
+        points = self.testcase.points
+        acting = acting_means(record, points, interval_means(record, ["level"], edges)[None], edges)
+        return measurement(self._now_s, self._values(), points, acting)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return boundary conditions from now to `horizon_s` ahead every `interval_s`: a perfect weather forecast.
@@ -189,9 +189,9 @@ class GeneratedHousePlant:
         record = self.recorded(self._begin_s, self._now_s)
 
         def levels(edges: Array) -> Array:
-            return interval_means(record, ["level"], edges)
+            return interval_means(record, ["level"], edges)[None]
 
-        return past_record(record, self.testcase.measurements, levels, self._now_s, step_s)
+        return past_record(record, self.testcase.points, levels, self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up; discomfort is that of the true temperature."""
@@ -252,10 +252,10 @@ class GeneratedHousePlant:
         self._rows[self._n : self._n + n], self._times[self._n : self._n + n] = rows, time_s
         self._n += n
 
-    def _points(self) -> dict[str, float]:
+    def _values(self) -> dict[str, float]:
         """Measured points of the latest sample by name, K and W."""
-        m = self.testcase.measurements
-        names = (m.zone_temperature, m.outdoor_temperature, m.solar, *m.flows)
+        p = self.testcase.points
+        names = (*p.temperatures, p.outdoor_temperature, p.solar, *p.flows)
         return {name: float(self._rows[self._n - 1, _COLUMN[name]]) for name in names}
 
     def _first_row(self) -> Array:

@@ -101,7 +101,7 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
                 with suppress(OSError):
                     channel.send(("day", (record.time_s - period.start_s) / DAY_S))
 
-        allowed = limits_of(controller, testcase.floor_area_m2, testcase.lowest_level)
+        allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
         result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
         store.write(cell, _record(cell, result, plant.info))
 

@@ -1,0 +1,182 @@
+"""Zones, actuators and machines of a test case, and the points of each at the plant's interface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from thermoforce_mpc.data import Layout
+from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.settings import StrictModel
+
+Price = Literal["constant", "dynamic", "highly_dynamic"]
+PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
+ELECTRICITY: dict[Price, str] = {
+    "constant": "PriceElectricPowerConstant",
+    "dynamic": "PriceElectricPowerDynamic",
+    "highly_dynamic": "PriceElectricPowerHighlyDynamic",
+}
+
+Heat = tuple[str, ...] | dict[str, float]
+_HEAT = (
+    "points whose sum is the delivered heat, W; empty if not measured. With a factor each, heat from metered power: an "
+    "efficiency, or for cooling minus the coefficient of performance"
+)
+
+
+class Zone(StrictModel):
+    """A zone: its sensor, its floor area and the forecast points of its comfort band."""
+
+    temperature: str = Field(description="measured zone temperature, K")
+    floor_area_m2: float = Field(gt=0, description="floor area, m²")
+    occupancy: str = Field(description="forecast point of the number of persons")
+    lower: str = Field(description="forecast point of the lower comfort bound, K")
+    upper: str = Field(description="forecast point of the upper comfort bound, K")
+    thermostat_C: float | None = Field(None, description="set-point of the baseline on/off thermostat, °C")
+
+
+class Machine(StrictModel):
+    """A machine: the power that is billed, at the price of its carrier."""
+
+    power: tuple[str, ...] = Field(min_length=1, description="points whose sum is the power billed, W")
+    return_water: str | None = Field(None, description="return water temperature of the emitters, K")
+    price: dict[Price, str] = Field(ELECTRICITY, description="forecast points of the price, per tariff")
+    heating_price: dict[Price, str] | None = Field(
+        None,
+        description="price of the carrier of heating where a machine that also cools has one of its own, such as gas",
+    )
+    emission: str = Field("EmissionsElectricPower", description="forecast point of the emissions, kg CO2/kWh")
+
+
+class ZoneActuator(Actuator):
+    """An actuator of a building: what it serves and what feeds it."""
+
+    zone: str = Field(description="the zone that it serves")
+    machine: str = Field(description="the machine that feeds it")
+    mode: Literal["heating", "cooling"] = Field("heating", description="sign of its effect")
+    heat: Heat = Field((), description=_HEAT)
+    share: float | None = Field(
+        None, gt=0, description="share of its machine's capacity at full level; by default equal shares"
+    )
+
+
+class ZoneRoomSetpoints(RoomSetpoints):
+    """Room set-points of a zone: what they serve and what feeds them."""
+
+    zone: str = Field(description="the zone that they serve")
+    machine: str = Field(description="the machine that feeds it")
+    heat: Heat = Field((), description=_HEAT)
+
+
+def _kind(actuator: object) -> str:
+    """Tag of an actuator, from its `kind`."""
+    kind = actuator.get("kind") if isinstance(actuator, Mapping) else getattr(actuator, "kind", None)
+    return "room" if kind == "room_setpoints" else "direct"
+
+
+AnyActuator = Annotated[
+    Annotated[Actuator, Tag("direct")] | Annotated[RoomSetpoints, Tag("room")], Discriminator(_kind)
+]
+AnyZoneActuator = Annotated[
+    Annotated[ZoneActuator, Tag("direct")] | Annotated[ZoneRoomSetpoints, Tag("room")], Discriminator(_kind)
+]
+
+
+@dataclass(frozen=True)
+class ActuatorPoints:
+    """An actuator, its heat points with their factors, and `key`, where it stands in the test case file."""
+
+    actuator: Actuator | RoomSetpoints
+    heat: Mapping[str, float]
+    key: str
+
+
+@dataclass(frozen=True)
+class BuildingPoints:
+    """Points of Z zones, A actuators and M machines, in the order of the layout's names.
+
+    `zones` (Z,), `actuators` (A,), `machines` (M,); `outdoor_temperature` and `solar` are measured, with forecast points
+    `forecast_outdoor` and `forecast_solar`.
+    """
+
+    layout: Layout
+    zones: tuple[Zone, ...]
+    actuators: tuple[ActuatorPoints, ...]
+    machines: tuple[Machine, ...]
+    outdoor_temperature: str
+    solar: str
+    forecast_outdoor: str
+    forecast_solar: str
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """Points whose applied values give the levels."""
+        return tuple(dict.fromkeys(name for one in self.actuators for name in one.actuator.sensed))
+
+    @property
+    def flows(self) -> tuple[str, ...]:
+        """Points that are averaged over a step instead of sampled."""
+        names = [name for machine in self.machines for name in machine.power]
+        names += [name for one in self.actuators for name in one.heat]
+        names += [machine.return_water for machine in self.machines if machine.return_water]
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def temperatures(self) -> tuple[str, ...]:
+        """Zone temperatures (Z,)."""
+        return tuple(zone.temperature for zone in self.zones)
+
+    def forecast(self, price: Price) -> tuple[str, ...]:
+        """All forecast points for a tariff."""
+        names = [self.forecast_outdoor, self.forecast_solar]
+        for zone in self.zones:
+            names += [zone.occupancy, zone.lower, zone.upper]
+        for machine in self.machines:
+            names += [machine.price[price], (machine.heating_price or machine.price)[price], machine.emission]
+        return tuple(dict.fromkeys(names))
+
+
+def layout_of(
+    zones: Mapping[str, Zone],
+    actuators: Mapping[str, ZoneActuator | ZoneRoomSetpoints],
+    machines: Mapping[str, Machine],
+) -> Layout:
+    """What acts where; raises `ValueError` naming the key of an actuator, zone or machine that fits nothing."""
+    from thermoforce_mpc.data import Names
+    from thermoforce_mpc.scenario.settings import suggestion
+
+    for name, one in actuators.items():
+        for what, value, known in (("zone", one.zone, zones), ("machine", one.machine, machines)):
+            if value not in known:
+                raise ValueError(
+                    f"actuators.{name}.{what}: there is no {what} '{value}'{suggestion(value, known)}; "
+                    f"{what}s: {', '.join(known)}"
+                )
+    fed = {machine: [name for name, one in actuators.items() if one.machine == machine] for machine in machines}
+    for machine, names in fed.items():
+        if not names:
+            raise ValueError(f"machines.{machine}: it feeds no actuator")
+
+    def share(name: str, one: Any) -> float:
+        siblings = fed[one.machine]
+        return 0.0 if len(siblings) == 1 else float(getattr(one, "share", None) or 1.0 / len(siblings))
+
+    return Layout(
+        Names(tuple(zones), tuple(actuators), tuple(machines)),
+        tuple(-1 if getattr(one, "mode", "heating") == "cooling" else 1 for one in actuators.values()),
+        tuple(list(zones).index(one.zone) for one in actuators.values()),
+        tuple(list(machines).index(one.machine) for one in actuators.values()),
+        tuple(one.lowest if isinstance(one, RoomSetpoints) else 0.0 for one in actuators.values()),
+        tuple(share(name, one) for name, one in actuators.items()),
+        tuple(zone.floor_area_m2 for zone in zones.values()) or (math.nan,),
+    )
+
+
+def heat_factors(heat: Heat) -> dict[str, float]:
+    """Factor of each heat point: 1 unless given."""
+    return dict(heat) if isinstance(heat, dict) else dict.fromkeys(heat, 1.0)
