@@ -14,6 +14,7 @@ Rinaldo 2022). Under the promise M minus the number of predictions is a supermar
 predictions with probability n / A at most, whatever the dependence between the detectors; A follows from `false_alarm`
 by summing over all of them.
 
+Half of `false_alarm` is for these detectors, half for the check of `watch_effect` on the size of the effect of acting.
 Two direct checks are faster: levels measured against levels asked for, and heat or power against the machine's model.
 """
 
@@ -26,8 +27,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pydantic import Field
 
+from controllers import watch_effect
 from controllers.own_record import OwnContext
-from controllers.watch_checks import applied_levels, heat_ratio, level_fault, machine_ratio
+from controllers.watch_checks import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -177,7 +179,8 @@ class Watch:
         self.every = max(1, round(HOUR_S / self.step_s))
         per_month = _MONTH_S / (self.every * self.step_s)
         # Two sides for each lead; the phases of a lead share its predictions.
-        self.threshold = 2 * len(self.leads) * per_month / config.false_alarm
+        self._share = 0.5 * config.false_alarm
+        self.threshold = 2 * len(self.leads) * per_month / self._share
         self._least_K = config.least_K * np.sqrt(np.array(self.leads) * self.step_s / HOUR_S)
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
         self._adaptation = OnlineAdaptation(model, _SCALES)
@@ -216,7 +219,7 @@ class Watch:
         if state.alarm:
             return self._back_if_it_holds(self._adapted(state, history), now)
         fault, state = self._direct_fault(state, history)
-        fault = fault or self._broken_promise(state.tracks[0])
+        fault = fault or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
             return state
         used = replace(
@@ -234,7 +237,7 @@ class Watch:
 
     def asked(self, state: WatchState, time_s: float, level: float) -> WatchState:
         """The state with the mean `level` asked for in the step from `time_s` (NaN: native control)."""
-        recent = tuple(item for item in state.asked if time_s - item[0] < LEADS_H[-1] * HOUR_S)
+        recent = tuple(item for item in state.asked if time_s - item[0] < LEVELS_H * HOUR_S)
         return replace(state, asked=(*recent, (time_s, level)))
 
     def doubtful(self, state: WatchState) -> bool:
@@ -297,13 +300,26 @@ class Watch:
             f"±{np.mean([item.promise_K for item in last]):.2f} K was promised"
         )
 
+    def _less_effect(self, state: WatchState, now: float) -> str:
+        """What the shortest predictions of the last day, all since the last return, say of the effect of acting."""
+        every = max(1, round(watch_effect.EVERY_H * HOUR_S / self.step_s))
+        if round(now / self.step_s) % every:
+            return ""
+        since = max(now - watch_effect.WINDOW_H * HOUR_S, state.returned_s) + 1.0
+        last = [item for item in state.tracks[0].judged if item.lead == 0 and item.time_s > since]
+        if len(last) < _JUDGED * watch_effect.WINDOW_H * HOUR_S / (self.every * self.step_s):
+            return ""
+        error, effect, promise = np.array([(item.error_K, item.effect_K, item.promise_K) for item in last]).T
+        return watch_effect.effect_fault(error, effect, promise, self._share)
+
     def _direct_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
         """What levels and meters say against the machine, and the state with the ratio of this hour."""
         fault = level_fault(state.asked, history)
         now = float(history.time_s[-1])
         if fault or not self.due(now):
             return fault, state
-        found = machine_ratio(state.asked, history, self._model.operator.heat_input.heat, self._power)
+        recent = [item for item in state.asked if now - item[0] <= LEADS_H[-1] * HOUR_S]
+        found = machine_ratio(recent, history, self._model.operator.heat_input.heat, self._power)
         if found is None:
             return "", state
         what, ratio = found
