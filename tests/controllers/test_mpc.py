@@ -56,7 +56,9 @@ def test_predictions_of_an_exact_model_come_true():
     result = run_closed_loop(house, controller(comfort_margin_K=0.0), house.period("x"))
     actual = np.array([step.T_zone_C[0] for step in result.steps[1:]])
     predicted = np.array([step.plan.T_zone_C[0, 0] for step in result.steps[:-1]])
-    owed = np.array([step.plan.u[0, 0] - np.mean([s.u_measured[0] for s in step.samples]) for step in result.steps[:-1]])
+    owed = np.array(
+        [step.plan.u[0, 0] - np.mean([s.u_measured[0] for s in step.samples]) for step in result.steps[:-1]]
+    )
     # What is left is the share that five-minute blocks could not realise, and where in the hour it was put.
     assert np.abs(actual - predicted).max() < 0.9 * np.abs(owed).max() + 0.05
 

@@ -61,9 +61,7 @@ def test_the_offset_is_the_mean_of_recent_errors_and_limited():
 @pytest.mark.parametrize(("gain", "held"), [(1.0, False), (20.0, True)])
 def test_in_a_fast_zone_the_end_of_a_step_meets_the_bound_that_held_during_it(gain, held):
     zone = simple_model().only
-    model = ThermalModel.of_zone(
-        replace(zone, operator=replace(zone.operator, gains=gain * zone.operator.gains))
-    )
+    model = ThermalModel.of_zone(replace(zone, operator=replace(zone.operator, gains=gain * zone.operator.gains)))
     mpc = ThermoForceMPC(model, MPCConfig(step_s=None), free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * 86400.0, 24 * HOUR_S)

@@ -168,6 +168,14 @@ def test_probing_heats_and_cools_inside_the_band(probed):
     assert out.max() < 0.3, "K beyond the band"
 
 
+def test_probing_by_rooms_asks_for_nothing_that_only_levels_need():
+    class WithoutPast(LightOffice):
+        def past(self, step_s):
+            raise AssertionError("the past bounds the effect of a level, and no level is drawn")
+
+    assert probe(WithoutPast(), 20 * DAY_S, 0.25, seed=1, mode="both", lowest=LOWEST).n_steps == 24
+
+
 def test_one_operator_for_both_directions_is_found(model, tmp_path):
     office = LightOffice()
     full = np.array([1.0])

@@ -142,7 +142,7 @@ def test_a_light_zone_is_probed_inside_its_band():
 def test_a_heavy_zone_is_probed_as_if_nobody_looked_ahead(monkeypatch):
     plant = EmbeddedPlant(synthetic_weather())
     looked = probe(plant, 20 * DAY_S, 1.0, seed=1)
-    monkeypatch.setattr(Probing, "_polite", lambda self, level, centre, band: level)
+    monkeypatch.setattr(Foresight, "polite", lambda self, level, *now: level)
     np.testing.assert_array_equal(looked.u[0], probe(plant, 20 * DAY_S, 1.0, seed=1).u[0])
 
 

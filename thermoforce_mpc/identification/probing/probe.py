@@ -65,6 +65,11 @@ class ProbingConfig(StrictModel):
             raise ValueError(f"hold_steps must be positive, got {self.hold_steps}")
         return self
 
+    @property
+    def block_steps(self) -> int:
+        """Steps between two choices of the draws."""
+        return max(1, round(self.block_h * HOUR_S / self.step_s))
+
 
 def probe(
     plant: Plant,
@@ -117,27 +122,20 @@ class Probing:
         Raises:
             PlantError: the plant or service failed.
         """
-        self._plant, self._seed, self._mode = plant, seed, mode
         self.config = c = config or ProbingConfig()
         self.designer = Designer(identification)
-        self._sign = 1.0 if mode == "heating" else -1.0
-        self._now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-        self._foresight = Foresight(plant.past(c.step_s), self._sign, c.step_s)
-        self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(seed))
-        self._rooms = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest) if mode == "both" else None
-        self._trial = LevelTrial(c.trial_level, c.trial_steps) if c.trial_level is not None else None
-        self._applied = 0.0
-        self.record = Record.beginning(self._now)
+        now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
+        self.record = Record.beginning(now)
+        self._excites: _Levels | _Rooms
+        if mode == "both":
+            self._excites = _Rooms(cast(RoomSetpointPlant, plant), c, seed, lowest)
+        else:
+            self._excites = _Levels(plant, c, self.designer, seed, mode)
 
     @property
     def days(self) -> float:
         """Days probed so far."""
         return self.record.n_steps * self.config.step_s / DAY_S
-
-    @property
-    def block_steps(self) -> int:
-        """Steps between two choices of the draws."""
-        return max(1, round(self.config.block_h * HOUR_S / self.config.step_s))
 
     def go_on(
         self,
@@ -159,45 +157,64 @@ class Probing:
         first = self.record.n_steps
         n = round(days * DAY_S / self.config.step_s)
         for done in range(first, first + n):
-            if done > first and done % self.block_steps == 0 and enough and enough(self.record):
+            if done > first and done % self.config.block_steps == 0 and enough and enough(self.record):
                 break
-            self._now = self._room_step(self._rooms) if self._rooms else self._level_step(done, first + n)
-            self.record = self.record.extended(self._now)
-            if not self._rooms:
-                self._foresight.learn(self.record)
+            self.record = self._excites.extend(self.record, first + n)
             if on_step:
                 on_step((done + 1 - first) / n)
         return self.record
 
-    def _room_step(self, excitation: RoomExcitation) -> Measurement:
-        """Apply the next room set-points."""
-        step_s, plant = self.config.step_s, cast(RoomSetpointPlant, self._plant)
-        ahead = plant.forecast(step_s, step_s)
-        block = excitation.next(float(self._now.T_zone_C[0]), ahead.lower_C[0], ahead.upper_C[0], step_s)
-        return plant.advance(block.u, block.duration_s, block.band_C)
 
-    def _level_step(self, done: int, end: int) -> Measurement:
-        """Apply the next level; `done` steps of `end` are over."""
-        c, plant = self.config, self._plant
+class _Rooms:
+    """Excites a plant by room set-points."""
+
+    def __init__(self, plant: RoomSetpointPlant, c: ProbingConfig, seed: int, lowest: float) -> None:
+        self._plant, self._step_s = plant, c.step_s
+        self._excitation = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest)
+
+    def extend(self, record: Record, end: int) -> Record:
+        """Apply the next room set-points for a step, and return `record` with it; `end` counts for levels only."""
+        ahead = self._plant.forecast(self._step_s, self._step_s)
+        T_zone_C = float(record.T_zone_C[-1])
+        block = self._excitation.next(T_zone_C, ahead.lower_C, ahead.upper_C, self._step_s)
+        return record.extended(self._plant.advance(block.u, block.duration_s, block.band_C))
+
+
+class _Levels:
+    """Excites a plant by levels."""
+
+    def __init__(self, plant: Plant, c: ProbingConfig, designer: Designer, seed: int, mode: str) -> None:
+        self._plant, self._config, self._designer, self._seed, self._mode = plant, c, designer, seed, mode
+        self._sign = 1.0 if mode == "heating" else -1.0
+        self._foresight = Foresight(plant.past(c.step_s), self._sign, c.step_s)
+        self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(seed))
+        self._trial = LevelTrial(c.trial_level, c.trial_steps) if c.trial_level is not None else None
+        self._applied = 0.0
+
+    def extend(self, record: Record, end: int) -> Record:
+        """Apply the next level for a step, and return `record` with it; `end`: steps after which probing ends."""
+        c, plant, done = self._config, self._plant, record.n_steps
         band = plant.forecast(_BAND_AHEAD_S, HOUR_S)
         centre = _centre_C(band, self._mode, c.above_lower_K)
-        if c.design == "informative" and done % self.block_steps == 0:
-            ahead = plant.forecast(min(self.block_steps, end - done) * c.step_s, c.step_s)
+        if c.design == "informative" and done % c.block_steps == 0:
+            ahead = plant.forecast(min(c.block_steps, end - done) * c.step_s, c.step_s)
             candidates = _candidates(c, self._seed, done)
-            chosen, _ = self.designer.choose(
-                self.record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
+            chosen, _ = self._designer.choose(
+                record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
             )
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
-        level = self._excitation.next(self._sign * (centre - float(self._now.T_zone_C[0])))
+        level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[-1])))
         if self._trial:
             level = self._trial.applied(level, self._applied, max(c.levels))
-        self._applied = self._polite(level, centre, band)
-        return plant.advance(self._applied, c.step_s)
+        self._applied = self._polite(level, centre, band, record)
+        longer = record.extended(plant.advance(self._applied, c.step_s))
+        self._foresight.learn(longer)
+        return longer
 
-    def _polite(self, level: float, centre: float, band: Boundary) -> float:
+    def _polite(self, level: float, centre: float, band: Boundary, record: Record) -> float:
         """The level to apply, where `level` was drawn: another one only in a light zone."""
-        c, now = self.config, self._now
+        c = self._config
         highest = max(c.levels)
         below, above = (c.below_K, c.above_K) if self._sign > 0 else (c.above_K, c.below_K)
         low, high = float(band.lower_C.max()) - c.margin_K, float(band.upper_C.min()) + c.margin_K
@@ -207,7 +224,8 @@ class Probing:
             return level
         # Inside the limits of the excursions, so that levels can be held, and never beyond the margin.
         low, high = max(centre - below, low), min(centre + above, high)
-        return self._foresight.polite(level, highest, float(now.T_zone_C[0]), now.T_out_C, now.solar_W_m2, low, high)
+        now = (float(signal[-1]) for signal in (record.T_zone_C, record.T_out_C, record.solar_W_m2))
+        return self._foresight.polite(level, highest, *now, low, high)
 
 
 def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:
