@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.scenario.testcase import Actuator
+from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 WATER = {"point": "water", "minimum": 293.15, "maximum": 343.15, "unit": "K", "held": {"pump": 1.0}, "switch": "pump"}
 AIR = {"point": "fan", "map": "fan_coil", "supply": "air"}
@@ -96,3 +97,28 @@ def test_a_map_that_does_not_fit_is_refused(wrong, words):
 
 def test_a_radiator_is_a_machine_whose_heat_follows_the_level():
     assert load_testcase("bestest_hydronic").actuator.map == "radiator"
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("bestest_hydronic_heat_pump", {"rising": False}, r"(?s)x\.yaml.*actuator\.rising: False.*`embedded`"),
+        ("bestest_hydronic_heat_pump", {"maximum": 0.8}, r"(?s)x\.yaml.*actuator\.maximum: 0\.8.*compressor speed"),
+        ("bestest_hydronic_heat_pump", {"held": {"ovePum": 1.0}}, r"(?s)x\.yaml.*actuator\.held.*would ignore it"),
+        ("energyplus_heating_chicago", {"map": "radiator", "unit": "K"}, r"actuator\.map: radiator.*`energyplus`"),
+        ("energyplus_heating_chicago", {"minimum": 400.0}, r"actuator\.minimum: 400\.0.*the level as heat"),
+    ],
+)
+def test_what_an_emulator_would_ignore_is_refused(name, wrong, words):
+    given = load_testcase(name).model_dump()
+    given["actuator"] |= wrong
+    with pytest.raises(ConfigError, match=words):
+        validate(TestCase, given, "x.yaml")
+    validate(TestCase, given | {"embedded": False, "energyplus": None}, "x.yaml")  # over REST it counts
+
+
+def test_an_energyplus_zone_has_the_source_that_its_test_case_names():
+    zone = load_testcase("energyplus:heating_chicago")
+    other = zone.model_copy(update={"actuator": zone.actuator.model_copy(update={"maximum": 5000.0})})
+    with pytest.raises(ConfigError, match=r"actuator\.maximum is 5000.*4000 W"):
+        EnergyPlusPlant(other)

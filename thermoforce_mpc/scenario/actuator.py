@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
@@ -73,6 +73,18 @@ class Actuator(StrictModel):
         if self.supply is not None and abs(self.held[self.supply] - reference) < 1.0:
             raise ValueError(f"supply: '{self.supply}' is held at the room's temperature, it would do nothing")
         return self
+
+    def beside_the_level(self, maximum: float | None) -> Iterator[tuple[str, object, object]]:
+        """Yield each key that a plant which takes u itself would ignore: its value, and the one that changes nothing.
+
+        `maximum`: the value that this plant has at u = 1; None: the plant checks it itself.
+        """
+        yield "map", self.map, "linear"
+        yield "rising", self.rising, True
+        yield "held", self.held, {}
+        yield "minimum", self.minimum, 0.0
+        if maximum is not None:
+            yield "maximum", self.maximum, maximum
 
     @property
     def sensed(self) -> tuple[str, ...]:

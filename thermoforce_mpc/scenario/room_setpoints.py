@@ -7,6 +7,7 @@ measured, not commanded: a plan expects a level, and the plant's own loop finds 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -44,6 +45,10 @@ class RoomSetpoints(StrictModel):
     def lowest(self) -> float:
         """Lowest level: full cooling."""
         return -self.cooling_W / self.heating_W
+
+    def beside_the_level(self, maximum: float | None) -> Iterator[tuple[str, object, object]]:
+        """Yield what a plant that takes u itself cannot do, see `Actuator.beside_the_level`: all of it."""
+        yield "kind", self.kind, "level"
 
     @property
     def sensed(self) -> tuple[str, ...]:

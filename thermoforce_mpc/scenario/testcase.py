@@ -221,3 +221,18 @@ class TestCase(StrictModel):
                 "an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat"
             )
         return self
+
+    @model_validator(mode="after")
+    def _emulators_take_the_level(self) -> TestCase:
+        """Refuse an actuator that the embedded emulator or EnergyPlus would ignore: they take u itself."""
+        if not (self.embedded or self.energyplus) or self.actuator is None:
+            return self
+        plant = "energyplus" if self.energyplus else "embedded"
+        whose = "has the level as heat" if self.energyplus else "has the level as compressor speed"
+        for key, value, plain in self.actuator.beside_the_level(1.0 if self.embedded else None):
+            if value != plain:
+                raise ValueError(
+                    f"actuator.{key}: {value}, but the plant of `{plant}` {whose} and would ignore it: "
+                    f"leave it out or write {plain}, or leave `{plant}` out and run with --url or --fmu"
+                )
+        return self

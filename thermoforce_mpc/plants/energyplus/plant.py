@@ -79,10 +79,16 @@ class EnergyPlusPlant:
             forecast_error: weather forecast errors; default: a perfect forecast.
 
         Raises:
-            ConfigError: the test case has no `energyplus` section, or the engine is not installed.
+            ConfigError: the test case has no `energyplus` section, its actuator is not the zone's, or the engine is not installed.
         """
         if testcase.energyplus is None:
             raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")
+        full_W = CLIMATES[testcase.energyplus.climate].spec.capacity_W
+        if testcase.actuator.maximum != full_W:
+            raise ConfigError(
+                f"test case '{testcase.name}': actuator.maximum is {testcase.actuator.maximum:g}, but the zone "
+                f"'{testcase.energyplus.climate}' has a source of {full_W:g} W at u = 1: write that"
+            )
         try:
             engine_folder()
         except PlantError as error:
