@@ -1,8 +1,12 @@
-"""The choice of the actuation where `mode` is auto: what the identified laws of power and heat say of part load.
+"""The choice of the actuation where `mode` is auto: what was identified of power and heat at part load.
 
 A machine with a fixed part while it runs needs more power per heat the lower its level: it is switched, in blocks at
 its most efficient level. One without modulates. Both laws are affine in the level, so power per heat is monotone in it
 and the most efficient level is an end: full, or the lowest.
+
+Where heat is not measured, the choice follows from the expected cost of heat at part load, with the heat estimated from
+the temperature (`CostAtPartLoad`). Not knowing that heat makes its expected cost higher, so that what cannot be told
+ends in blocks: they run the machine at full level, where power and effect are both identified.
 """
 
 from __future__ import annotations
@@ -10,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from controllers.actuation import Actuation, ActuationConfig
-from thermoforce_mpc.model.machine.part_load import part_load
+from thermoforce_mpc.model.machine.part_load import CostAtPartLoad, part_load
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -27,8 +31,15 @@ class ActuationChoice:
     why: str
 
 
-def choose_actuation(config: ActuationConfig, power: PowerModel, heat_input: HeatInput) -> ActuationChoice:
-    """Decide `mode: auto` from the identified laws; a mode that is named stays."""
+def choose_actuation(
+    config: ActuationConfig, power: PowerModel, heat_input: HeatInput, estimated: CostAtPartLoad | None = None
+) -> ActuationChoice:
+    """Decide `mode: auto` from the identified laws, or from the cost that was `estimated` without a heat meter.
+
+    A mode that is named stays.
+    """
+    if config.mode == "auto" and estimated is not None and heat_input.heat is None:
+        return _by_cost(config, estimated)
     found = part_load(power, heat_input.heat)
     proportional = found is not None and abs(found.at_half - 1.0) <= _SWITCH_FROM
     if config.mode != "auto":
@@ -44,3 +55,17 @@ def choose_actuation(config: ActuationConfig, power: PowerModel, heat_input: Hea
         chosen = config.model_copy(update={"mode": "modulating", "lowest_level": lowest})
         actuation = Actuation(chosen, proportional=proportional)
     return ActuationChoice(actuation, f"{actuation.in_words}: {found}")
+
+
+def _by_cost(config: ActuationConfig, estimated: CostAtPartLoad) -> ActuationChoice:
+    """Any level where heat at part load is not expected to cost more by the margin, else blocks.
+
+    With any level, heat and power are both counted in proportion to the level: that is right at full level, and what
+    part load gives beyond it, of both, the prediction's offset and the next plans take up.
+    """
+    if estimated.cost > 1.0 + _SWITCH_FROM:
+        actuation = Actuation(config.model_copy(update={"mode": "duty"}))
+    else:
+        chosen = config.model_copy(update={"mode": "modulating", "lowest_level": 0.0})
+        actuation = Actuation(chosen, proportional=True)
+    return ActuationChoice(actuation, f"{actuation.in_words}: {estimated}")

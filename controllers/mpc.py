@@ -31,6 +31,7 @@ from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAda
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.operator.features import ZONE
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -95,7 +96,12 @@ class ThermoForceMPC(Acting):
                 )
         self._zones = tuple(model.actuator(a) for a in range(len(layout.names.actuators)))
         choices = [
-            choose_actuation(c.actuation_of(actuator), zone.power, zone.operator.heat_input)
+            choose_actuation(
+                c.actuation_of(actuator),
+                zone.power,
+                zone.operator.heat_input,
+                CostAtPartLoad.of(zone.card.uncertainty),
+            )
             for actuator, zone in zip(layout.names.actuators, self._zones, strict=True)
             if zone.power is not None
         ]

@@ -87,12 +87,12 @@ def test_set_points_modulate_and_rules_follow_the_map():
 def test_probing_sees_part_load_where_it_is_to_be_decided():
     pump = Scenario(testcase="bestest_hydronic_heat_pump")
     probing, identification = identification_settings(pump, load_testcase(pump.testcase))
-    assert (probing.levels, probing.trial_level) == ((0.0, 1.0), 0.5)
+    assert (probing.levels, probing.trial_levels) == ((0.0, 1.0), (0.5,))
     assert identification.lowest_level == 0.5
     named = Scenario(testcase=pump.testcase, controller={"options": {"actuation": {"mode": "duty"}}})
     probing, identification = identification_settings(named, load_testcase(pump.testcase))
-    assert (probing.trial_level, identification.lowest_level) == (None, None)
+    assert (probing.trial_levels, identification.lowest_level) == ((), None)
     water = Scenario(testcase="bestest_hydronic")
     probing, identification = identification_settings(water, load_testcase(water.testcase))
-    assert probing.trial_level is None, "its own levels show part load"
+    assert probing.trial_levels == (), "its own levels show part load"
     assert identification.lowest_level == 0.1

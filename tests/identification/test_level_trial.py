@@ -19,11 +19,11 @@ def applied(trial: LevelTrial, drawn: list[float]) -> list[float]:
 
 def test_half_of_the_steps_follow_off_and_half_follow_full_level():
     drawn = [0, 1, 1, 1, 1, 1, 1, 0, 1, 1, 1]
-    assert applied(LevelTrial(0.5, 4), drawn) == [0, 0.5, 0.5, 1, 0.5, 0.5, 1, 0, 1, 1, 1]
+    assert applied(LevelTrial((0.5,), 4), drawn) == [0, 0.5, 0.5, 1, 0.5, 0.5, 1, 0, 1, 1, 1]
 
 
 def test_a_run_that_is_cut_short_does_not_turn_the_next_one_down():
-    assert applied(LevelTrial(0.5, 4), [1, 0, 1, 1, 1, 1]) == [0.5, 0, 1, 0.5, 0.5, 1]
+    assert applied(LevelTrial((0.5,), 4), [1, 0, 1, 1, 1, 1]) == [0.5, 0, 1, 0.5, 0.5, 1]
 
 
 def test_probing_with_a_trial_holds_few_intermediate_levels():
@@ -31,7 +31,7 @@ def test_probing_with_a_trial_holds_few_intermediate_levels():
         config = ProbingConfig(design="random", warmup_days=0.0, margin_K=20.0, **options)
         return probe(SimpleHouse(), 20 * DAY_S, 2.0, seed=3, config=config).u[0]
 
-    plain, tried = levels(), levels(trial_level=0.5)
+    plain, tried = levels(), levels(trial_levels=(0.5,))
     assert set(plain) == {0.0, 1.0}
     assert 3 <= (tried == 0.5).sum() <= 4
     assert ((tried > 0) == (plain > 0)).mean() > 0.9

@@ -61,6 +61,15 @@ def test_what_is_wrong_with_one_actuator_refuses_the_plan_for_all(block, told):
     assert checked_blocks(plan(Block((0.5, None), HOUR_S)), HOUR_S, HOUR_S, names=TWO)[1] == ""
 
 
+def test_the_lowest_level_is_that_of_each_actuator():
+    def refused(*u):
+        return checked_blocks(plan(Block(u, HOUR_S)), HOUR_S, HOUR_S, (0.0, -0.6), TWO)[1]
+
+    assert refused(0.0, -0.6) == ""
+    assert "u[radiator] of -0.1, outside 0 to 1" in refused(-0.1, 0.0)
+    assert "u[floor] of -0.7, outside -0.6 to 1" in refused(0.0, -0.7)
+
+
 def test_every_zone_actuator_and_machine_is_recorded_by_name():
     plant = TwoHouses()
     controller = Fixed(Block((0.25, None), 1800.0), Block((0.75, 1.0), 1800.0))

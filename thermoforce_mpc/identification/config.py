@@ -57,6 +57,18 @@ class IdentificationConfig(StrictModel):
     lowest_level: float | None = Field(
         None, gt=0, le=1, description="level below which the probed machine cycled; default: estimated from the data"
     )
+    part_load: bool = Field(
+        False,
+        description="estimate heat at part load, and so what it costs, from the temperature where heat is not "
+        "measured; set where probing takes trial levels",
+    )
+    radiator_exponent: float | None = Field(
+        None,
+        ge=1,
+        le=2,
+        description="exponent of the radiator map with which the levels were recorded: it is then estimated; "
+        "set from the test case",
+    )
     modulation: Literal["neural", "linear"] = Field("neural", description="gain m(x) of the paper, or m = 1")
     feedback: bool = Field(
         False,

@@ -159,11 +159,11 @@ def _residual_scale(
     regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int
 ) -> float:
     """Return the RMS of the residual whitened with the assumed disturbances."""
-    design, target, _, rows = _system(regressions, log_tau, priors, sign)
+    design, target, _, rows = system(regressions, log_tau, priors, sign)
     return float(np.sqrt(np.mean((design @ values - target)[:rows] ** 2)))
 
 
-def _system(
+def system(
     regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int
 ) -> tuple[Array, Array, Array, int]:
     """Return the whitened regression for given time constants: design, target, lower bounds, number of data rows.
@@ -206,7 +206,7 @@ def _system(
 
 def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int) -> _Solution:
     """Solve the bounded Gaussian regression for given time constants."""
-    design, target, low, rows = _system(regressions, log_tau, priors, sign)
+    design, target, low, rows = system(regressions, log_tau, priors, sign)
     values = lsq_linear(design, target, bounds=(low, np.inf)).x
     residual = design @ values - target
     away = (log_tau - priors.log_tau) / priors.log_tau_sd
@@ -244,14 +244,14 @@ def _joint_covariance(
     acting = 2 * r + regressions[0].others.shape[0] * r
 
     def residual(at: Array) -> Array:
-        design, target, _, _ = _system(regressions, at, priors, sign)
+        design, target, _, _ = system(regressions, at, priors, sign)
         return np.asarray(design @ values - target)
 
     shifts = _DERIVATIVE_STEP * np.eye(r)
     slopes = np.stack([residual(log_tau + d) - residual(log_tau - d) for d in shifts], axis=1) / (
         2.0 * _DERIVATIVE_STEP
     )
-    design, _, _, rows = _system(regressions, log_tau, priors, sign)
+    design, _, _, rows = system(regressions, log_tau, priors, sign)
     jacobian = np.concatenate([slopes, design], axis=1)
     errors = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else found) for e in regressions])
     prior = jacobian[rows:].T @ jacobian[rows:]

@@ -103,6 +103,10 @@ def identify(
         heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a])
         heat_inputs.append(heat_input)
         notes.append([*gaps, *pair_gaps, *told])
+    power = [
+        power_model([machine_record(h, layout, m) for h in histories], config, signed=_signed(layout, m))
+        for m in range(len(layout.names.machines))
+    ]
     zones: list[ZoneModel] = []
     fits: list[JointFit | None] = []
     for a, home in enumerate(layout.home):
@@ -119,6 +123,7 @@ def identify(
             source,
             data,
             notes[a],
+            power[layout.machine_of[a]] if len(layout.fed_by(layout.machine_of[a])) == 1 else None,
         )
         who = "" if layout.names.single else f"{layout.names.actuators[a]} on {layout.names.zones[home]}: "
         try:
@@ -127,10 +132,6 @@ def identify(
             raise DataError(f"{who}{error}") from error
         zones.append(zone)
         fits.append(fit)
-    power = [
-        power_model([machine_record(h, layout, m) for h in histories], config, signed=_signed(layout, m))
-        for m in range(len(layout.names.machines))
-    ]
     return assembled(layout, zones, fits, power, config)
 
 

@@ -18,6 +18,7 @@ from thermoforce_mpc.identification.cases import Case, held_out, normalisation, 
 from thermoforce_mpc.identification.competence import held_out_h, held_out_rmse_K, judge
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, fit_joint
+from thermoforce_mpc.identification.level_shape import level_shape
 from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
@@ -26,6 +27,7 @@ from thermoforce_mpc.identification.regression_data import OtherActuator, pair_r
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.zone_model import ZoneModel
@@ -53,6 +55,7 @@ class ZoneTask:
         floor_area_m2: of the zone; with measured heat it turns the physical priors on.
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
+        power: of the machine, where it feeds this actuator alone.
     """
 
     runs: Sequence[Record]
@@ -65,12 +68,13 @@ class ZoneTask:
     source: str = "identified"
     data: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    power: PowerModel | None = None
 
 
 def identify_zone(
     task: ZoneTask, config: IdentificationConfig, say: Callable[[str], None]
 ) -> tuple[ZoneModel, JointFit | None]:
-    """Return the zone's model without power, and the linear fit, None with method two_stage.
+    """Return the zone's model and its linear fit, None with method two_stage.
 
     Raises:
         DataError: the action explains too little, or its effect has no proven sign.
@@ -94,7 +98,7 @@ def identify_zone(
     else:
         model, fit = _joint_model(
             runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, sign, task.step_s, task.source,
-            notes, say,
+            notes, say, task.power,
         )  # fmt: skip
     model = _accepted(model, cases, sign)
     say(f"identified an operator of order {model.operator.order}")
@@ -139,6 +143,7 @@ def _joint_model(
     source: str,
     notes: Sequence[str],
     say: Callable[[str], None],
+    power: PowerModel | None,
 ) -> tuple[ZoneModel, JointFit]:
     """The joint estimator as a zone's model, and its fit: order chosen on held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
@@ -195,6 +200,11 @@ def _joint_model(
         scores |= neural
     operator = operator.resampled(step_s or base_step)
     certainty = uncertainty(final, operator.step_s) | {"sensor_resolution_K": resolution_K(runs)}
+    shape: dict[str, float] = {}
+    if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
+        regressions = [case.regression for case in cases]
+        shape, told_of_shape = level_shape(histories, regressions, final, priors, config, power, sign)
+        notes = [*notes, *told_of_shape]
     explained = explained_share(cases, operator)
     _check_explained(explained, cases, sign)
     verdict = judge(
@@ -202,14 +212,14 @@ def _joint_model(
     )
     model = ZoneModel(
         operator=operator,
-        power=None,
+        power=power,
         free=final.free_model(step_s or base_step, config) if runs else None,
         card=ModelCard(
             source=source,
             data=data,
             ranges=ranges(histories),
             scores=scores,
-            uncertainty=certainty,
+            uncertainty=certainty | shape,
             config=config.model_dump(mode="json"),
             notes=(*notes, *_warnings(certainty)),
             competence=verdict,

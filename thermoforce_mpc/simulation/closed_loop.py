@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import cast
 
@@ -151,6 +151,7 @@ def run_closed_loop(
     price: str = "constant",
     on_step: Callable[[StepRecord], None] | None = None,
     allowed: Limits | None = None,
+    lowest: Sequence[float] | None = None,
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
@@ -160,6 +161,7 @@ def run_closed_loop(
     Args:
         on_step: called after every control step (progress display).
         allowed: limits of plausible readings; by default those of the controller's model, see `limits_of`.
+        lowest: lowest level of each actuator (A,); by default that of `allowed` for all.
 
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
@@ -167,6 +169,7 @@ def run_closed_loop(
     began = time.perf_counter()
     start = plant.reset(period.start_s, period.warmup_s, price)
     allowed = allowed or limits_of(controller)
+    lowest = [allowed.lowest] if lowest is None else lowest
     history, doubts = screened_history(plant.past(controller.step_s), allowed)
     end_s = period.start_s + period.scored_s
     now_s = start.time_s
@@ -181,7 +184,7 @@ def run_closed_loop(
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
         plan, state = replace(plan, state=None), plan.state
-        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, allowed.lowest, history.names)
+        blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, lowest, history.names)
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
         for block in blocks:
@@ -225,12 +228,12 @@ def advanced(plant: Plant, block: Block) -> Measurement:
 
 
 def checked_blocks(
-    plan: Plan, step_s: float, remaining_s: float, lowest: float = 0.0, names: Names = SINGLE
+    plan: Plan, step_s: float, remaining_s: float, lowest: float | Sequence[float] = 0.0, names: Names = SINGLE
 ) -> tuple[tuple[Block, ...], str]:
     """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
     Last check before the plant: there must be one level for each actuator of `names`, None or finite and in
-    [`lowest`, 1], room set-points finite and in order; a duration must be finite and positive; the durations must sum
+    [`lowest`, 1] (`lowest` of all or of each), room set-points finite and in order; a duration must be finite and positive; the durations must sum
     to `step_s`. What is wrong with one actuator refuses the plan for all.
     """
     native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
@@ -253,15 +256,16 @@ def checked_blocks(
     return tuple(out), ""
 
 
-def _unfit(block: Block, lowest: float, names: Names) -> str:
+def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
     """What is wrong with a block, in words; empty where it may be applied."""
     if len(block.u) != len(names.actuators):
         return f"{len(block.u)} levels for {len(names.actuators)} actuators ({', '.join(names.actuators)})"
     if not (math.isfinite(block.duration_s) and block.duration_s > 0):
         return f"a block of {block.duration_s:g} s"
+    least = np.broadcast_to(lowest, len(block.u))
     for a, (level, band) in enumerate(zip(block.u, block.band_C, strict=True)):
-        if level is not None and not (math.isfinite(level) and lowest <= level <= 1.0):
-            return f"{names.label('u', a)} of {level:g}, outside {lowest:g} to 1"
+        if level is not None and not (math.isfinite(level) and least[a] <= level <= 1.0):
+            return f"{names.label('u', a)} of {level:g}, outside {least[a]:g} to 1"
         if band is not None and not (all(map(math.isfinite, band)) and band[0] <= band[1]):
             return f"room set-points of {band} °C at {names.label('u', a)}"
     return ""

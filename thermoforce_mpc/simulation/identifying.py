@@ -16,7 +16,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.scenario.settings import merge, validate
-from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
@@ -24,8 +24,9 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Trial of part load, as a share of the highest level.
-_TRIAL_SHARE = 0.5
+# Trials of part load, as shares of the highest level: where heat is metered, and where only the temperature tells it,
+# which takes longer and a level near that which holds a zone.
+_METERED_SHARES, _UNMETERED_SHARES, _UNMETERED_STEPS = (0.5,), (0.5, 0.25), 8
 # Probing does not end early before this many days: a held-out part of 9 h must show the effect.
 _LEAST_DAYS = 1.5
 
@@ -237,7 +238,7 @@ def identification_settings(
 
     By default the machine is probed at the levels that this controller uses: those between lowest and full if it
     modulates, off and full if it switches. Where that is to be decided (actuation mode auto), a few steps at half level
-    are added.
+    are added; where heat is not metered, more of them, and at a quarter too.
     """
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
@@ -251,13 +252,21 @@ def identification_settings(
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
         if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
-            defaults["trial_level"] = _TRIAL_SHARE * actuation.level
+            metered = bool(testcase.measurements.heat)
+            shares = _METERED_SHARES if metered else _UNMETERED_SHARES
+            defaults["trial_levels"] = tuple(share * actuation.level for share in shares)
+            if not metered:
+                defaults["trial_steps"] = _UNMETERED_STEPS
     own = testcase.defaults
     probing = validate(ProbingConfig, merge(merge(defaults, own.probing), spec.probing), "identification.probing")
     ours: dict[str, Any] = {"seed": scenario.seed}
-    between = [level for level in (*probing.levels, probing.trial_level or 0.0) if 0.0 < level < max(probing.levels)]
+    between = [level for level in (*probing.levels, *probing.trial_levels) if 0.0 < level < max(probing.levels)]
     if actuation is not None and actuation.mode == "auto" and between:
         ours["lowest_level"] = min(between)  # these levels are held, not made by cycling
+    if probing.trial_levels and not testcase.measurements.heat:
+        ours["part_load"] = True
+    if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator":
+        ours["radiator_exponent"] = testcase.actuator.exponent
     options = merge(merge(ours, own.identification), spec.options)
     config = validate(IdentificationConfig, options, "identification.options")
     return probing, config

@@ -213,7 +213,14 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
     with display.working("Drawing the report"):
         from thermoforce_mpc.simulation.report import write_report
 
-        write_report(folder, currency=testcase.currency, kpis=kpis, result=done.result, baselines=done.baselines)
+        write_report(
+            folder,
+            currency=testcase.currency,
+            kpis=kpis,
+            result=done.result,
+            baselines=done.baselines,
+            layout=testcase.layout,
+        )
     title = f"{done.plant.kind} plant, {done.plant.weather}\n{_window(done.result.period)}, {scenario.price} tariff"
     held = {name: gate.in_words() for name, gate in gates_held(done.result, done.baselines).items()}
     display.kpi_table(done.kpis, title, testcase.currency, held)
@@ -307,7 +314,7 @@ def _follow(
             follower.step(record)
 
         allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
-        return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
+        return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, testcase.layout.lowest)
 
 
 def _weight_hash(controller: Controller) -> str | None:

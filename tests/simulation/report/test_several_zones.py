@@ -9,13 +9,14 @@ import pytest
 from rich.console import Console
 from two_houses import TWO, TwoHouses
 
-from thermoforce_mpc.data import HOUR_S, Block, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Block, Layout, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.display import LoopDisplay, RunDisplay
 from thermoforce_mpc.simulation.report import write_report
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
 
 N = 6
+LAYOUT = Layout(TWO, (1, 1), (1, 0), (0, 1), (0.0, 0.0), (0.0, 0.0), (60.0, 40.0))
 OFF_K = np.array([0.5, -0.25])
 
 
@@ -56,7 +57,9 @@ def report_of(result, baselines, folder) -> str:
         "controller": result.controller, "testcase": "two", "period": "x", "start_day": 10.0, "scored_days": 2.0,
         "price": "constant", "plant": "two houses", "weather": "cosine",
     }  # fmt: skip
-    return write_report(folder, kpis=kpis, result=result, baselines=baselines, currency="EUR").read_text()
+    return write_report(
+        folder, kpis=kpis, result=result, baselines=baselines, currency="EUR", layout=LAYOUT
+    ).read_text()
 
 
 def test_the_report_has_a_row_per_zone_and_a_panel_per_actuator_and_machine(result, tmp_path):

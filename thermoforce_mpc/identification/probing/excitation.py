@@ -57,16 +57,17 @@ class Excitation:
 
 @dataclass
 class LevelTrial:
-    """A few steps at an intermediate level in place of full ones, so that the laws see part load.
+    """A few steps at intermediate levels in place of full ones, so that the laws see part load.
 
-    Half of the steps are taken right after off and half right after full level: heat stored in water and pipes then
-    adds as much to the one as it takes from the other. The draws of the excitation stay as they are.
+    Each level is held for `steps` in all. Half of them are taken right after off and half right after full level: heat
+    stored in water and pipes then adds as much to the one as it takes from the other. The draws of the excitation stay
+    as they are.
     """
 
-    level: float
+    levels: tuple[float, ...]
     steps: int
     left: int = field(default=0)
-    after: tuple[str, ...] = ("off", "full")
+    done: int = field(default=0)
 
     def applied(self, drawn: float, before: float, highest: float) -> float:
         """Return the level to apply for the `drawn` one, `before` being the level applied in the last step."""
@@ -74,8 +75,8 @@ class LevelTrial:
             self.left = 0  # a run cut short counts as done
             return drawn
         if self.left == 0:
-            if not self.after or before != (0.0 if self.after[0] == "off" else highest):
+            if self.done == 2 * len(self.levels) or before != (highest if self.done % 2 else 0.0):
                 return drawn
-            self.after, self.left = self.after[1:], self.steps // 2
+            self.done, self.left = self.done + 1, self.steps // 2
         self.left -= 1
-        return self.level
+        return self.levels[(self.done - 1) // 2]

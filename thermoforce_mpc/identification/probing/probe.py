@@ -15,7 +15,7 @@ from typing import Literal, cast
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law, LevelTrial
@@ -33,10 +33,12 @@ class ProbingConfig(StrictModel):
 
     step_s: float = Field(900.0, ge=60, le=3600, description="step of the record, s")
     levels: tuple[float, ...] = Field((0.0, 1.0), min_length=2, description="levels to draw from, in [0, 1], off first")
-    trial_level: float | None = Field(
-        None, gt=0, lt=1, description="level that takes the place of the highest for a few steps, to see part load"
+    trial_levels: tuple[float, ...] = Field(
+        (), description="levels in (0, 1) that take the place of the highest for a few steps, to see part load"
     )
-    trial_steps: int = Field(4, ge=2, description="number of those steps, half after off and half after full level")
+    trial_steps: int = Field(
+        4, ge=2, description="number of those steps at each, half after off and half after full level"
+    )
     hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="holding times to draw from, steps")
     lean_per_K: float = Field(0.35, gt=0, description="change of the probability of on per K from the centre, 1/K")
     above_lower_K: float = Field(0.5, description="centre of the excursions inside the tightest bound ahead, K")
@@ -61,6 +63,8 @@ class ProbingConfig(StrictModel):
             raise ValueError(f"levels must lie in [0, 1], got {self.levels}")
         if self.levels[0] != 0.0 or len(set(self.levels)) < 2:
             raise ValueError(f"levels must start with 0 and include another level, got {self.levels}")
+        if not all(0.0 < level < 1.0 for level in self.trial_levels):
+            raise ValueError(f"trial_levels must lie between 0 and 1, got {self.trial_levels}")
         if min(self.hold_steps) < 1:
             raise ValueError(f"hold_steps must be positive, got {self.hold_steps}")
         return self
@@ -188,7 +192,7 @@ class _Levels:
         self._sign = 1.0 if mode == "heating" else -1.0
         self._foresight = Foresight(plant.past(c.step_s), self._sign, c.step_s)
         self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(seed))
-        self._trial = LevelTrial(c.trial_level, c.trial_steps) if c.trial_level is not None else None
+        self._trial = LevelTrial(c.trial_levels, c.trial_steps)
         self._applied = 0.0
 
     def extend(self, record: Record, end: int) -> Record:
@@ -205,7 +209,7 @@ class _Levels:
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[-1])))
-        if self._trial:
+        if c.trial_levels:
             level = self._trial.applied(level, self._applied, max(c.levels))
         self._applied = self._polite(level, centre, band, record)
         longer = record.extended(plant.advance(self._applied, c.step_s))
@@ -224,8 +228,8 @@ class _Levels:
             return level
         # Inside the limits of the excursions, so that levels can be held, and never beyond the margin.
         low, high = max(centre - below, low), min(centre + above, high)
-        now = (float(signal[-1]) for signal in (record.T_zone_C, record.T_out_C, record.solar_W_m2))
-        return self._foresight.polite(level, highest, *now, low, high)
+        T_zone, T_out, solar = (float(s[-1]) for s in (record.T_zone_C, record.T_out_C, record.solar_W_m2))
+        return self._foresight.polite(level, highest, T_zone, T_out, solar, low, high)
 
 
 def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:

@@ -1,11 +1,47 @@
-"""What a machine's laws say of part load: fixed shares of power and heat, and power per heat at half level."""
+"""What is known of part load: fixed shares of power and heat, and power per heat at half level.
+
+Where heat is not measured, what heat costs at part load is estimated from the temperature instead, with its
+uncertainty, and stands on the model card.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
+
+# Names on the model card (`ModelCard.uncertainty`), see `CostAtPartLoad`.
+LEVEL, HEAT, HEAT_SD = "part_load_level", "part_load_heat", "part_load_heat_sd"
+COST, COST_SD = "part_load_cost", "part_load_cost_sd"
+
+
+@dataclass(frozen=True)
+class CostAtPartLoad:
+    """What heat costs at `level`, estimated without a heat meter.
+
+    `heat`: heat per level there over that at full level; `cost`: expected power per heat there over that at full
+    level. Each with its standard deviation.
+    """
+
+    level: float
+    heat: float
+    heat_sd: float
+    cost: float
+    cost_sd: float
+
+    @classmethod
+    def of(cls, uncertainty: Mapping[str, float]) -> CostAtPartLoad | None:
+        """Read it from the numbers of a model card; None where it was not estimated."""
+        names = (LEVEL, HEAT, HEAT_SD, COST, COST_SD)
+        return cls(*(uncertainty[name] for name in names)) if COST in uncertainty else None
+
+    def __str__(self) -> str:
+        return (
+            f"at level {self.level:.2f} the temperature says {self.heat:.2f} ± {self.heat_sd:.2f} times the heat per "
+            f"level of full level, which costs {self.cost:.2f} ± {self.cost_sd:.2f} times as much"
+        )
 
 
 @dataclass(frozen=True)

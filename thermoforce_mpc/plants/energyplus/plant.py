@@ -79,7 +79,8 @@ class EnergyPlusPlant:
             forecast_error: weather forecast errors; default: a perfect forecast.
 
         Raises:
-            ConfigError: the test case has no `energyplus` section, its actuator is not the zone's, or the engine is not installed.
+            ConfigError: the test case has no `energyplus` section or not the zone's actuator, or the engine is not
+                installed.
         """
         if testcase.energyplus is None:
             raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")

@@ -102,7 +102,7 @@ def _run(cell: Cell, store: Store, channel: Connection) -> None:
                     channel.send(("day", (record.time_s - period.start_s) / DAY_S))
 
         allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
-        result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed)
+        result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, testcase.layout.lowest)
         store.write(cell, _record(cell, result, plant.info))
 
 

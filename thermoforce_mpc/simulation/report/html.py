@@ -11,7 +11,7 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup
 
-from thermoforce_mpc.data import HOUR_S, Names
+from thermoforce_mpc.data import HOUR_S, Layout, Names
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
@@ -30,16 +30,25 @@ KPI_LABELS = {
 
 
 def write_report(
-    folder: Path, *, kpis: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], currency: str
+    folder: Path,
+    *,
+    kpis: Mapping[str, Any],
+    result: RunResult,
+    baselines: Mapping[str, RunResult],
+    currency: str,
+    layout: Layout,
 ) -> Path:
-    """Write `report.html` into a run folder that already holds its manifest; `kpis` is the content of `kpis.json`."""
+    """Write `report.html` into a run folder that already holds its manifest.
+
+    `kpis` is the content of `kpis.json`; `layout` says which actuators serve which zone.
+    """
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
     fallen_back = steps.status.isin(["shifted", "thermostat", "guard"])
     events = steps[fallen_back | (steps.refused != "") | (steps.notes != "")]
-    names = result.names
+    names = layout.names
     template = page_environment().get_template("report.html.j2")
     page = template.render(
         kpis=kpis,
@@ -50,8 +59,8 @@ def write_report(
         advice=_advice(manifest["identification"]),
         zones=names.zones if len(names.zones) > 1 else (),
         actuators=names.actuators if len(names.actuators) > 1 else (),
-        temperature=Markup(temperature_plot(trajectory, steps, others, names)),
-        actuation=Markup(actuation_plot(trajectory, currency, names)),
+        temperature=Markup(temperature_plot(trajectory, steps, others, layout)),
+        actuation=Markup(actuation_plot(trajectory, currency, layout.names)),
         comparison=Markup(kpi_plot(everyone, currency)),
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),

@@ -12,19 +12,22 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from thermoforce_mpc.data import DAY_S, SINGLE, Names
+from thermoforce_mpc.data import DAY_S, SINGLE, Layout, Names
 
 INK, FREE, FORCED, BAND, QUIET = "#1b1f24", "#228b22", "#b22222", "#dfeaf5", "#8a939c"
+LEVEL_COLOURS = (INK, "#1f5a99", FORCED, FREE)
 BASELINE_COLOURS = ("#8a6d3b", "#6b5b95", "#3b7a8a", "#a05a7a", "#5a7d3b", "#c47f2c", "#4a5568")
 
 
 def temperature_plot(
-    trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: Mapping[str, pd.DataFrame], names: Names = SINGLE
+    trajectory: pd.DataFrame, steps: pd.DataFrame, baselines: Mapping[str, pd.DataFrame], layout: Layout
 ) -> str:
     """Zone temperature and comfort band, °C; below, predicted free response, °C, and forced response, K.
 
-    With several zones a row for each, the responses on the right, and the prediction of a step beside what came.
+    With several zones a row for each: its temperature with what was predicted a step before, the responses, and the
+    levels of the actuators that serve it.
     """
+    names = layout.names
     if len(names.zones) == 1:
         figure = Figure(figsize=(11, 6.2), layout="constrained")
         top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
@@ -35,8 +38,8 @@ def temperature_plot(
         below.set_xlabel("day of the scored window")
         return svg_text(figure)
     figure = Figure(figsize=(11, 0.6 + 2.3 * len(names.zones)), layout="constrained")
-    axes = figure.subplots(len(names.zones), 2, sharex=True, squeeze=False, width_ratios=[3, 2])
-    for (left, right), zone in zip(axes, names.zones, strict=True):
+    axes = figure.subplots(len(names.zones), 3, sharex=True, squeeze=False, width_ratios=[3, 2, 2])
+    for z, ((left, middle, right), zone) in enumerate(zip(axes, names.zones, strict=True)):
         of_zone, planned = _of(trajectory, zone), _of(steps, zone).dropna(subset=["T_free_next_C"])
         _temperature(left, of_zone, {name: _of(frame, zone) for name, frame in baselines.items()})
         if len(planned):
@@ -45,7 +48,8 @@ def temperature_plot(
             left.plot(at, predicted, color=FORCED, linewidth=0.9, linestyle=":", label="predicted a step before")
         left.set_title(zone, loc="left", fontsize=10)
         left.set_ylabel("°C")
-        _responses(right, of_zone, _of(steps, zone))
+        _responses(middle, of_zone, _of(steps, zone))
+        _levels(right, trajectory, [names.actuators[a] for a in layout.actuators_of(z)])
     axes[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.12), ncols=5, frameon=False)
     for axis in axes[-1]:
         axis.set_xlabel("day of the scored window")
@@ -89,17 +93,33 @@ def _responses(axis: Axes, trajectory: pd.DataFrame, steps: pd.DataFrame) -> Non
     forced.set_ylabel("forced response, K", color=FORCED)
 
 
+def _levels(axis: Axes, trajectory: pd.DataFrame, actuators: Sequence[str]) -> None:
+    """Levels of the actuators of one zone."""
+    least = 0.0
+    for a, name in enumerate(actuators):
+        u = _of(trajectory, name).u_measured.astype(float)
+        axis.step(
+            _days(trajectory), u, where="post", color=LEVEL_COLOURS[a % len(LEVEL_COLOURS)], linewidth=0.9, label=name
+        )
+        least = min(least, float(u.min()) if u.notna().any() else 0.0)
+    axis.set_ylabel("level u" if least >= 0 else "level u\n(< 0: cooling)")
+    axis.set_ylim(least - 0.05, 1.05)
+    if actuators:
+        axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, fontsize=8)
+
+
 def actuation_plot(trajectory: pd.DataFrame, currency: str, names: Names = SINGLE) -> str:
     """Actuator level (below 0: cooling), power, kW, outdoor temperature, °C, irradiance, W/m², and price.
 
-    With several actuators or machines a panel for each, by name.
+    With several actuators or machines a panel for each, by name. With several zones the levels stand in their rows.
     """
-    if len(names.actuators) == len(names.machines) == 1:
+    actuators = names.actuators if len(names.zones) == 1 else ()
+    if names.single:
         figure = Figure(figsize=(11, 6.2), layout="constrained")
         panels = figure.subplots(4, 1, sharex=True)
         below = panels[-1:]
     else:
-        n = len(names.actuators) + 2 * len(names.machines) + 1
+        n = len(actuators) + 2 * len(names.machines) + 1
         rows = -(-n // 2)
         figure = Figure(figsize=(11, 0.4 + 1.6 * rows), layout="constrained")
         grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
@@ -107,7 +127,7 @@ def actuation_plot(trajectory: pd.DataFrame, currency: str, names: Names = SINGL
         for unused in grid.ravel()[n:]:
             unused.axis("off")
     waiting = iter(panels)
-    for name in names.actuators:
+    for name in actuators:
         _level(next(waiting), _of(trajectory, name), _titled("level u", name, names.actuators))
     for name in names.machines:
         _power(next(waiting), _of(trajectory, name), _titled("power, kW", name, names.machines))

@@ -1,0 +1,137 @@
+"""What the temperature says of heat over the level where heat is not measured."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, record
+
+from controllers.actuation import ActuationConfig
+from controllers.actuation_choice import choose_actuation
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.level_shape import PART_LOAD, Shape, radiator
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.simulation.identifying import identification_settings
+
+# A room heated at once, in which an hour shows what a level gives.
+ROOM = House(tau_h=(0.05, 0.6, 40.0), gain_K=(6.0, 24.0), outdoor=(0.1, 0.85), solar_K=(0.2, 1.0))
+CONFIG = IdentificationConfig(
+    order=3,
+    modulation="linear",
+    part_load=True,
+    lowest_level=0.25,
+    time_constants_h=(0.1, 0.6, 40.0),
+    start_slope_K_per_h=(5.0, 7.0),
+)
+
+
+def levels(shares, seed: int = 2, n: int = 288) -> np.ndarray:
+    """Off or on for an hour or two, a quarter of the runs at one of `shares`."""
+    rng, u = np.random.default_rng(seed), np.empty(0)
+    while u.size < n:
+        level = rng.choice([1.0, rng.choice(shares)], p=[0.6, 0.4]) if rng.random() < 0.5 else 0.0
+        u = np.append(u, np.full(rng.integers(2, 9), level))
+    return u[:n]
+
+
+class Machine(House):
+    """A house whose heat is `law` of the level, of 10 kW."""
+
+    law = staticmethod(lambda u: u)
+
+    def heat_W(self, u, T_out):
+        return 10000.0 * self.law(u)
+
+
+def recorded(law, u, power):
+    house = type("Lawful", (Machine,), {"law": staticmethod(law)})(ROOM.tau_h, ROOM.gain_K, ROOM.outdoor, ROOM.solar_K)
+    return replace(record(house, 3.0, u=u, noise_K=0.02, heat_measured=False), power_W=power(u))
+
+
+@pytest.mark.parametrize(
+    ("law", "power", "modulates"),
+    [
+        # At the limit of its water temperature: full level gives little more than 0.6, and power follows the heat.
+        (lambda u: np.minimum(u / 0.6, 1.0), lambda u: 3000.0 * np.minimum(u / 0.6, 1.0), True),
+        (lambda u: u, lambda u: (u > 0) * 900.0 + 2100.0 * u, False),
+        (lambda u: u, lambda u: 3000.0 * u, True),
+    ],
+    ids=["saturating", "fixed loss", "boiler"],
+)
+def test_the_temperature_tells_the_cost_of_heat_at_part_load(law, power, modulates):
+    model = identify(recorded(law, levels((0.5, 0.25)), power), config=CONFIG)
+    found = CostAtPartLoad.of(model.card.uncertainty)
+    true_heat = float(law(np.array(found.level))) / found.level
+    true_cost = float(power(np.array(found.level))) / 3000.0 / float(law(np.array(found.level)))
+    assert abs(found.heat - true_heat) < 2.5 * found.heat_sd, found
+    assert abs(found.cost - true_cost) < 2.5 * found.cost_sd, found
+    assert found.heat_sd < 0.8 * PART_LOAD.sd, "the data told more than the prior"
+    choice = choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found)
+    assert choice.actuation.modulates is modulates, choice.why
+    assert "the temperature says" in choice.why
+
+
+def test_nothing_is_said_of_part_load_that_was_not_seen_or_is_metered():
+    unseen = identify(recorded(lambda u: u, levels((1.0,)), lambda u: 3000.0 * u), config=CONFIG)
+    assert CostAtPartLoad.of(unseen.card.uncertainty) is None
+    metered = identify(record(ROOM, 3.0, u=levels((0.5, 0.25)), noise_K=0.02), config=CONFIG, floor_area_m2=190.0)
+    assert CostAtPartLoad.of(metered.card.uncertainty) is None
+
+
+def test_not_knowing_the_heat_makes_part_load_dearer_and_ends_in_blocks():
+    power = PowerModel(MachineLoad((0.0, 0.0, 3000.0, 0.0), (-10.0, 20.0), 0.25))
+    dear = CostAtPartLoad(0.25, 1.0, 0.3, 1.14, 0.3)
+    for estimated, heat_input, modulates in (
+        (dear, IDENTITY, False),
+        (replace(dear, cost=1.05), IDENTITY, True),
+        (dear, HeatInput(MachineLoad((0.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), 0.25)), True),  # metered heat counts
+    ):
+        assert choose_actuation(ActuationConfig(), power, heat_input, estimated).actuation.modulates is modulates
+    assert choose_actuation(ActuationConfig(mode="modulating"), power, IDENTITY, dear).actuation.modulates
+
+
+@pytest.mark.parametrize("shape", [PART_LOAD, radiator(1.3)])
+def test_the_slope_of_a_shape_is_its_derivative_and_full_level_stays(shape: Shape):
+    u = np.array([0.0, 0.1, 0.4, 0.8, 1.0])
+    k = shape.mean
+    numeric = (shape.drive(u, k + 1e-6) - shape.drive(u, k - 1e-6)) / 2e-6
+    np.testing.assert_allclose(shape.slope(u, k), numeric, atol=1e-6)
+    assert shape.drive(u, k + 0.1)[[0, -1]].tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("true", "days_of_levels", "words"),
+    [
+        (1.3, (0.1, 0.3, 0.6), "in agreement with the 1.3 in use"),
+        (1.6, (0.1, 0.3, 0.6), "write actuator.exponent: 1.[4-6]"),
+        (1.3, (1.0,), "hardly tell it, the 1.3 of the data sheet is kept"),
+    ],
+    ids=["same", "other", "unseen"],
+)
+def test_the_exponent_of_a_radiator_is_found_or_said_to_be_unknown(true, days_of_levels, words):
+    config = CONFIG.model_copy(update={"part_load": False, "radiator_exponent": 1.3, "lowest_level": 0.1})
+    given = recorded(lambda u: u ** (true / 1.3), levels(days_of_levels), lambda u: 3000.0 * u)
+    model = identify(given, config=config)
+    (note,) = (note for note in model.card.notes if "exponent" in note)
+    assert re.search(words, note), note
+    assert model.card.uncertainty["radiator_exponent_sd"] <= 0.1001
+
+
+def test_a_run_asks_for_what_its_test_case_does_not_meter():
+    metered = load_testcase("bestest_hydronic_heat_pump")
+    scenario = Scenario(testcase=metered.name)
+    probing, config = identification_settings(scenario, metered)
+    assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5,), 4, False)
+    measured = metered.measurements.model_copy(update={"heat": ()})
+    blind = metered.model_copy(update={"measurements": measured})
+    probing, config = identification_settings(scenario, blind)
+    assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5, 0.25), 8, True)
+    water = load_testcase("bestest_hydronic")
+    assert identification_settings(Scenario(testcase=water.name), water)[1].radiator_exponent == 1.3
