@@ -78,6 +78,15 @@ def test_the_temperature_tells_the_cost_of_heat_at_part_load(law, power, modulat
     assert "the temperature says" in choice.why
 
 
+def test_an_electric_heater_is_not_switched_for_an_estimate_below_what_it_can_be():
+    # Errors of the record that look like 0.75 of the heat per level at part load.
+    given = recorded(lambda u: np.where((u > 0) & (u < 1), 0.75 * u, u), levels((0.5, 0.25)), lambda u: 3000.0 * u)
+    model = identify(given, config=CONFIG)
+    found = CostAtPartLoad.of(model.card.uncertainty)
+    assert found.heat == 1.0
+    assert choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found).actuation.modulates
+
+
 def test_nothing_is_said_of_part_load_that_was_not_seen_or_is_metered():
     unseen = identify(recorded(lambda u: u, levels((1.0,)), lambda u: 3000.0 * u), config=CONFIG)
     assert CostAtPartLoad.of(unseen.card.uncertainty) is None

@@ -30,8 +30,9 @@ EXPONENT, EXPONENT_SD = "radiator_exponent", "radiator_exponent_sd"
 _HEAT_PRIOR = (1.1, 0.25)
 # Exponent of panel radiators, convectors and sectional radiators in data sheets by EN 442: 1.2 to 1.4.
 _EXPONENT_SD = 0.1
-# Exponents, or heat per level, beyond these are not estimated but held.
-_HEAT_RANGE, _EXPONENT_RANGE = (0.5, 2.0), (1.0, 2.0)
+# Estimates are held inside these. Heat is a concave law of the level: per level, part load gives no less than full
+# level. Below 1 an estimate is noise, and would switch an electric heater for a loss that it cannot have.
+_HEAT_RANGE, _EXPONENT_RANGE = (1.0, 2.0), (1.0, 2.0)
 # The data tell an exponent where they leave less than this share of its prior's standard deviation.
 _TOLD = 0.7
 # Steps at part load from which their heat is estimated.
