@@ -233,8 +233,8 @@ def checked_blocks(
     """The blocks of `plan` cut to the window and "", or one step of native control and the reason for the refusal.
 
     Last check before the plant: there must be one level for each actuator of `names`, None or finite and in
-    [`lowest`, 1] (`lowest` of all or of each), room set-points finite and in order; a duration must be finite and positive; the durations must sum
-    to `step_s`. What is wrong with one actuator refuses the plan for all.
+    [`lowest`, 1] (`lowest` of all or of each), room set-points finite and in order; a duration must be finite and
+    positive; the durations must sum to `step_s`. What is wrong with one actuator refuses the plan for all.
     """
     native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
     for block in plan.blocks:

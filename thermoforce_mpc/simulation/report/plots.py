@@ -44,13 +44,13 @@ def temperature_plot(
         _temperature(left, of_zone, {name: _of(frame, zone) for name, frame in baselines.items()})
         if len(planned):
             predicted = (planned.T_free_next_C + planned.T_forced_next_K).astype(float)
-            at = _relative_days(planned.time_s, of_zone)
+            at = _relative_days(planned.time_s + steps.time_s.diff().median(), of_zone)  # it holds at the step's end
             left.plot(at, predicted, color=FORCED, linewidth=0.9, linestyle=":", label="predicted a step before")
         left.set_title(zone, loc="left", fontsize=10)
         left.set_ylabel("°C")
         _responses(middle, of_zone, _of(steps, zone))
         _levels(right, trajectory, [names.actuators[a] for a in layout.actuators_of(z)])
-    axes[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.12), ncols=5, frameon=False)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=5, frameon=False)
     for axis in axes[-1]:
         axis.set_xlabel("day of the scored window")
     return svg_text(figure)
@@ -105,7 +105,8 @@ def _levels(axis: Axes, trajectory: pd.DataFrame, actuators: Sequence[str]) -> N
     axis.set_ylabel("level u" if least >= 0 else "level u\n(< 0: cooling)")
     axis.set_ylim(least - 0.05, 1.05)
     if actuators:
-        axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, fontsize=8)
+        legend = axis.legend(loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=2, frameon=False, fontsize=8)
+        legend.set_in_layout(False)  # it stands in the space of the zone's title
 
 
 def actuation_plot(trajectory: pd.DataFrame, currency: str, names: Names = SINGLE) -> str:
