@@ -2,12 +2,13 @@
 
 Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie together, so that the machine
 runs no longer than the longest of them: all at the start of a step while the machine runs, all at its end while it
-stands. Two such steps in a row join to one run.
+stands. Two such steps in a row join to one run. Minimum on and off times are those of the machine, whichever of its
+actuators is on: a valve may open and close while it runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from controllers.actuation import Actuation, ActuationState
@@ -60,11 +61,14 @@ class Actuators:
         """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after."""
         found = [self._alone(a, demand, step_s, states[a]) for a, demand in enumerate(demands)]
         for fed in self._shared:
-            switched = [a for a in fed if isinstance(demands[a], float | int) and not self.each[a].modulates]
-            if len(switched) > 1:
-                lead = max(switched, key=lambda a: demands[a])  # type: ignore[arg-type, return-value]
-                for a in switched:
-                    found[a] = self._with(a, float(demands[a]), step_s, states, lead, found[lead])  # type: ignore[arg-type]
+            levels = {
+                a: float(level)
+                for a in fed
+                if isinstance(level := demands[a], float | int) and not self.each[a].modulates
+            }
+            if len(levels) > 1:
+                for a, one in self._aligned(levels, step_s, states).items():
+                    found[a] = one
         return Acted(tuple(blocks for blocks, _ in found), tuple(state for _, state in found))
 
     def _alone(
@@ -74,29 +78,35 @@ class Actuators:
             return demand, state
         return self.each[a].realise(demand, step_s, state)
 
-    def _with(
-        self,
-        a: int,
-        level: float,
-        step_s: float,
-        states: Sequence[ActuationState],
-        lead: int,
-        led: tuple[tuple[Block, ...], ActuationState],
-    ) -> tuple[tuple[Block, ...], ActuationState]:
-        """Blocks of actuator `a` beside those of the `lead` of its machine, which wants to be on longest."""
-        if a == lead:
-            return led
-        c, (blocks, _) = self.each[a].config, led
-        first_on = bool(blocks[0].u[0])
-        running_s = sum(block.duration_s for block in blocks if block.u[0])
-        wanted_s = level / c.level * step_s + states[a].owed_s if level > 0 else 0.0
-        on_s = min(round(max(wanted_s, 0.0) / c.block_s) * c.block_s, running_s)
-        owed_s = min(max(wanted_s - on_s, -c.block_s), c.block_s)
-        on, off = Block(c.level, on_s), Block(0.0, step_s - on_s)
-        own = tuple(block for block in ((on, off) if first_on else (off, on)) if block.duration_s > _SAME_S)
-        ends_on = bool(own[-1].u[0])
-        state = replace(states[a], on=ends_on, held_s=own[-1].duration_s, owed_s=owed_s, native=False)
-        return own, state
+    def _aligned(
+        self, levels: Mapping[int, float], step_s: float, states: Sequence[ActuationState]
+    ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
+        """Blocks of the actuators of one machine at mean `levels`, beside those of the one that is on longest."""
+        wanted_s = {
+            a: level / self.each[a].config.level * step_s + states[a].owed_s if level > 0 else 0.0
+            for a, level in levels.items()
+        }
+        lead = max(levels, key=lambda a: wanted_s[a])
+        running = _machine_of([states[a] for a in levels])
+        blocks, after = self.each[lead].realise(levels[lead], step_s, replace(running, owed_s=states[lead].owed_s))
+        runs_s = sum(block.duration_s for block in blocks if block.u[0])
+        found = {lead: (blocks, after)}
+        for a in levels:
+            if a == lead:
+                continue
+            c = self.each[a].config
+            on_s = min(round(max(wanted_s[a], 0.0) / c.block_s) * c.block_s, runs_s)
+            parts = (Block(c.level, on_s), Block(0.0, step_s - on_s))
+            own = tuple(block for block in (parts if blocks[0].u[0] else parts[::-1]) if block.duration_s > _SAME_S)
+            owed_s = min(max(wanted_s[a] - on_s, -c.block_s), c.block_s)
+            found[a] = own, replace(after, owed_s=owed_s)
+        return found
+
+
+def _machine_of(states: Sequence[ActuationState]) -> ActuationState:
+    """State of a machine from those of its actuators: it runs while one of them is on, since the first came on."""
+    running = [state.held_s for state in states if state.on]
+    return ActuationState(bool(running), max(running) if running else min(state.held_s for state in states))
 
 
 def merged(blocks: Sequence[Sequence[Block]]) -> tuple[Block, ...]:

@@ -30,8 +30,8 @@ from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Observation
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -164,12 +164,11 @@ class ThermoForceMPC(Acting):
             actuation=actuation,
         )
         closed = [shut(self.config.gate, zone.card.competence) for zone in self._zones]
+        held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
         if all(closed):
-            said_of_all = "; ".join(dict.fromkeys(self._told(a, str(why)) for a, why in enumerate(closed)))
-            held = dict.fromkeys(range(actuators), Held(PlanStatus.GATE, said_of_all))
             return self._stood_back(observation, now, held)
         now = self._watched.judged(now, observation.history, self._forced_K(now, observation.history))
-        held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
+        held = self._silent(observation) | held
         for a, watch in enumerate(now.watch):
             if watch.alarm:
                 held[a] = Held(PlanStatus.WATCH, self._watched.reason(watch, observation.time_s))
@@ -178,6 +177,17 @@ class ThermoForceMPC(Acting):
         if len(held) == actuators:
             return self._watched.asked(observation, self._stood_back(observation, now, held))
         return self._watched.asked(observation, self._planned(observation, now, held))
+
+    def _silent(self, observation: Observation) -> dict[int, Held]:
+        """The actuators of zones that were never measured, where others were."""
+        known = np.isfinite(observation.history.T_zone_C).any(axis=1)
+        if not known.any():  # there is no prediction at all
+            return {}
+        return {
+            a: Held(PlanStatus.THERMOSTAT, f"the temperature of {self._layout.names.zones[z]} was never measured")
+            for a, z in enumerate(self._layout.home)
+            if not known[z]
+        }
 
     def _forced_K(self, now: MPCState, history: Record) -> Array | None:
         """Forced states of the building until now (Z, A, n + 1, r), K; None where one actuator acts, or if unknown."""
@@ -395,21 +405,22 @@ class ThermoForceMPC(Acting):
 
     def _stood_back(self, observation: Observation, now: MPCState, held: Mapping[int, Held]) -> Plan:
         """A step of native control or of the on/off rule (`fallback.stand_back`) for all; nothing is planned."""
-        demands, told = [], []
-        for a, one in held.items():
-            demand, who = self._fallbacks[a].standing_back(observation)
+        demands: list[Demand] = []
+        told, acting = [], []
+        for a, fallback in enumerate(self._fallbacks):
+            demand, who = fallback.standing_back(observation)
             demands.append(demand)
-            told.append(f"{one.why}: {who}" if one.status is PlanStatus.GATE else self._told(a, f"{one.why}: {who}"))
+            told.append(self._told(a, f"{held[a].why}: {who}"))
+            acting.append(held[a].status)
         acted = self._actuators.realise(demands, self.step_s, now.actuation)
-        acting = tuple(one.status for one in held.values())
         status = PlanStatus.WATCH if PlanStatus.WATCH in acting else acting[0]
         # The plan before was not followed, so it must not be shifted later.
         state = replace(now, actuation=acted.states, good=None)
         return Plan(
             acted.together(),
             status,
-            "; ".join(dict.fromkeys(told)),
-            acting=acting,
+            "; ".join(told),
+            acting=tuple(acting),
             names=self._layout.names,
             state=state,
         )

@@ -17,7 +17,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 @dataclass(frozen=True)
 class OwnContext:
-    """Prediction of a zone without its others, see `PredictionContext`: `forced_K` (r,), `free` (Q, N), `features` (N, 4)."""
+    """Prediction of a zone by its own actuator: `forced_K` (r,), `free` (Q, N) and `features` (N, 4)."""
 
     forced_K: Array
     free: FreeForecast

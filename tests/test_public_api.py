@@ -29,7 +29,7 @@ LINEAR = tf.IdentificationConfig(modulation="linear")
 def tables() -> tuple[pd.DataFrame, pd.DataFrame]:
     """Four probed days of the embedded plant as a person would have them, and the forecast of the two days after."""
     plant = EmbeddedPlant(synthetic_weather())
-    r = probe(plant, 20 * DAY_S, 4.0, seed=1, mode="heating")
+    r = probe(plant, 20 * DAY_S, 4.0, seed=1)
     index = pd.date_range("2025-01-21", periods=r.n_steps + 1, freq="15min", tz="Europe/Brussels", name="time")
     columns = {"T_room": r.T_zone_C, "T_out": r.T_out_C, "sun": r.solar_W_m2, "u": [*r.u, None]}
     df = pd.DataFrame(columns | {"P_el": [*r.power_W, None]}, index=index).astype(float)

@@ -359,6 +359,18 @@ class Boundary:
                         f"({(self.time_s[missing[0]] - self.time_s[0]) / HOUR_S:g} h ahead): check its source"
                     )
 
+    def part(self, zone: int, machine: int = 0) -> Boundary:
+        """The boundary conditions of one zone and one machine."""
+        names = Names((self.names.zones[zone],), machines=(self.names.machines[machine],))
+        row = {"zones": zone, "machines": machine}
+        return Boundary(
+            **{
+                name: getattr(self, name)[row[_AXIS[name]]] if name in _AXIS else getattr(self, name)
+                for name in CONDITIONS
+            },
+            names=names,
+        )
+
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
         return Boundary(**{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS}, names=self.names)

@@ -13,15 +13,15 @@ from scipy.optimize import linprog
 
 from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.machinery import Machinery
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
-from controllers.machinery import Machinery
 from controllers.problem import Cooling, ProblemShape, Weights, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.registry import controller_config
 from controllers.room import room_blocks
-from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, Block, Boundary, Layout, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import probe
@@ -152,7 +152,7 @@ def test_a_level_or_band_that_is_not_possible_never_reaches_the_plant():
 
 @pytest.fixture(scope="module")
 def probed():
-    return probe(LightOffice(), 20 * DAY_S, 3.0, seed=1, mode="both", lowest=LOWEST)
+    return probe(LightOffice(), 20 * DAY_S, 3.0, seed=1, layout=Layout.single("both", LOWEST))
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_probing_by_rooms_asks_for_nothing_that_only_levels_need():
         def past(self, step_s):
             raise AssertionError("the past bounds the effect of a level, and no level is drawn")
 
-    assert probe(WithoutPast(), 20 * DAY_S, 0.25, seed=1, mode="both", lowest=LOWEST).n_steps == 24
+    assert probe(WithoutPast(), 20 * DAY_S, 0.25, seed=1, layout=Layout.single("both", LOWEST)).n_steps == 24
 
 
 def test_one_operator_for_both_directions_is_found(model, tmp_path):

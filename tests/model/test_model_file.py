@@ -36,7 +36,9 @@ def model() -> ThermalModel:
     )
     heat = HEAT_MAP.heat
     assert heat is not None
-    return ThermalModel.single(random_operator(1, 3, heat_input=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card)
+    return ThermalModel.single(
+        random_operator(1, 3, heat_input=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card
+    )
 
 
 def test_a_model_comes_back_bit_for_bit(tmp_path, model):

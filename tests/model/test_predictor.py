@@ -335,7 +335,9 @@ def test_total_features_see_the_measured_temperature_in_the_past():
     history = make_history()
     forced = forced_history(single(operator), history, initial_force="zero")[0, 0]
     for t in range(history.n_steps):
-        x = np.array([history.T_zone_C[0, t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])])
+        x = np.array(
+            [history.T_zone_C[0, t], history.T_out_C[t], history.solar_W_m2[t], time_of_day(history.time_s[t])]
+        )
         drive = operator.modulation(x) * HEAT_MAP(history.u[0, t], history.T_out_C[t])
         np.testing.assert_allclose(forced[t + 1], operator.poles * forced[t] + operator.gains * drive, atol=1e-12)
     context = Predictor(single(operator), HoldLast()).context(Observation(history, make_boundary(history)))

@@ -140,7 +140,7 @@ def level_shape(
     """
     if config.radiator_exponent is not None:
         return _exponent(estimate(radiator(config.radiator_exponent), regressions, fit, priors, sign), config)
-    u = np.concatenate([h.u for h in histories])
+    u = np.concatenate([h.u[0] for h in histories])
     if not config.part_load or power is None or np.count_nonzero(_part(u)) < _LEAST_STEPS:
         return {}, []
     return _cost(estimate(PART_LOAD, regressions, fit, priors, sign), histories, power)
@@ -161,7 +161,7 @@ def _cost(heat: Estimate, histories: Sequence[Record], power: PowerModel) -> tup
     """Cost of heat at the level of part load that is nearest to what held the zone, over that at full level."""
     u, T_out, power_W = (
         np.concatenate([values(h) for h in histories])
-        for values in (lambda h: h.u, lambda h: h.T_out_C[:-1], lambda h: h.power_W)
+        for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
     )
     kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W)
     u, T_out, power_W = u[kept], T_out[kept], power_W[kept]

@@ -15,7 +15,7 @@ from typing import Literal, cast
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law, LevelTrial
@@ -81,8 +81,7 @@ def probe(
     days: float,
     *,
     seed: int,
-    mode: str = "heating",
-    lowest: float = 0.0,
+    layout: Layout | None = None,
     config: ProbingConfig | None = None,
     identification: IdentificationConfig | None = None,
     on_step: Callable[[float], None] | None = None,
@@ -91,8 +90,8 @@ def probe(
 
     Args:
         seed: seed of the draws; the same seed on the same plant gives the same record.
-        mode: 'heating', 'cooling', or 'both' for a plant with room set-points, which are probed instead of levels.
-        lowest: level of full cooling, below 0 with mode 'both'.
+        layout: what acts where, by default one heating actuator; one whose levels are signed is probed by room
+            set-points instead of levels.
         config: options of the probing.
         identification: options of the identification that will use the record; its priors define the information gain.
         on_step: called after every step with the completed fraction.
@@ -103,12 +102,16 @@ def probe(
     Raises:
         PlantError: the plant or service failed.
     """
-    probing = Probing(plant, start_s, seed=seed, mode=mode, lowest=lowest, config=config, identification=identification)
+    probing = Probing(plant, start_s, seed=seed, layout=layout, config=config, identification=identification)
     return probing.go_on(days, on_step=on_step)
 
 
 class Probing:
-    """A probing that can be continued; `record` is what was measured so far."""
+    """A probing that can be continued; `record` is what was measured so far.
+
+    Each actuator has draws of its own, so that their effects can be told apart, and follows the comfort band of the zone
+    that it serves.
+    """
 
     def __init__(
         self,
@@ -116,8 +119,7 @@ class Probing:
         start_s: float,
         *,
         seed: int,
-        mode: str = "heating",
-        lowest: float = 0.0,
+        layout: Layout | None = None,
         config: ProbingConfig | None = None,
         identification: IdentificationConfig | None = None,
     ) -> None:
@@ -128,13 +130,18 @@ class Probing:
         """
         self.config = c = config or ProbingConfig()
         self.designer = Designer(identification)
+        self._plant, self._layout = plant, layout or Layout.single()
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
         self.record = Record.beginning(now)
-        self._excites: _Levels | _Rooms
-        if mode == "both":
-            self._excites = _Rooms(cast(RoomSetpointPlant, plant), c, seed, lowest)
-        else:
-            self._excites = _Levels(plant, c, self.designer, seed, mode)
+        past = plant.past(c.step_s)
+        self._excites: list[_Levels | _Rooms] = []
+        for a, (zone, lowest) in enumerate(zip(self._layout.home, self._layout.lowest, strict=True)):
+            draws = (seed,) if a == 0 else (seed, a)
+            if lowest < 0.0:
+                self._excites.append(_Rooms(c, draws, lowest))
+            else:
+                own = past.part(zone, [a])
+                self._excites.append(_Levels(c, self.designer, draws, self._layout.signs[a], own))
 
     @property
     def days(self) -> float:
@@ -163,58 +170,90 @@ class Probing:
         for done in range(first, first + n):
             if done > first and done % self.config.block_steps == 0 and enough and enough(self.record):
                 break
-            self.record = self._excites.extend(self.record, first + n)
+            self._step(first + n)
             if on_step:
                 on_step((done + 1 - first) / n)
         return self.record
 
+    def _step(self, end: int) -> None:
+        """Apply the next step to all actuators; `end`: steps after which probing ends."""
+        c, plant, done = self.config, self._plant, self.record.n_steps
+        by_rooms = [isinstance(excites, _Rooms) for excites in self._excites]
+        # What holds during the step decides set-points of rooms, the tightest band of a day the levels.
+        soon = plant.forecast(c.step_s, c.step_s) if any(by_rooms) else None
+        day = plant.forecast(_BAND_AHEAD_S, HOUR_S) if not all(by_rooms) else None
+        chooses = c.design == "informative" and done % c.block_steps == 0 and day is not None
+        ahead = plant.forecast(min(c.block_steps, end - done) * c.step_s, c.step_s) if chooses else None
+        blocks = []
+        for a, (zone, excites) in enumerate(zip(self._layout.home, self._excites, strict=True)):
+            own = self.record.part(zone, [a])
+            coming = ahead.part(zone) if ahead is not None else None
+            band = soon if by_rooms[a] else day
+            assert band is not None
+            blocks.append(excites.next(own, band.part(zone), coming))
+        levels = tuple(block.u[0] for block in blocks)
+        bands = tuple(block.band_C[0] for block in blocks)
+        if any(bands):
+            now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, bands)
+        else:
+            now = plant.advance(levels, c.step_s)
+        self.record = self.record.extended(now)
+        for a, (zone, excites) in enumerate(zip(self._layout.home, self._excites, strict=True)):
+            excites.learn(self.record.last(1).part(zone, [a]))
+
 
 class _Rooms:
-    """Excites a plant by room set-points."""
+    """Excites a zone by room set-points."""
 
-    def __init__(self, plant: RoomSetpointPlant, c: ProbingConfig, seed: int, lowest: float) -> None:
-        self._plant, self._step_s = plant, c.step_s
-        self._excitation = RoomExcitation(np.random.default_rng(seed), c.hold_steps, lowest)
+    def __init__(self, c: ProbingConfig, seed: tuple[int, ...], lowest: float) -> None:
+        self._step_s = c.step_s
+        self._excitation = RoomExcitation(np.random.default_rng(_seed(seed)), c.hold_steps, lowest)
 
-    def extend(self, record: Record, end: int) -> Record:
-        """Apply the next room set-points for a step, and return `record` with it; `end` counts for levels only."""
-        ahead = self._plant.forecast(self._step_s, self._step_s)
-        T_zone_C = float(record.T_zone_C[-1])
-        block = self._excitation.next(T_zone_C, ahead.lower_C, ahead.upper_C, self._step_s)
-        return record.extended(self._plant.advance(block.u, block.duration_s, block.band_C))
+    def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
+        """Room set-points of the next step, for which `band` holds the bounds; `ahead` counts for levels only."""
+        return self._excitation.next(float(record.T_zone_C[0, -1]), band.lower_C[0], band.upper_C[0], self._step_s)
+
+    def learn(self, step: Record) -> None:
+        """Nothing is learned: the plant's own loops keep the bounds."""
 
 
 class _Levels:
-    """Excites a plant by levels."""
+    """Excites a zone by the levels of an actuator; `past`: its record before the probing."""
 
-    def __init__(self, plant: Plant, c: ProbingConfig, designer: Designer, seed: int, mode: str) -> None:
-        self._plant, self._config, self._designer, self._seed, self._mode = plant, c, designer, seed, mode
-        self._sign = 1.0 if mode == "heating" else -1.0
-        self._foresight = Foresight(plant.past(c.step_s), self._sign, c.step_s)
-        self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(seed))
+    def __init__(self, c: ProbingConfig, designer: Designer, seed: tuple[int, ...], sign: int, past: Record) -> None:
+        self._config, self._designer, self._seed = c, designer, seed
+        self._sign = float(sign)
+        self._foresight = Foresight(past, self._sign, c.step_s)
+        self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(_seed(seed)))
         self._trial = LevelTrial(c.trial_levels, c.trial_steps)
         self._applied = 0.0
 
-    def extend(self, record: Record, end: int) -> Record:
-        """Apply the next level for a step, and return `record` with it; `end`: steps after which probing ends."""
-        c, plant, done = self._config, self._plant, record.n_steps
-        band = plant.forecast(_BAND_AHEAD_S, HOUR_S)
-        centre = _centre_C(band, self._mode, c.above_lower_K)
-        if c.design == "informative" and done % c.block_steps == 0:
-            ahead = plant.forecast(min(c.block_steps, end - done) * c.step_s, c.step_s)
-            candidates = _candidates(c, self._seed, done)
+    def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
+        """The level of the next step.
+
+        Args:
+            record: the zone and its actuator so far.
+            band: boundary conditions of the next day, for its tightest comfort band.
+            ahead: those until the next choice of draws; None where draws are not chosen now.
+        """
+        c = self._config
+        centre = _centre_C(band, self._sign, c.above_lower_K)
+        if ahead is not None:
+            candidates = _candidates(c, self._seed, record.n_steps)
             chosen, _ = self._designer.choose(
                 record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
             )
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
-        level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[-1])))
+        level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))
         if c.trial_levels:
             level = self._trial.applied(level, self._applied, max(c.levels))
         self._applied = self._polite(level, centre, band, record)
-        longer = record.extended(plant.advance(self._applied, c.step_s))
-        self._foresight.learn(longer)
-        return longer
+        return Block(self._applied, c.step_s)
+
+    def learn(self, step: Record) -> None:
+        """Learn from the step that was just made."""
+        self._foresight.learn(step)
 
     def _polite(self, level: float, centre: float, band: Boundary, record: Record) -> float:
         """The level to apply, where `level` was drawn: another one only in a light zone."""
@@ -228,24 +267,28 @@ class _Levels:
             return level
         # Inside the limits of the excursions, so that levels can be held, and never beyond the margin.
         low, high = max(centre - below, low), min(centre + above, high)
-        T_zone, T_out, solar = (float(s[-1]) for s in (record.T_zone_C, record.T_out_C, record.solar_W_m2))
+        T_zone, T_out, solar = (float(s[-1]) for s in (record.T_zone_C[0], record.T_out_C, record.solar_W_m2))
         return self._foresight.polite(level, highest, T_zone, T_out, solar, low, high)
+
+
+def _seed(seed: tuple[int, ...]) -> int | tuple[int, ...]:
+    return seed[0] if len(seed) == 1 else seed
 
 
 def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:
     return Law(c.levels, hold_steps, c.lean_per_K, c.below_K, c.above_K)
 
 
-def _candidates(c: ProbingConfig, seed: int, done: int) -> list[Candidate]:
+def _candidates(c: ProbingConfig, seed: tuple[int, ...], done: int) -> list[Candidate]:
     """Return candidates with, in turn, all holding times, the shorter half and the longer half of them."""
     holds = sorted(c.hold_steps)
     middle = max(1, len(holds) // 2)
     kinds = (tuple(holds), tuple(holds[:middle]), tuple(holds[-middle:]))
-    return [Candidate(_law(c, kinds[k % len(kinds)]), (seed, done, k)) for k in range(c.candidates)]
+    return [Candidate(_law(c, kinds[k % len(kinds)]), (*seed, done, k)) for k in range(c.candidates)]
 
 
-def _centre_C(ahead: Boundary, mode: str, offset_K: float) -> float:
+def _centre_C(ahead: Boundary, sign: float, offset_K: float) -> float:
     """Return the centre of the excursions, °C: `offset_K` inside the tightest bound of `ahead`, lower for heating."""
-    if mode == "heating":
+    if sign > 0:
         return float(ahead.lower_C.max()) + offset_K
     return float(ahead.upper_C.min()) - offset_K

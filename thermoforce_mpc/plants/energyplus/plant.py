@@ -85,9 +85,10 @@ class EnergyPlusPlant:
         if testcase.energyplus is None:
             raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")
         full_W = CLIMATES[testcase.energyplus.climate].spec.capacity_W
-        if testcase.actuator.maximum != full_W:
+        maximum = float(getattr(testcase.actuator, "maximum", float("nan")))
+        if maximum != full_W:
             raise ConfigError(
-                f"test case '{testcase.name}': actuator.maximum is {testcase.actuator.maximum:g}, but the zone "
+                f"test case '{testcase.name}': actuator.maximum is {maximum:g}, but the zone "
                 f"'{testcase.energyplus.climate}' has a source of {full_W:g} W at u = 1: write that"
             )
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.identification.records import Pair
@@ -31,5 +31,7 @@ def probe_pair(
     """
     if seeds[0] == seeds[1]:
         raise DataError(f"probing a pair: both runs have seed {seeds[0]}; give two different seeds")
-    first, second = (probe(plant, start_s, days, seed=seed, mode=mode, config=config) for seed in seeds)
+    first, second = (
+        probe(plant, start_s, days, seed=seed, layout=Layout.single(mode), config=config) for seed in seeds
+    )
     return Pair(first, second, label=f"day {start_s / DAY_S:g}, seeds {seeds[0]} and {seeds[1]}")
