@@ -43,7 +43,7 @@ class FallbackConfig(StrictModel):
 class GoodPlan:
     """The last solved plan: its time, s, levels `u` (A, N), and predicted zone temperatures `T_zone_C` (Z, N), °C.
 
-    `band_K` (Z, N): half-width of the 80 % band of its forecast.
+    `band_K` (Z, N): half-width of the 80 % band of its forecast. A zone that was never measured has NaN in both.
     """
 
     time_s: float
@@ -77,7 +77,10 @@ class FallbackPolicy:
         if not 1 <= age <= min(self.config.follow_steps, good.u.shape[1] - 1):
             return None
         # A missing reading does not invalidate the plan; a prediction error does.
-        off_by = abs(float(observation.T_zone_C[self.zone] - good.T_zone_C[self.zone, age - 1]))
+        planned_C = float(good.T_zone_C[self.zone, age - 1])
+        if not math.isfinite(planned_C):
+            return None
+        off_by = abs(float(observation.T_zone_C[self.zone]) - planned_C)
         promised_K = max(_TRUSTED_BANDS * float(good.band_K[self.zone, age - 1]), _LEAST_TRUST_K)
         if math.isfinite(off_by) and off_by > min(self.config.trust_K, promised_K):
             return None

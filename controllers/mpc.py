@@ -26,14 +26,14 @@ from controllers.room import room_blocks, within_C
 from controllers.solvers import build_solver
 from controllers.watch import Watch, WatchState
 from controllers.watched import WatchedPredictions
-from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
-from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
@@ -231,7 +231,7 @@ class ThermoForceMPC(Acting):
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
         if not solution.ok:
             return self._fall_back(observation, now, held, solution.problem, solution.status, seconds)
-        plan = self._accept(observation, now, held, planner.operator, problem, context.free, solution, seconds)
+        plan = self._accept(observation, now, held, planner.operator, problem, context, solution, seconds)
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
     def _adapted_now(self, now: MPCState, history: Record) -> tuple[AdaptationState, ...]:
@@ -300,15 +300,18 @@ class ThermoForceMPC(Acting):
         held: Mapping[int, Held],
         operator: BuildingOperator,
         problem: MPCProblem,
-        forecast: FreeForecast,
+        context: PredictionContext,
         solution: Solution,
         seconds: Mapping[str, float],
     ) -> Plan:
-        u = solution.u
+        u, forecast = solution.u, context.free
         forced_K = problem.forced_K(operator, u)
         T_zone_C = problem.T_free_C + forced_K
         slack_K = problem.slack_K(T_zone_C)
         band_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
+        good = GoodPlan(observation.time_s, u, T_zone_C.copy(), band_K)
+        for kept in (good.T_zone_C, good.band_K):
+            kept[list(context.unmeasured)] = np.nan
         demands = [
             self._room_blocks(observation, a, float(u[a, 0]), float(T_zone_C[self._layout.home[a], 0]))
             if actuation.by_rooms
@@ -334,7 +337,7 @@ class ThermoForceMPC(Acting):
             iterations=solution.iterations,
             seconds=seconds,
             names=names,
-            state=replace(now, good=GoodPlan(observation.time_s, u, T_zone_C, band_K)),
+            state=replace(now, good=good),
         )
         return self._with_guard(observation, self._acted(observation, plan, demands, held), demands, held, now)
 

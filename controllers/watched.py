@@ -69,6 +69,8 @@ class WatchedPredictions:
         for a, watch in enumerate(self._watches):
             if not watch.due(float(context.boundary.time_s[0])) or states[a].alarm:
                 continue
+            if context.operator.home[a] in context.unmeasured:
+                continue  # what stands in for a temperature is no prediction
             issued = watch.issued(states[a].tracks[0], own_context(context, a), planner.operator.of_actuator(a))
             states[a] = replace(states[a], tracks=(issued,))
         return replace(now, watch=tuple(states))
@@ -91,6 +93,8 @@ class WatchedPredictions:
         try:
             context = planner.predictor.context(observation, track.predictor)
         except Exception:  # as in planning; without predictions a model does not get control back
+            return track
+        if context.operator.home[a] in context.unmeasured:
             return track
         issued = self._watches[a].issued(track, own_context(context, a), planner.operator.of_actuator(a))
         return replace(issued, predictor=context.state)

@@ -10,9 +10,11 @@ import pytest
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.envelope import MASSES
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house, house_testcase, physics
-from thermoforce_mpc.plants.generated.draw import MACHINES, MASSES, PATTERNS, heat_pump_cop
-from thermoforce_mpc.plants.generated.schedule import at_home, bounds_C, native_setpoint_C
+from thermoforce_mpc.plants.generated.draw import MACHINES, heat_pump_cop
+from thermoforce_mpc.plants.generated.schedule import bounds_C, native_setpoint_C
+from thermoforce_mpc.plants.occupants import PATTERNS, at_home
 from thermoforce_mpc.protocols import Plant
 
 SEED = 7
@@ -367,8 +369,8 @@ def test_schedules():
     away = house_with(pattern="away")
     tuesday, saturday = 0.0, 4 * DAY_S
     hours = np.array([6.9, 7.0, 12.0, 20.0])
-    assert at_home(away, tuesday + hours * HOUR_S).tolist() == [True, False, False, True]
-    assert at_home(away, saturday + hours * HOUR_S).all()
+    assert at_home(away.pattern, tuesday + hours * HOUR_S).tolist() == [True, False, False, True]
+    assert at_home(away.pattern, saturday + hours * HOUR_S).all()
     lower, upper = bounds_C(away, tuesday + hours * HOUR_S)
     assert (lower[1], upper[1]) == (15.0, 30.0)
     always = house_with(pattern="always")

@@ -33,7 +33,7 @@ def forced_history(operator: BuildingOperator, history: Record, *, initial_force
         return np.zeros((Z, A, 1, r))
     operator = operator.resampled(history.step_s)
     heat = heat_drive(operator, history, 0, n)
-    T_zone = np.stack([_held(row) for row in history.T_zone_C])
+    T_zone = held_C(history.T_zone_C)
     features = feature_matrix(T_zone[:, :-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
     forced = np.empty((Z, A, n + 1, r))
     forced[:, :, 0] = _steady_start(operator, heat, features) if initial_force == "steady" else 0.0
@@ -100,11 +100,22 @@ def _steady_start(operator: BuildingOperator, heat: Array, features: Array) -> A
     return np.asarray(forced)
 
 
+def held_C(T_zone_C: Array) -> Array:
+    """`T_zone_C` (Z, n) with each gap filled by the last finite value (at the start, by the first).
+
+    A zone that was never measured has the mean of the others, 0 where none was.
+    """
+    known = np.isfinite(T_zone_C).any(axis=1)
+    held = np.zeros_like(T_zone_C)
+    if known.any():
+        held[known] = [_held(row) for row in T_zone_C[known]]
+        held[~known] = held[known].mean(axis=0)
+    return held
+
+
 def _held(values: Array) -> Array:
-    """Return `values` with each gap filled by the last finite value (at the start, by the first)."""
+    """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
     finite = np.isfinite(values)
-    if not finite.any():
-        return np.zeros_like(values)
     index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
     index = np.where(index < 0, np.flatnonzero(finite)[0], index)
     return np.asarray(values[index])

@@ -118,7 +118,7 @@ class ForcedStateEstimator:
     ) -> tuple[Array, Array]:
         """Return forced state (Z, A, r) and covariance (Z, A r, A r) after step `t`, from those before it."""
         heat = heat_drive(operator, history, t, t + 1)[:, 0]
-        T_zone = np.array([_last_finite(row[: t + 1]) for row in history.T_zone_C])
+        T_zone = _last_known_C(history.T_zone_C[:, : t + 1])
         free_C = T_zone - before.sum(axis=(1, 2))
         features = feature_matrix(free_C, history.T_out_C[t], history.solar_W_m2[t], history.time_s[t])
         added = operator.gains * operator.modulated(heat, features, before)[:, None]
@@ -144,10 +144,12 @@ class ForcedStateEstimator:
         return out.reshape(before.shape), after
 
 
-def _last_finite(values: Array) -> float:
-    """The last finite of `values` (n,), or 0."""
-    known = values[np.isfinite(values)]
-    return float(known[-1]) if known.size else 0.0
+def _last_known_C(T_zone_C: Array) -> Array:
+    """The last finite temperature of each zone (Z,), of `T_zone_C` (Z, n); the mean of the others, or 0, without one."""
+    rows = [row[np.isfinite(row)] for row in T_zone_C]
+    last = [float(row[-1]) for row in rows if row.size]
+    mean = float(np.mean(last)) if last else 0.0
+    return np.array([row[-1] if row.size else mean for row in rows])
 
 
 def _by_pairs(error: Array) -> Array:

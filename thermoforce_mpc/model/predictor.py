@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.errors import DataError
@@ -88,6 +89,7 @@ class PredictionContext:
         features: x_t of each zone at the start of each step, shape (Z, N, 4).
         boundary: boundary conditions of the N steps.
         bridged: which gaps of the history were filled and how, in words; empty where there were none.
+        unmeasured: zones without any temperature in the history; their free response is the mean of the others'.
         origin: time stamp that the seconds count from, where the history has one.
         seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
         state: what to give to the next context of this run.
@@ -99,6 +101,7 @@ class PredictionContext:
     features: Array
     boundary: Boundary
     bridged: str = ""
+    unmeasured: tuple[int, ...] = ()
     origin: pd.Timestamp | None = None
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     state: PredictorState | None = field(default=None, compare=False)
@@ -215,14 +218,15 @@ class Predictor:
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
 
-        Gaps in the weather and the levels of the past are bridged, see `thermoforce_mpc.model.gaps`.
+        Gaps in the weather and the levels of the past are bridged, see `thermoforce_mpc.model.gaps`. One zone that was
+        never measured does not stop the others: it is given the mean of their free responses, and `bridged` says so.
 
         Args:
             observation: the run so far, and what is known of the steps ahead.
             state: `PredictionContext.state` of the last context of this run; None begins a run.
 
         Raises:
-            DataError: the history cannot be split (see `forced_history`), its temperature is silent throughout, its
+            DataError: the history cannot be split (see `forced_history`), the temperature of all zones is silent throughout, its
                 weather was never measured, the forecast of the weather has gaps, or the estimate or the forecast is
                 not fit to plan with.
         """
@@ -237,21 +241,24 @@ class Predictor:
         free_C = history.T_zone_C - forced.sum(axis=(1, 3))
         zones = range(len(self._free_responses))
         kept = before.free or (None,) * len(zones)
-        answers, states = [], []
-        for z in zones:
-            if not np.isfinite(free_C[z]).any():
-                which = "" if len(zones) == 1 else f" of {history.names.zones[z]}"
-                raise DataError(
-                    f"the zone temperature{which} was never measured in the history: nothing to forecast from"
-                )
+        known = np.isfinite(free_C).any(axis=1)
+        if not known.any():
+            raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
+        answers, states = [], list(kept)
+        for z in np.flatnonzero(known):
             method = self._free_responses[z]
-            answer, state_of_zone = follow(method, free_C[z], history, boundary, kept[z])
+            answer, states[z] = follow(method, free_C[z], history, boundary, kept[z])
             answers.append(checked_forecast(answer, boundary.n_steps, method.name))
-            states.append(state_of_zone)
-        free = FreeForecast.stacked(answers)
+        unmeasured = tuple(np.flatnonzero(~known).tolist())
+        free = _with_mean(FreeForecast.stacked(answers), known)
+        for z in unmeasured:
+            said = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
+            note = f"{note}, {said}" if note else f"bridged {said}"
         forecast_s = time.perf_counter() - estimated
         followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
-        now_C = np.array([row[np.isfinite(row)][-1] for row in free_C])
+        now_C = np.empty(len(zones))
+        now_C[known] = [row[np.isfinite(row)][-1] for row in free_C[known]]
+        now_C[~known] = now_C[known].mean()
         starts = np.concatenate([now_C[:, None], free.median_C[:, :-1]], axis=1)
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return PredictionContext(
@@ -261,6 +268,7 @@ class Predictor:
             features=features,
             boundary=boundary,
             bridged=note,
+            unmeasured=unmeasured,
             origin=history.origin,
             seconds={"estimate": estimated - began, "forecast": forecast_s},
             state=PredictorState(followed, tuple(states)),
@@ -276,3 +284,12 @@ class Predictor:
         if estimate.forced_K.shape != expected or not np.isfinite(estimate.forced_K).all():
             raise DataError(f"the estimated forced state {estimate.forced_K.shape} is not {expected} finite values")
         return estimate
+
+
+def _with_mean(free: FreeForecast, known: NDArray[np.bool_]) -> FreeForecast:
+    """The forecasts of the `known` zones (Z,) set among all, with the mean of theirs for the others."""
+    if known.all():
+        return free
+    quantiles_C = np.repeat(free.quantiles_C.mean(axis=1, keepdims=True), known.size, axis=1)
+    quantiles_C[:, known] = free.quantiles_C
+    return replace(free, quantiles_C=quantiles_C)

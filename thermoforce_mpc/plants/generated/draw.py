@@ -7,22 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-Mass = Literal["very light", "light", "medium", "heavy", "very heavy"]
-Pattern = Literal["away", "home", "workers", "always"]
+from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K, Mass
+from thermoforce_mpc.plants.glazing import FACADES, Facade
+from thermoforce_mpc.plants.occupants import PATTERNS, Pattern
+
 Emitter = Literal["floor", "radiator", "air"]
 Machine = Literal["heat pump with fixed loss", "heat pump", "boiler", "electric"]
-Facade = Literal["south", "west", "north", "east"]
 
-FACADES: tuple[Facade, ...] = ("south", "west", "north", "east")
-# EN ISO 13790:2008, table 12: effective mass area, m² per m² of floor, and heat capacity, J/K per m² of floor.
-MASSES: dict[Mass, tuple[float, float]] = {
-    "very light": (2.5, 80e3),
-    "light": (2.5, 110e3),
-    "medium": (2.5, 165e3),
-    "heavy": (3.0, 260e3),
-    "very heavy": (3.5, 370e3),
-}
-PATTERNS: tuple[Pattern, ...] = ("away", "home", "workers", "always")
 MACHINES: tuple[Machine, ...] = ("heat pump with fixed loss", "heat pump", "boiler", "electric")
 # Probabilities of `MACHINES` by emitter: floors and fan coils mostly with heat pumps, radiators mostly with boilers.
 _MACHINE_WEIGHTS: dict[Emitter, tuple[float, ...]] = {
@@ -34,9 +25,6 @@ _MACHINE_WEIGHTS: dict[Emitter, tuple[float, ...]] = {
 _FLOOR_LIMIT_W_M2 = 70.0
 # Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and room, °C.
 _DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
-_HEIGHT_M = 2.5
-_AIR_WH_M3_K = 0.34
-WATER_J_KG_K = 4186.0
 
 
 @dataclass(frozen=True)
@@ -121,7 +109,7 @@ class House:
     @property
     def ventilation_W_K(self) -> float:
         """Heat loss by the mean infiltration, W/K."""
-        return _AIR_WH_M3_K * _HEIGHT_M * self.floor_area_m2 * self.air_changes_1_h
+        return AIR_WH_M3_K * HEIGHT_M * self.floor_area_m2 * self.air_changes_1_h
 
     @property
     def loss_W_K(self) -> float:
@@ -200,7 +188,7 @@ def draw_house(seed: int, index: int) -> House:
 
     # Emitter and machine; floor heating only where the load is low enough.
     ground = 0.85 * area * rng.uniform(0.15, 0.30)
-    loss = opaque + share * area * U_window + _AIR_WH_M3_K * _HEIGHT_M * area * air_changes
+    loss = opaque + share * area * U_window + AIR_WH_M3_K * HEIGHT_M * area * air_changes
     design_out = _DESIGN_OUT_C + warmer
     load = loss * (DESIGN_ROOM_C - design_out)
     emitter: Emitter = ("floor", "radiator", "air")[rng.integers(3)]

@@ -16,6 +16,15 @@ import math
 import numpy as np
 from numba import njit
 
+from thermoforce_mpc.plants.envelope import (
+    AIR_J_M2_K,
+    AIR_SHARE,
+    SURFACE_AIR_W_M2_K,
+    SURFACE_J_M2_K,
+    SURFACE_MASS_W_M2_K,
+    SURFACE_PER_FLOOR,
+    solve,
+)
 from thermoforce_mpc.plants.generated.draw import House, ground_C, heat_pump_cop
 
 STEP_S = 30.0
@@ -35,14 +44,6 @@ RECORD = (
 )  # fmt: skip
 
 _KELVIN = 273.15
-# Air and furniture, J/K per m² of floor (EN ISO 52016-1); surface to air and surface to structure, W/m²K, and room
-# surface per floor area (EN ISO 13790).
-_AIR_J_M2_K = 10e3
-_SURFACE_AIR_W_M2_K, _SURFACE_MASS_W_M2_K, _SURFACE_PER_FLOOR = 3.45, 9.1, 4.5
-# First centimetre of plaster or board, J/K per m² of surface.
-_SURFACE_J_M2_K = 10e3
-# Operative temperature: share of the air (EN ISO 13790, C.12).
-_AIR_SHARE = 0.3
 # Width of the throttling range below the water limit, K.
 _THROTTLE_K = 10.0
 # Return temperature below which a boiler condenses, °C, and gain of efficiency per K below it (EN 15502 data sheets:
@@ -69,12 +70,12 @@ def parameters(house: House) -> np.ndarray:
     """Return the parameter vector of a house for `advance`, shape (33,), SI units and °C."""
     p = np.zeros(N_PARAMETERS)
     area = house.floor_area_m2
-    surface_m2 = _SURFACE_PER_FLOOR * area
-    p[P_AIR_J], p[P_SURFACE_J] = _AIR_J_M2_K * area, _SURFACE_J_M2_K * surface_m2
+    surface_m2 = SURFACE_PER_FLOOR * area
+    p[P_AIR_J], p[P_SURFACE_J] = AIR_J_M2_K * area, SURFACE_J_M2_K * surface_m2
     p[P_MASS_J] = house.mass_J_K - p[P_SURFACE_J]
     p[P_SLAB_J], p[P_WATER_J] = house.slab_J_K or 1.0, house.emitter_J_K
-    p[P_IS], p[P_WINDOWS] = _SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
-    p[P_MS] = _SURFACE_MASS_W_M2_K * house.mass_area_m2
+    p[P_IS], p[P_WINDOWS] = SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
+    p[P_MS] = SURFACE_MASS_W_M2_K * house.mass_area_m2
     p[P_EM] = 1.0 / (1.0 / house.opaque_W_K - 1.0 / p[P_MS])
     p[P_SLAB_ROOM], p[P_SLAB_GROUND] = house.slab_room_W_K, house.slab_ground_W_K
     p[P_GROUND_C] = ground_C(house.warmer_K)
@@ -166,23 +167,6 @@ def _read(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
         w[j] = grid[row, j]
 
 
-@njit(cache=True)
-def _solve(a: np.ndarray, b: np.ndarray) -> None:
-    """Solve a x = b in place for a diagonally dominant matrix (n, n); the solution is in `b`."""
-    n = b.size
-    for k in range(n):
-        for i in range(k + 1, n):
-            ratio = a[i, k] / a[k, k]
-            if ratio != 0.0:
-                for j in range(k + 1, n):
-                    a[i, j] -= ratio * a[k, j]
-                b[i] -= ratio * b[k]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
-            b[k] -= a[k, j] * b[j]
-        b[k] /= a[k, k]
-
-
 @njit(cache=True, nogil=True)
 def advance(
     state: np.ndarray,
@@ -241,11 +225,11 @@ def advance(
         a[4, 4] = p[P_WATER_J] / dt + to_air + to_surface + to_slab
         a[4, 0], a[4, 1], a[4, 3] = -to_air, -to_surface, -to_slab
         b[4] = p[P_WATER_J] / dt * state[WATER] + heat
-        _solve(a, b)
+        solve(a, b)
         for i in range(5):
             state[i] = b[i]
 
-        operative = _AIR_SHARE * state[AIR] + (1.0 - _AIR_SHARE) * state[SURFACE]
+        operative = AIR_SHARE * state[AIR] + (1.0 - AIR_SHARE) * state[SURFACE]
         felt = operative + p[P_BIAS] * w[SUN_ON_SENSOR]
         lag = p[P_LAG]
         state[SENSOR] = felt + (state[SENSOR] - felt) * math.exp(-dt / lag) if lag > 0.0 else felt

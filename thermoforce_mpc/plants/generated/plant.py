@@ -6,29 +6,30 @@ import math
 from types import TracebackType
 
 import numpy as np
-from pvlib import iam
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
+from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import (
     check_levels,
     check_record_step,
     check_start,
-    day_period,
     forecast_times,
 )
+from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
 from thermoforce_mpc.plants.generated import physics, schedule
-from thermoforce_mpc.plants.generated.draw import FACADES, House
+from thermoforce_mpc.plants.generated.draw import House
+from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.occupants import at_home
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
+from thermoforce_mpc.plants.weeks import week_or_day
 from thermoforce_mpc.scenario.testcase import Actuator, Measurements, TestCase
 from thermoforce_mpc.version import VERSION
 
-WEEKS = ("cold_week", "sunny_week")
 # The baseline thermostat's set-point above the tightest lower bound, K, as in the shipped test case (21.3 for 21 °C).
 THERMOSTAT_ABOVE_K = 0.3
 # BOPTEST's prices and emissions of `bestest_hydronic_heat_pump` (electricity) and of gas in Belgium.
@@ -37,15 +38,8 @@ GAS_EUR_PER_KWH, GAS_KG_PER_KWH = 0.07, 0.181
 _KELVIN = 273.15
 _CLOCK_S = 1e-6
 _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
-_AZIMUTH_DEG = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
-# Transmittance of diffuse relative to normal light, and ASHRAE's incidence factor, of double glazing.
-_DIFFUSE_FACTOR, _ASHRAE_B = 0.87, 0.10
 # Full sun on the sensor, W/m² on its facade.
 _FULL_SUN_W_M2 = 800.0
-# Share of the air change that is driven by the wind, at the mean wind of the synthetic year, m/s.
-_WIND_SHARE, _MEAN_WIND_M_S = 0.3, 3.9
-# First days of the weeks a window is chosen from, and least heat load of the sunny week relative to the design load.
-_COLD_DAYS, _SUNNY_DAYS, _LEAST_LOAD = range(17, 53), range(60, 111), 0.12
 
 
 def house_testcase(house: House) -> TestCase:
@@ -96,33 +90,21 @@ class GeneratedHousePlant:
         )
 
     def period(self, name: str) -> Period:
-        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day.
-
-        cold_week: lowest mean outdoor temperature of the weeks that start on day 17 to 52. sunny_week: most global
-        radiation of those that start on day 60 to 110 and in which heat losses at 20 °C less gains and sun are 12 % of
-        the design load or more; without such a week the one with the highest heat demand.
+        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day, see `week_or_day`.
 
         Raises:
             InputError: `name` is neither of these nor a day of the year.
         """
-        if name not in WEEKS:
-            return day_period(name, WEEKS)
-        week = round(7 * DAY_S / physics.GRID_S)
-
-        def means(values: Array, days: range) -> Array:
-            firsts = [round(day * DAY_S / physics.GRID_S) for day in days]
-            return np.array([values[first : first + week].mean() for first in firsts])
-
         grid, house = self._grid, self.house
-        if name == "cold_week":
-            day = _COLD_DAYS[int(np.argmin(means(grid[:, physics.T_OUT], _COLD_DAYS)))]
-        else:
-            load_W = house.loss_W_K * (20.0 - grid[:, physics.T_OUT])
-            load_W -= grid[:, physics.GAINS] + grid[:, physics.SUN_IN]
-            load, sun = means(load_W, _SUNNY_DAYS), means(grid[:, physics.GLOBAL], _SUNNY_DAYS)
-            cold = load >= _LEAST_LOAD * house.design_load_W
-            day = _SUNNY_DAYS[int(np.argmax(np.where(cold, sun, -np.inf) if cold.any() else load))]
-        return Period(name, day * DAY_S, scored_s=7 * DAY_S)
+        return week_or_day(
+            name,
+            T_out_C=grid[:, physics.T_OUT],
+            global_W_m2=grid[:, physics.GLOBAL],
+            load_W=house.loss_W_K * (20.0 - grid[:, physics.T_OUT])
+            - (grid[:, physics.GAINS] + grid[:, physics.SUN_IN]),
+            design_load_W=house.design_load_W,
+            grid_s=physics.GRID_S,
+        )
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
@@ -172,7 +154,7 @@ class GeneratedHousePlant:
             time_s=time_s,
             T_out_C=self.weather.at("T_dry_C", time_s),
             solar_W_m2=self.weather.at("global_W_m2", time_s),
-            occupancy=self.house.people * schedule.at_home(self.house, time_s).astype(np.float64),
+            occupancy=self.house.people * at_home(self.house.pattern, time_s).astype(np.float64),
             lower_C=lower,
             upper_C=upper,
             price_per_kWh=np.full(time_s.shape, price),
@@ -283,13 +265,12 @@ def build_grid(house: House, weather: Weather) -> Array:
     grid[:, physics.T_OUT] = weather.at("T_dry_C", time_s)
     grid[:, physics.GLOBAL] = weather.at("global_W_m2", time_s)
     for facade, area_m2 in zip(FACADES, house.windows_m2, strict=True):
-        light = on_plane(weather, sun, time_s, 90.0, _AZIMUTH_DEG[facade])
-        transmitted = light.beam * iam.ashrae(light.incidence_deg, b=_ASHRAE_B) + light.diffuse * _DIFFUSE_FACTOR
-        grid[:, physics.SUN_IN] += house.unshaded * house.g_value * area_m2 * transmitted
+        passing, irradiance = on_facade(weather, sun, time_s, AZIMUTH_DEG[facade])
+        grid[:, physics.SUN_IN] += house.unshaded * house.g_value * area_m2 * passing
         if facade == house.sun_facade:
-            grid[:, physics.SUN_ON_SENSOR] = np.minimum((light.beam + light.diffuse) / _FULL_SUN_W_M2, 1.0)
-    wind = weather.at("wind_m_s", time_s) / _MEAN_WIND_M_S
-    grid[:, physics.VENTILATION] = house.ventilation_W_K * (1.0 - _WIND_SHARE + _WIND_SHARE * wind)
+            grid[:, physics.SUN_ON_SENSOR] = np.minimum(irradiance / _FULL_SUN_W_M2, 1.0)
+    wind = weather.at("wind_m_s", time_s) / MEAN_WIND_M_S
+    grid[:, physics.VENTILATION] = house.ventilation_W_K * (1.0 - WIND_SHARE + WIND_SHARE * wind)
     grid[:, physics.GAINS] = schedule.gains_W(house, time_s)
     grid[:, physics.SETPOINT] = schedule.native_setpoint_C(house, time_s)
     grid.setflags(write=False)

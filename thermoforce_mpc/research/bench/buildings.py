@@ -22,8 +22,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, House, draw_house
-from thermoforce_mpc.plants.generated.plant import WEEKS
 from thermoforce_mpc.plants.generated.schedule import bounds_C
+from thermoforce_mpc.plants.weeks import WEEKS
 from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
