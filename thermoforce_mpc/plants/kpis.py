@@ -105,6 +105,14 @@ def zone_kpis(kpis: Mapping[str, float], name: str = "tdis_tot") -> dict[str, fl
     return {key[len(name) + 1 : -1]: value for key, value in kpis.items() if key.startswith(f"{name}[")}
 
 
+def discomfort_Kh(time_s: Array, thermal: Sequence[Violation]) -> dict[str, float]:
+    """Return the time integral of each zone's violation by its name over samples at `time_s` (n,), s; K·h.
+
+    `tdis_tot` of `building_kpis` is their mean.
+    """
+    return {zone.zone: float(np.trapezoid(zone.excess, time_s / HOUR_S)) for zone in thermal}
+
+
 def _check(values: Array, time_s: Array, name: str) -> None:
     if np.shape(values) != np.shape(time_s):
         raise DataError(f"KPIs: {name} has {np.size(values)} values for {np.size(time_s)} samples; it needs one each")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -56,3 +57,10 @@ def varying(rng: np.random.Generator, time_s: Array, relative_sd: float) -> Arra
     noise = lfilter([1.0], [1.0, -memory], draws)
     sd = np.sqrt(np.log1p(relative_sd**2))
     return np.asarray(np.exp(sd * noise - 0.5 * sd**2))
+
+
+def set_back(present: Callable[[Array], NDArray[np.bool_]], time_s: Array, *, lead_s: float) -> NDArray[np.bool_]:
+    """Return whether a native set-point is set back at `time_s`: nobody is `present` now or within `lead_s`."""
+    # Presence within the preheating time, on the 15-min grid of the schedules.
+    ahead = np.arange(0.0, lead_s + 1.0, 900.0)
+    return np.asarray(~np.any([present(time_s + shift) for shift in ahead], axis=0))

@@ -25,10 +25,17 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[
     """
     if not points or edges.size < 2:
         return np.full(edges.size - 1, math.nan)
-    time_s = record["time"]
-    total = weighted_sum(record, points)
-    integral = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * total[1:])])
-    return np.asarray(np.diff(np.interp(edges, time_s, integral)) / np.diff(edges))
+    return means_between(record["time"], weighted_sum(record, points)[None], edges)[0]
+
+
+def means_between(time_s: Array, values: Array, edges: Array) -> Array:
+    """Return time means of each row of `values` (k, m), sampled at `time_s` (m,), between `edges` (n + 1,); (k, n).
+
+    Each sample holds for the time since the previous one.
+    """
+    integral = np.concatenate([np.zeros((len(values), 1)), np.cumsum(np.diff(time_s) * values[:, 1:], axis=1)], axis=1)
+    at_edges = np.array([np.interp(edges, time_s, row) for row in integral]).reshape(len(values), edges.size)
+    return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges))
 
 
 def weighted_sum(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float]) -> Array:

@@ -6,12 +6,12 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.plants.generated.draw import House
-from thermoforce_mpc.plants.occupants import PERSON_W, at_home, varying
+from thermoforce_mpc.plants.occupants import PERSON_W, at_home, set_back, varying
 
 # Native set-point above the lower bound while at home, K; set-back below it, K, and preheating, h, by emitter.
 NATIVE_ABOVE_K = 0.6
-_SET_BACK_K = {"floor": 1.0, "radiator": 2.0, "air": 3.0}
-_PREHEAT_H = {"floor": 4.0, "radiator": 3.0, "air": 2.0}
+SET_BACK_K = {"floor": 1.0, "radiator": 2.0, "air": 3.0}
+PREHEAT_H = {"floor": 4.0, "radiator": 3.0, "air": 2.0}
 
 
 def bounds_C(house: House, time_s: Array) -> tuple[Array, Array]:
@@ -29,13 +29,10 @@ def native_setpoint_C(house: House, time_s: Array) -> Array:
     As installers set it: slow emitters are set back little and preheated early, and the set-back shrinks to nothing
     between a machine of 1.3 and one of 0.8 times the design load, which could not recover from it.
     """
-    lead_s = _PREHEAT_H[house.emitter] * HOUR_S
-    # Presence within the preheating time, on the 15-min grid of the schedules.
-    ahead = np.arange(0.0, lead_s + 1.0, 900.0)
-    soon = np.any([at_home(house.pattern, time_s + shift) for shift in ahead], axis=0)
+    away = set_back(lambda t: at_home(house.pattern, t), time_s, lead_s=PREHEAT_H[house.emitter] * HOUR_S)
     day_C = house.lower_C + NATIVE_ABOVE_K
-    back_K = _SET_BACK_K[house.emitter] * min(max((house.sizing - 0.8) / 0.5, 0.0), 1.0)
-    return np.where(soon, day_C, day_C - back_K)
+    back_K = SET_BACK_K[house.emitter] * min(max((house.sizing - 0.8) / 0.5, 0.0), 1.0)
+    return np.where(away, day_C - back_K, day_C)
 
 
 def gains_W(house: House, time_s: Array) -> Array:

@@ -1,0 +1,502 @@
+"""Seeded draw of a house of rooms. Distributions and sources are listed in docs/rooms_house.md and at each draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.embedded import heat_pump as emulator
+from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K, Mass
+from thermoforce_mpc.plants.generated.draw import ground_C
+from thermoforce_mpc.plants.glazing import FACADES, Facade
+from thermoforce_mpc.plants.occupants import PATTERNS, Pattern
+from thermoforce_mpc.plants.rooms.plan import Contact, Place, contacts, facade_lengths, lay_out
+
+MOST_ROOMS = 30
+Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall"]
+RoomEmitter = Literal["floor", "radiator"]
+
+
+@dataclass(frozen=True)
+class _KindOf:
+    """What is typical of a kind of room; ranges are those of uniform draws.
+
+    Floor area m², glazing per floor area, lowest temperature in use °C and width of the band K (one of each tuple),
+    appliances relative to those of the house, and people (relative) while at home by day and by night.
+    """
+
+    area_m2: tuple[float, float]
+    glazing: tuple[float, float]
+    lower_C: tuple[float, ...]
+    band_K: tuple[float, ...]
+    appliances: float
+    people_day: float
+    people_night: float
+
+
+KINDS: dict[Kind, _KindOf] = {
+    "living": _KindOf((22.0, 38.0), (0.18, 0.32), (20.5, 21.0, 21.5), (3.0, 4.0), 1.2, 4.0, 0.0),
+    "kitchen": _KindOf((9.0, 16.0), (0.12, 0.22), (20.0, 20.5), (3.0, 4.0), 2.0, 2.0, 0.0),
+    "study": _KindOf((8.0, 14.0), (0.12, 0.22), (20.0, 21.0), (3.0, 4.0), 1.5, 1.0, 0.0),
+    "bath": _KindOf((5.0, 9.0), (0.04, 0.10), (22.0, 23.0), (3.0, 4.0), 1.0, 0.4, 0.0),
+    "hall": _KindOf((6.0, 12.0), (0.02, 0.08), (17.0, 18.0), (5.0, 6.0), 0.3, 0.1, 0.0),
+    "bedroom": _KindOf((10.0, 18.0), (0.12, 0.22), (18.0, 19.0), (5.0, 6.0), 0.5, 0.4, 1.0),
+}
+# Kinds of the first rooms, and those that repeat in larger houses.
+_FIRST: tuple[Kind, ...] = ("living", "bedroom", "bath", "kitchen", "bedroom", "hall", "study", "bedroom", "bath")
+_FURTHER: tuple[Kind, ...] = ("hall", "bedroom", "study", "bedroom", "bath")
+# Where two storeys share the rooms, the ground floor is filled in this order; a second hall comes with the upper one.
+_FROM_THE_GROUND: tuple[Kind, ...] = ("living", "kitchen", "hall", "study", "bath", "bedroom")
+# Doors lead to the room that opens most: share of the time a door stands open, range of the draw.
+_OPENNESS: dict[Kind, tuple[float, float]] = {
+    "hall": (0.2, 0.7),
+    "living": (0.3, 0.9),
+    "kitchen": (0.3, 0.9),
+    "study": (0.1, 0.5),
+    "bedroom": (0.05, 0.4),
+    "bath": (0.02, 0.15),
+}
+
+# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and the machine's room.
+_DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
+# Output of floor heating that rooms may need, W/m² (EN 1264-2: 100 at a surface of 29 °C), and share of the floor with
+# pipes; resistance from water to screed, m²K/W (Koschenz and Lehmann 2000); surface film, W/m²K (EN 1264-5).
+_FLOOR_LIMIT_W_M2, _COVERED, _PIPE_M2K_W, _FILM_W_M2K = 70.0, 0.85, 0.10, 10.8
+_RADIATOR_EXPONENT = 1.3
+_SPREAD_K: dict[RoomEmitter, float] = {"floor": 5.0, "radiator": 7.0}
+_LIMIT_C: dict[RoomEmitter, float] = {"floor": 45.0, "radiator": 60.0}
+# Film on either side of an inside wall, m²K/W (EN ISO 6946).
+_INSIDE_FILM_M2K_W = 0.13
+# Air through a door: a closed one leaks about 5 W/K; an open one of 0.9 m by 2 m exchanges 121 W/K^1.5
+# (ρ c Cd/3 W H^1.5 √(g/T), Cd 0.65: Brown and Solvason 1962).
+_OPEN_DOOR_W_K15 = 121.0
+# Emitters are sized for the lowest temperature in use plus this, K.
+_DESIGN_ABOVE_K = 1.0
+# Least emitter, W, so that every valve has something to do.
+_LEAST_EMITTER_W = 150.0
+
+
+@dataclass(frozen=True)
+class Room:
+    """One room: zone, heat emitter and valve. Powers in W, temperatures in °C, areas in m².
+
+    `walls_m2` outside walls and `windows_m2` glazing by `FACADES`; `opaque_W_K` and `windows_W_K` transmission to
+    outdoors, `ground_W_K` to the ground. Comfort band `lower_C` to `upper_C` while in use. `appliances` relative to
+    the house; `people_day`, `people_night` shares of the people at home.
+
+    `emitter_W` at design; water and metal of `emitter_J_K` deliver `emitter_W_Kn` · ΔT^`emitter_exponent` W: by a
+    radiator, `convective` of it to the air and the rest to the surfaces; in a floor, all to a slab of `slab_J_K`,
+    coupled to the room by `slab_room_W_K`. `flow_W_K`: heat taken at design flow per K of supply over mean water
+    temperature.
+    """
+
+    name: str
+    kind: Kind
+    place: Place
+    walls_m2: tuple[float, float, float, float]
+    windows_m2: tuple[float, float, float, float]
+    opaque_W_K: float
+    windows_W_K: float
+    ground_W_K: float
+    lower_C: float
+    upper_C: float
+    appliances: float
+    people_day: float
+    people_night: float
+    emitter: RoomEmitter
+    emitter_W: float
+    emitter_J_K: float
+    emitter_W_Kn: float
+    emitter_exponent: float
+    convective: float
+    slab_J_K: float
+    slab_room_W_K: float
+    flow_W_K: float
+
+    @property
+    def area_m2(self) -> float:
+        """Floor area, m²."""
+        return self.place.area_m2
+
+
+@dataclass(frozen=True)
+class Door:
+    """Air exchange between two rooms by index, W/K: `leak_W_K` + `open_W_K15` · √|ΔT|; a stairwell is one too."""
+
+    first: int
+    second: int
+    leak_W_K: float
+    open_W_K15: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Heating curve of one kind of emitter: `design_C` supply at the design outdoor temperature, raised by `shift_K`.
+
+    Supply temperature over 20 °C goes with the `exponent`-th root of the load; `limit_C` is never exceeded.
+    """
+
+    design_C: float
+    exponent: float
+    shift_K: float
+    limit_C: float
+
+
+@dataclass(frozen=True)
+class HeatPump:
+    """Air-to-water heat pump: `capacity_W` at design, rising by `capacity_per_K` per K outdoors.
+
+    Below `lowest_level` of the capacity it cycles. COP is `carnot` times Carnot's, beside `fixed_W` of electric power
+    while it runs.
+    """
+
+    capacity_W: float
+    capacity_per_K: float
+    lowest_level: float
+    carnot: float
+    fixed_W: float
+
+
+@dataclass(frozen=True)
+class DrawnHouse:
+    """A house of rooms with one heat pump, see `draw_rooms`.
+
+    `turn_deg`: the 'south' facade looks to 180° + `turn_deg`. `attached`: facades that touch a neighbour's house at
+    the same temperature. `U_inside` of walls and floors between rooms, air to air, W/m²K. `air_changes_1_h` mean
+    infiltration. `curves` by emitter; others as in `generated.House`.
+    """
+
+    seed: int
+    rooms: tuple[Room, ...]
+    contacts: tuple[Contact, ...]
+    doors: tuple[Door, ...]
+    storeys: int
+    turn_deg: float
+    attached: tuple[Facade, ...]
+    mass: Mass
+    U_wall_inside: float
+    U_floor_inside: float
+    g_value: float
+    unshaded: float
+    air_changes_1_h: float
+    pattern: Pattern
+    people: int
+    gains_home_W_m2: float
+    gains_empty_W_m2: float
+    gains_sd: float
+    weather_seed: int
+    warmer_K: float
+    clearer: float
+    sizing: float
+    curves: dict[RoomEmitter, Curve]
+    heat_pump: HeatPump
+
+    @property
+    def name(self) -> str:
+        """Name from which the house can be drawn again, see `house_of_rooms`."""
+        return f"house:{len(self.rooms)}rooms:{self.seed}"
+
+    @property
+    def floor_area_m2(self) -> float:
+        """Floor area of all rooms, m²."""
+        return sum(room.area_m2 for room in self.rooms)
+
+    @property
+    def design_out_C(self) -> float:
+        """Design outdoor temperature, °C."""
+        return _DESIGN_OUT_C + self.warmer_K
+
+    def ventilation_W_K(self, room: Room) -> float:
+        """Heat loss of a room by the mean infiltration, W/K."""
+        return AIR_WH_M3_K * HEIGHT_M * room.area_m2 * self.air_changes_1_h
+
+    @property
+    def loss_W_K(self) -> float:
+        """Heat loss coefficient to outdoors, ground excluded, W/K."""
+        return sum(room.opaque_W_K + room.windows_W_K + self.ventilation_W_K(room) for room in self.rooms)
+
+    @property
+    def design_load_W(self) -> float:
+        """Heat load at the design outdoor temperature and 20 °C in all rooms, without gains, W (EN 12831)."""
+        ground_W = sum(room.ground_W_K for room in self.rooms) * (DESIGN_ROOM_C - ground_C(self.warmer_K))
+        return self.loss_W_K * (DESIGN_ROOM_C - self.design_out_C) + ground_W
+
+    @property
+    def words(self) -> str:
+        """The house in one line."""
+        area = self.floor_area_m2
+        kinds = ", ".join(f"{room.name} ({room.emitter})" for room in self.rooms)
+        return (
+            f"{len(self.rooms)} rooms on {self.storeys} storey{'s' if self.storeys > 1 else ''}, {area:.0f} m2 "
+            f"{self.mass}, {self.loss_W_K / area:.1f} W/m2K, heat pump {self.heat_pump.capacity_W / 1e3:.1f} kW "
+            f"(x{self.sizing:.1f}), {self.pattern}: {kinds}"
+        )
+
+
+def emulator_fixed_share() -> float:
+    """Return the fixed electric power of the embedded emulator's heat pump per W of its heat at A2/W35 and full speed.
+
+    Constant loss of the compressor, fan and pump; air and refrigerant are 4 K apart.
+    """
+    _, heat_W, _ = emulator.heat_pump(2.0 - 4.0 + 273.15, 35.0 + 273.15, 1.0)
+    return float((emulator.CONSTANT_LOSS_W + emulator.FAN_W + emulator.PUMP_W) / heat_W)
+
+
+def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
+    """Draw a house of `n_rooms` rooms; the same arguments give the same house.
+
+    Every distribution is given here; sources in docs/rooms_house.md.
+
+    Raises:
+        InputError: `n_rooms` is not a whole number from 1 to 30.
+    """
+    if isinstance(n_rooms, bool) or not isinstance(n_rooms, int | np.integer) or not 1 <= n_rooms <= MOST_ROOMS:
+        raise InputError(f"house of {n_rooms!r} rooms: expected a whole number from 1 to {MOST_ROOMS}")
+    rng = np.random.default_rng([seed, n_rooms, 3])
+    kinds = _kinds(n_rooms)
+    storeys = 1 if n_rooms < 4 else 2 if n_rooms >= 12 else int(rng.choice([1, 2], p=[0.4, 0.6]))
+    areas = [rng.uniform(*KINDS[kind].area_m2) for kind in kinds]
+    kinds, levels = _storeys(kinds, areas, storeys)
+    places = lay_out(rng, levels, rng.uniform(1.1, 1.8))
+    flat = [place for storey in places for place in storey]
+    touching = contacts(flat, HEIGHT_M)
+
+    # Envelope: houses that a heat pump heats, from passive to partly renovated (TABULA).
+    age = rng.uniform(0.0, 0.75)  # 0: passive house, 1: not refurbished
+    U_opaque = 0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0))
+    U_window, g_value = 0.8 + 2.0 * age, 0.5 + 0.25 * age  # triple to double glazing, EN 673 and EN 410
+    unshaded = rng.uniform(0.45, 0.70)  # frame 0.7 to 0.8, external shading 0.6 to 0.9 (EN ISO 13790)
+    air_changes = rng.uniform(0.15, 0.35) + 0.45 * age * rng.uniform(0.5, 1.0)
+    U_ground = rng.uniform(0.15, 0.30)
+    U_wall, U_floor = rng.uniform(1.2, 2.2), rng.uniform(0.6, 1.2)
+    attached: tuple[Facade, ...] = ((), ("west",), ("east",), ("west", "east"))[rng.choice(4, p=[0.5, 0.15, 0.15, 0.2])]
+    turn = rng.uniform(-45.0, 45.0)
+    mass = list(MASSES)[rng.integers(len(MASSES))]
+    warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
+    design_out = _DESIGN_OUT_C + warmer
+
+    # Outside walls and windows: glazing per floor area on the facades by their length, at most 60 % of a wall.
+    walls, windows = np.zeros((n_rooms, 4)), np.zeros((n_rooms, 4))
+    for i, (kind, place) in enumerate(zip(kinds, flat, strict=True)):
+        walls[i] = HEIGHT_M * np.array(facade_lengths(place, places[place.storey]))
+        walls[i, [FACADES.index(facade) for facade in attached]] = 0.0
+        glazing = rng.uniform(*KINDS[kind].glazing) * place.area_m2
+        windows[i] = np.minimum(glazing * walls[i] / max(walls[i].sum(), 1e-9), 0.6 * walls[i])
+    area = np.array([place.area_m2 for place in flat])
+    under_roof = np.array([place.storey == storeys - 1 for place in flat])
+    at_ground = np.array([place.storey == 0 for place in flat])
+    opaque = U_opaque * ((walls - windows).sum(axis=1) + 0.8 * area * under_roof)
+    glass = U_window * windows.sum(axis=1)
+    ground = U_ground * area * at_ground
+
+    # Heat load of each room 1 K above its lowest temperature in use, heat to colder neighbours included (EN 12831).
+    lower = [float(rng.choice(KINDS[kind].lower_C)) for kind in kinds]
+    upper = [T + float(rng.choice(KINDS[kind].band_K)) for T, kind in zip(lower, kinds, strict=True)]
+    warm = np.array(lower) + _DESIGN_ABOVE_K
+    load = (opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes) * (warm - design_out)
+    load += ground * (warm - ground_C(warmer))
+    for contact in touching:
+        U = U_wall if contact.kind == "wall" else U_floor
+        for i, j in ((contact.first, contact.second), (contact.second, contact.first)):
+            load[i] += U * contact.area_m2 * max(warm[i] - warm[j], 0.0)
+    doors = _doors(rng, kinds, touching)
+    for door in doors:
+        for i, j in ((door.first, door.second), (door.second, door.first)):
+            warmer_by = max(warm[i] - warm[j], 0.0)
+            load[i] += (door.leak_W_K + door.open_W_K15 * warmer_by**0.5) * warmer_by
+    emitter_W = np.maximum(load * rng.uniform(1.05, 1.35, n_rooms), _LEAST_EMITTER_W)
+
+    # Emitters: floors in all rooms, on the ground floor only, or radiators; never floors where the load is too high.
+    style = rng.choice(["floor", "floor below", "radiator"], p=[0.4, 0.2, 0.4])
+    wanted = at_ground if style == "floor below" else np.full(n_rooms, style == "floor")
+    can = emitter_W <= _FLOOR_LIMIT_W_M2 * area
+    emitters: list[RoomEmitter] = ["floor" if floor else "radiator" for floor in wanted & can]
+    covering = rng.uniform(0.01, 0.10)  # m²K/W
+    screed = rng.uniform(0.045, 0.075)
+    excess = rng.uniform(18.0, 28.0)  # mean radiator water over 20 °C: sized for a heat pump
+    people_day, people_night = _people(kinds)
+    names = _names(kinds)
+    rooms = []
+    hottest = 0.0
+    for i, kind in enumerate(kinds):
+        covered = _COVERED * area[i]
+        if emitters[i] == "floor":
+            resistance = (_PIPE_M2K_W + 1.0 / _FILM_W_M2K + covering) / covered
+            hottest = max(hottest, warm[i] + emitter_W[i] * resistance + 0.5 * _SPREAD_K["floor"])
+            water_J_K, strength, exponent, convective = 1.2 * covered * WATER_J_KG_K, covered / _PIPE_M2K_W, 1.0, 0.0
+            slab_J_K, slab_room = covered * screed * 2000.0 * 1000.0, covered / (1.0 / _FILM_W_M2K + covering)
+        else:
+            # EN 442: type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
+            over = excess + DESIGN_ROOM_C - warm[i]
+            water_J_K = (11.0 * WATER_J_KG_K + 28.0 * 460.0) * emitter_W[i] / 1e3 * (50.0 / over) ** _RADIATOR_EXPONENT
+            strength, exponent, convective = emitter_W[i] / over**_RADIATOR_EXPONENT, _RADIATOR_EXPONENT, 0.7
+            slab_J_K = slab_room = 0.0
+        rooms.append(
+            Room(
+                name=names[i],
+                kind=kind,
+                place=flat[i],
+                walls_m2=tuple(float(value) for value in walls[i]),  # type: ignore[arg-type]
+                windows_m2=tuple(float(value) for value in windows[i]),  # type: ignore[arg-type]
+                opaque_W_K=float(opaque[i]),
+                windows_W_K=float(glass[i]),
+                ground_W_K=float(ground[i]),
+                lower_C=lower[i],
+                upper_C=upper[i],
+                appliances=KINDS[kind].appliances,
+                people_day=float(people_day[i]),
+                people_night=float(people_night[i]),
+                emitter=emitters[i],
+                emitter_W=float(emitter_W[i]),
+                emitter_J_K=float(water_J_K),
+                emitter_W_Kn=float(strength),
+                emitter_exponent=exponent,
+                convective=convective,
+                slab_J_K=float(slab_J_K),
+                slab_room_W_K=float(slab_room),
+                flow_W_K=float(2.0 * emitter_W[i] / _SPREAD_K[emitters[i]]),
+            )
+        )
+    shift = rng.uniform(2.0, 4.0)  # as installers set a curve: some reserve, which the valves take back
+    radiators_C = DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["radiator"]
+    curves: dict[RoomEmitter, Curve] = {}
+    if "floor" in emitters:
+        curves["floor"] = Curve(float(min(hottest, _LIMIT_C["floor"])), 1.0, float(shift), _LIMIT_C["floor"])
+    if "radiator" in emitters:
+        curves["radiator"] = Curve(float(radiators_C), _RADIATOR_EXPONENT, float(shift), _LIMIT_C["radiator"])
+
+    loss = float((opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes).sum())
+    house_W = loss * (DESIGN_ROOM_C - design_out) + float(ground.sum()) * (DESIGN_ROOM_C - ground_C(warmer))
+    low, high = ((0.85, 1.0), (1.0, 1.3), (1.3, 1.8))[rng.choice(3, p=[0.2, 0.55, 0.25])]
+    sizing = rng.uniform(low, high)
+    capacity, per_K = sizing * house_W, 0.02  # air-source data sheets
+    pattern = PATTERNS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
+    return DrawnHouse(
+        seed=seed,
+        rooms=tuple(rooms),
+        contacts=tuple(touching),
+        doors=doors,
+        storeys=storeys,
+        turn_deg=float(turn),
+        attached=attached,
+        mass=mass,
+        U_wall_inside=float(U_wall),
+        U_floor_inside=float(U_floor),
+        g_value=float(g_value),
+        unshaded=float(unshaded),
+        air_changes_1_h=float(air_changes),
+        pattern=pattern,
+        people=max(1, round(float(area.sum()) / rng.uniform(30.0, 55.0))),
+        gains_home_W_m2=float(rng.uniform(2.0, 5.0)),  # EN ISO 13790, annex G
+        gains_empty_W_m2=float(rng.uniform(0.7, 1.5)),
+        gains_sd=0.5,
+        weather_seed=int(rng.integers(1, 2**31)),
+        warmer_K=float(warmer),
+        clearer=float(clearer),
+        sizing=float(sizing),
+        curves=curves,
+        heat_pump=HeatPump(
+            capacity_W=float(capacity),
+            capacity_per_K=per_K,
+            lowest_level=float(rng.uniform(0.20, 0.35)),
+            carnot=float(rng.uniform(0.60, 0.72)),  # the emulator's without its fixed part: 0.71 at A2/W35
+            fixed_W=emulator_fixed_share() * float(capacity) * (1.0 + per_K * (2.0 - design_out)),
+        ),
+    )
+
+
+def core_W_m2K(U_W_m2K: float) -> float:
+    """Return the conductance between the structures of two rooms, W/m²K, of a wall of `U_W_m2K` from air to air."""
+    return 1.0 / (1.0 / U_W_m2K - 2.0 * _INSIDE_FILM_M2K_W)
+
+
+def curve_supply_C(
+    design_C: float, exponent: float, shift_K: float, limit_C: float, design_out_C: float, T_out_C: float
+) -> float:
+    """Return the supply temperature of a heating curve, see `Curve`, °C; arguments in °C and K."""
+    load = max((20.0 - T_out_C) / (20.0 - design_out_C), 0.0)
+    return float(min(20.0 + shift_K + (design_C - 20.0) * load ** (1.0 / exponent), limit_C))
+
+
+def full_capacity_W(capacity_W: float, per_K: float, design_out_C: float, T_out_C: float) -> float:
+    """Return the heat pump's capacity at `T_out_C`, W: between 0.5 and 1.6 times that at design."""
+    return capacity_W * min(max(1.0 + per_K * (T_out_C - design_out_C), 0.5), 1.6)
+
+
+def _kinds(n: int) -> list[Kind]:
+    further = (_FURTHER[i % len(_FURTHER)] for i in range(max(n - len(_FIRST), 0)))
+    return [*_FIRST[:n], *further]
+
+
+def _storeys(kinds: list[Kind], areas: list[float], storeys: int) -> tuple[list[Kind], list[list[float]]]:
+    """Return the kinds from the ground up and the areas by storey, those of two storeys scaled to the same sum."""
+    halls = 0
+    keys = []
+    for i, kind in enumerate(kinds):
+        halls += kind == "hall"
+        upstairs = kind == "hall" and halls % 2 == 0
+        keys.append((len(_FROM_THE_GROUND) if upstairs else _FROM_THE_GROUND.index(kind), i))
+    order = [i for _, i in sorted(keys)]
+    if storeys == 1:
+        return [kinds[i] for i in order], [[areas[i] for i in order]]
+    total = np.cumsum([areas[i] for i in order])
+    below = int(np.clip(np.argmin(np.abs(total - 0.5 * total[-1])) + 1, 1, len(order) - 1))
+    levels = [[areas[i] for i in order[:below]], [areas[i] for i in order[below:]]]
+    levels = [[area * 0.5 * total[-1] / sum(level) for area in level] for level in levels]
+    return [kinds[i] for i in order], levels
+
+
+def _names(kinds: list[Kind]) -> list[str]:
+    """Return the kind, numbered where there are several of it."""
+    seen: dict[Kind, int] = {}
+    names = []
+    for kind in kinds:
+        seen[kind] = seen.get(kind, 0) + 1
+        names.append(f"{kind}_{seen[kind]}" if kinds.count(kind) > 1 else kind)
+    return names
+
+
+def _people(kinds: list[Kind]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the people at home in each room by day and by night, each of sum 1."""
+    day = np.array([KINDS[kind].people_day for kind in kinds])
+    night = np.array([KINDS[kind].people_night for kind in kinds])
+    if not night.any():
+        night = day
+    return day / day.sum(), night / night.sum()
+
+
+def _doors(rng: np.random.Generator, kinds: list[Kind], touching: list[Contact]) -> tuple[Door, ...]:
+    """Return doors so that every room can be reached, by way of halls and living rooms where there are, and a stair.
+
+    A spanning tree of the contacts (Kruskal): walls shorter than a door come last, floors are crossed once.
+    """
+    rank: dict[Kind, float] = {"hall": 0.0, "living": 1.0, "kitchen": 2.0, "study": 3.0, "bedroom": 4.0, "bath": 5.0}
+
+    def cost(contact: Contact) -> float:
+        a, b = rank[kinds[contact.first]], rank[kinds[contact.second]]
+        short = contact.kind == "wall" and contact.length_m < 0.9
+        return min(a, b) + 0.1 * max(a, b) + (10.0 if short else 0.0) + (100.0 if contact.kind == "floor" else 0.0)
+
+    group = list(range(len(kinds)))
+    doors = []
+    for contact in sorted(touching, key=cost):
+        a, b = group[contact.first], group[contact.second]
+        if a == b:
+            continue
+        group = [a if g == b else g for g in group]
+        low, high = (0.5, 1.0)  # of a stairwell
+        if contact.kind == "wall":
+            tighter = max((kinds[contact.first], kinds[contact.second]), key=lambda kind: rank[kind])
+            low, high = _OPENNESS[tighter]
+        doors.append(
+            Door(
+                contact.first,
+                contact.second,
+                leak_W_K=float(rng.uniform(3.0, 8.0)),
+                open_W_K15=float(_OPEN_DOOR_W_K15 * rng.uniform(low, high)),
+            )
+        )
+    return tuple(doors)

@@ -1,0 +1,441 @@
+"""Plant of a house of rooms, see `draw.DrawnHouse` and docs/rooms_house.md."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+
+from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.boundary.weather.solar import sun_position
+from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
+from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
+from thermoforce_mpc.data import Array, Period, PlantInfo
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.checks import check_level_and_duration, check_record_step, check_start, forecast_times
+from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
+from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, discomfort_Kh, excess
+from thermoforce_mpc.plants.records import means_between
+from thermoforce_mpc.plants.rooms import physics, schedule
+from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, DrawnHouse, draw_rooms
+from thermoforce_mpc.plants.weeks import week_or_day
+from thermoforce_mpc.version import VERSION
+
+# Seed of the houses `house:Nrooms`.
+SEED = 15
+# The baseline thermostats' set-points above the lower bounds in use, K, as in the shipped test case (21.3 for 21 °C).
+THERMOSTAT_ABOVE_K = 0.3
+
+_NAME = re.compile(r"house:(\d+)rooms?(?::(\d+))?")
+_CLOCK_S = 1e-6
+
+
+@dataclass(frozen=True)
+class HouseForecast:
+    """Boundary conditions at N + 1 instants, the first being *now*; Z rooms, one machine.
+
+    `time_s` (N + 1,) s; `T_out_C` °C and `solar_W_m2` global horizontal (N + 1,); `occupancy` expected persons,
+    `lower_C` and `upper_C` comfort bounds °C (Z, N + 1); `price_per_kWh` EUR/kWh and `emission_kg_per_kWh` (1, N + 1).
+    """
+
+    time_s: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    occupancy: Array
+    lower_C: Array
+    upper_C: Array
+    price_per_kWh: Array
+    emission_kg_per_kWh: Array
+
+
+@dataclass(frozen=True)
+class HouseRecord:
+    """What was measured over n past equal steps, the last instant being *now*; Z rooms, A valves, one machine.
+
+    Sampled: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,), `T_zone_C` operative temperatures (Z, n + 1). Means over each
+    step: `u` levels and `heat_W` heat delivered to the circuits (A, n), `power_W` electric (1, n). `zones`, `actuators`
+    and `machines` name the rows.
+    """
+
+    zones: tuple[str, ...]
+    actuators: tuple[str, ...]
+    machines: tuple[str, ...]
+    time_s: Array
+    T_zone_C: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    u: Array
+    heat_W: Array
+    power_W: Array
+
+
+@dataclass(frozen=True)
+class HouseMeasurement:
+    """State at `time_s` and means over the step that led there: Z rooms, A valves, one machine.
+
+    `T_zone_C` (Z,) °C, `T_out_C` °C, `solar_W_m2`; means `u` (A,), `heat_W` (A,), `power_W` (1,) and `T_supply_C` (1,),
+    NaN before the first step.
+    """
+
+    time_s: float
+    T_zone_C: Array
+    T_out_C: float
+    solar_W_m2: float
+    u: Array
+    heat_W: Array
+    power_W: Array
+    T_supply_C: Array
+
+
+@dataclass(frozen=True)
+class HouseSnapshot:
+    """State, clock and record of a house at one instant; opaque, for `HouseOfRooms.restore`."""
+
+    T: Array
+    on: Array
+    now_s: float
+    begin_s: float
+    start_s: float
+    price: str
+    times: Array
+    rows: Array
+
+
+def house_of_rooms(name: str) -> HouseOfRooms:
+    """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed.
+
+    Raises:
+        InputError: `name` has another form, or N is out of range.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None or not 1 <= int(match[1]) <= MOST_ROOMS:
+        raise InputError(
+            f"house '{name}': expected house:Nrooms or house:Nrooms:SEED with N from 1 to {MOST_ROOMS}, "
+            "such as house:5rooms"
+        )
+    return HouseOfRooms(draw_rooms(int(match[1]), int(match[2] or SEED)))
+
+
+class HouseOfRooms:
+    """A drawn house with a valve in each room and one heat pump. Deterministic: same house and inputs, same bytes.
+
+    Attributes:
+        house: what was drawn.
+        weather: its synthetic year.
+        zones, actuators, machines: names by row of all arrays; valve i stands in room i.
+        floor_area_m2: of each room, shape (Z,).
+        design_heat_W: of each emitter, shape (A,).
+        capacity_W: of the heat pump at the design outdoor temperature, shape (1,).
+        thermostat_C: set-points of baseline thermostats, shape (Z,).
+    """
+
+    def __init__(self, house: DrawnHouse) -> None:
+        self.house = house
+        self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
+        self.zones = tuple(room.name for room in house.rooms)
+        self.actuators = tuple(f"{room.name}_valve" for room in house.rooms)
+        self.machines = ("heat_pump",)
+        self.floor_area_m2 = np.array([room.area_m2 for room in house.rooms])
+        self.design_heat_W = np.array([room.emitter_W for room in house.rooms])
+        self.capacity_W = np.array([house.heat_pump.capacity_W])
+        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
+        self._weather = weather_grid(house, self.weather)
+        time_s = _year()
+        self._gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
+        self._setpoints = np.ascontiguousarray(schedule.native_setpoints_C(house, time_s).T)
+        self._network = physics.network(house)
+        self._tariffs = tariffs.by_name()
+        self.reset(0.0, 0.0)
+
+    @property
+    def info(self) -> PlantInfo:
+        """Plant, weather and version."""
+        return PlantInfo(
+            kind="house of rooms",
+            testcase=self.house.name,
+            description=self.house.words,
+            weather=self.weather.name,
+            version=VERSION,
+        )
+
+    def period(self, name: str) -> Period:
+        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day, see `week_or_day`.
+
+        Raises:
+            InputError: `name` is neither of these nor a day of the year.
+        """
+        T_out = self._weather[:, physics.T_OUT]
+        heat_W = self._gains.sum(axis=1) + self._weather[:, physics.SUN :].sum(axis=1)
+        return week_or_day(
+            name,
+            T_out_C=T_out,
+            global_W_m2=self._weather[:, physics.GLOBAL],
+            load_W=self.house.loss_W_K * (20.0 - T_out) - heat_W,
+            design_load_W=self.house.design_load_W,
+            grid_s=physics.GRID_S,
+        )
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> HouseMeasurement:
+        """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
+
+        All nodes begin at the room's lower bound in use. `price`: constant, dynamic or highly_dynamic.
+
+        Raises:
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
+        """
+        check_start(start_s, warmup_s)
+        if price not in self._tariffs:
+            raise InputError(f"tariff '{price}': expected one of {', '.join(self._tariffs)}")
+        self._price = price
+        n = len(self.zones)
+        self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
+        self._on = np.zeros(n)
+        self._start_s = float(start_s)
+        self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
+        self._n = 1
+        self._rows, self._times = np.zeros((1, physics.ROOMS + 3 * n)), np.array([self._begin_s])
+        self._rows[0] = self._first_row()
+        if self._start_s > self._now_s:
+            self._advance(np.full(n, math.nan), self._start_s - self._now_s)
+        return self._measured(math.nan)
+
+    def advance(self, levels: Sequence[float | None] | Array | None, duration_s: float) -> HouseMeasurement:
+        """Apply the valves' `levels` (A,) in [0, 1] for `duration_s`; None or NaN leaves a valve to its thermostat.
+
+        A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and
+        the supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. The
+        thermostats of all rooms go on switching, so that native control takes over where it would stand.
+
+        Raises:
+            InputError: a level is out of range or not one for each valve, or `duration_s` is out of range.
+        """
+        n = len(self.actuators)
+        values = [None] * n if levels is None else list(levels)
+        if len(values) != n:
+            raise InputError(f"{len(values)} levels: expected {n}, one for each of {', '.join(self.actuators)}")
+        forced = np.full(n, math.nan)
+        for i, value in enumerate(values):
+            if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
+                continue
+            try:
+                check_level_and_duration(value, duration_s)
+            except InputError as error:
+                raise InputError(f"{self.actuators[i]}: {error}") from None
+            forced[i] = value
+        check_level_and_duration(None, duration_s)
+        before_s = self._now_s
+        self._advance(forced, float(duration_s))
+        return self._measured(before_s)
+
+    def forecast(self, horizon_s: float, interval_s: float) -> HouseForecast:
+        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`: a perfect weather forecast.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+        """
+        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+        lower, upper = schedule.bounds_C(self.house, time_s)
+        return HouseForecast(
+            time_s=time_s,
+            T_out_C=self.weather.at("T_dry_C", time_s),
+            solar_W_m2=self.weather.at("global_W_m2", time_s),
+            occupancy=schedule.people(self.house, time_s),
+            lower_C=lower,
+            upper_C=upper,
+            price_per_kWh=self._tariffs[self._price](time_s)[None],
+            emission_kg_per_kWh=np.full((1, time_s.size), tariffs.EMISSION_KG_PER_KWH),
+        )
+
+    def past(self, step_s: float) -> HouseRecord:
+        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
+
+        Raises:
+            InputError: `step_s` is not positive.
+        """
+        check_record_step(step_s)
+        n = math.floor((self._now_s - self._begin_s) / step_s + 1e-9)
+        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
+        rows, times = self._rows[: self._n], self._times[: self._n]
+
+        def sampled(column: int) -> Array:
+            return np.interp(edges, times, rows[:, column])
+
+        rooms, valves, heats = self._blocks()
+        return HouseRecord(
+            zones=self.zones,
+            actuators=self.actuators,
+            machines=self.machines,
+            time_s=edges,
+            T_zone_C=np.array([sampled(column) for column in rooms]),
+            T_out_C=sampled(physics.OUTDOOR),
+            solar_W_m2=sampled(physics.SOLAR),
+            u=means_between(times, rows[:, valves].T, edges),
+            heat_W=means_between(times, rows[:, heats].T, edges),
+            power_W=means_between(times, rows[:, [physics.POWER]].T, edges),
+        )
+
+    def kpis(self) -> dict[str, float]:
+        """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms."""
+        if self._now_s - self._start_s < _CLOCK_S:
+            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot"), 0.0)
+        time_s, rows = self.recorded(self._start_s, self._now_s)
+        supply = Supply(
+            "ElectricPower",
+            rows[:, physics.POWER],
+            self._tariffs[self._price](time_s),
+            np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
+        )
+        return building_kpis(
+            time_s,
+            supplies=[supply],
+            thermal=self._violations(time_s, rows),
+            air_quality=[],
+            area_m2=self.house.floor_area_m2,
+        )
+
+    def zone_discomfort_Kh(self) -> dict[str, float]:
+        """Return the discomfort of each room since the end of the warm-up by name, K·h; `tdis_tot` is their mean."""
+        if self._now_s - self._start_s < _CLOCK_S:
+            return dict.fromkeys(self.zones, 0.0)
+        time_s, rows = self.recorded(self._start_s, self._now_s)
+        return discomfort_Kh(time_s, self._violations(time_s, rows))
+
+    def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
+        """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
+        times = self._times[: self._n]
+        first, last = np.searchsorted(times, [start_s - _CLOCK_S, final_s + _CLOCK_S])
+        return times[first:last], self._rows[first:last]
+
+    def snapshot(self) -> HouseSnapshot:
+        """Return a snapshot, to restore or branch from."""
+        return HouseSnapshot(
+            self._T.copy(),
+            self._on.copy(),
+            self._now_s,
+            self._begin_s,
+            self._start_s,
+            self._price,
+            self._times[: self._n].copy(),
+            self._rows[: self._n].copy(),
+        )
+
+    def restore(self, snapshot: HouseSnapshot) -> None:
+        """Restore a snapshot of this house, or of another plant of the same house."""
+        s = snapshot
+        self._T, self._on, self._times, self._rows = s.T.copy(), s.on.copy(), s.times.copy(), s.rows.copy()
+        self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
+        self._n = self._times.size
+
+    def close(self) -> None:
+        """Do nothing: the plant holds no resources."""
+
+    def __enter__(self) -> HouseOfRooms:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _violations(self, time_s: Array, rows: Array) -> list[Violation]:
+        lower, upper = schedule.bounds_C(self.house, time_s)
+        rooms, _, _ = self._blocks()
+        T = rows[:, rooms].T
+        return [Violation(name, excess(T[i], lower[i], upper[i])) for i, name in enumerate(self.zones)]
+
+    def _blocks(self) -> tuple[range, range, range]:
+        """Columns of the rows with temperatures, levels and heat."""
+        n = len(self.zones)
+        first = physics.ROOMS
+        return range(first, first + n), range(first + n, first + 2 * n), range(first + 2 * n, first + 3 * n)
+
+    def _advance(self, forced: Array, duration_s: float) -> None:
+        n = max(math.floor(duration_s / physics.STEP_S + 1e-9), 1)
+        rows = np.empty((n, self._rows.shape[1]))
+        dt = duration_s / n
+        physics.advance(
+            self._T,
+            self._on,
+            self._now_s,
+            n,
+            dt,
+            forced,
+            self._weather,
+            self._gains,
+            self._setpoints,
+            self._network,
+            rows,
+        )
+        time_s = self._now_s + dt * np.arange(1.0, n + 1)
+        self._now_s += duration_s
+        time_s[-1] = self._now_s  # exact, without rounding
+        if self._n + n > self._times.size:  # grow by doubling: steps are many and short
+            room = max(2 * self._times.size, self._n + n) - self._times.size
+            self._rows = np.concatenate([self._rows, np.empty((room, rows.shape[1]))])
+            self._times = np.concatenate([self._times, np.empty(room)])
+        self._rows[self._n : self._n + n], self._times[self._n : self._n + n] = rows, time_s
+        self._n += n
+
+    def _measured(self, before_s: float) -> HouseMeasurement:
+        """Return the state now and means since `before_s` (NaN: no means)."""
+        rooms, valves, heats = self._blocks()
+        row = self._rows[self._n - 1]
+        columns = [*valves, *heats, physics.POWER, physics.SUPPLY]
+        means = np.full(len(columns), math.nan)
+        if not math.isnan(before_s):
+            time_s, rows = self.recorded(before_s, self._now_s)
+            means = means_between(time_s, rows[:, columns].T, np.array([before_s, self._now_s]))[:, 0]
+        n = len(self.actuators)
+        return HouseMeasurement(
+            time_s=self._now_s,
+            T_zone_C=row[rooms].copy(),
+            T_out_C=float(row[physics.OUTDOOR]),
+            solar_W_m2=float(row[physics.SOLAR]),
+            u=means[:n],
+            heat_W=means[n : 2 * n],
+            power_W=means[2 * n : 2 * n + 1],
+            T_supply_C=means[2 * n + 1 :],
+        )
+
+    def _first_row(self) -> Array:
+        """Sample at the beginning, with the machine off, shape (8 + 3 Z,)."""
+        n = len(self.zones)
+        row = np.zeros(physics.ROOMS + 3 * n)
+        now = np.array([self._now_s])
+        rooms, _, _ = self._blocks()
+        row[rooms] = self._T[:n]
+        row[physics.OUTDOOR] = float(self.weather.at("T_dry_C", now)[0])
+        row[physics.SOLAR] = float(self.weather.at("global_W_m2", now)[0])
+        row[physics.STORED] = float(self._network.capacity_J_K @ self._T)
+        _, _, row[physics.SUPPLY] = physics.machine(
+            self._network, self._T, np.zeros(n), float(row[physics.OUTDOOR]), np.zeros(n)
+        )
+        return row
+
+
+def weather_grid(house: DrawnHouse, weather: Weather) -> Array:
+    """Return weather and sun through the rooms' windows every 15 min of a year, shape (35041, 3 + Z), see `physics`.
+
+    Takes about 0.5 s.
+    """
+    time_s = _year()
+    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    windows = np.array([room.windows_m2 for room in house.rooms])
+    grid = np.zeros((time_s.size, physics.SUN + len(house.rooms)))
+    grid[:, physics.T_OUT] = weather.at("T_dry_C", time_s)
+    grid[:, physics.GLOBAL] = weather.at("global_W_m2", time_s)
+    grid[:, physics.WIND] = 1.0 - WIND_SHARE + WIND_SHARE * weather.at("wind_m_s", time_s) / MEAN_WIND_M_S
+    for i, facade in enumerate(FACADES):
+        passing, _ = on_facade(weather, sun, time_s, (AZIMUTH_DEG[facade] + house.turn_deg) % 360.0)
+        grid[:, physics.SUN :] += house.unshaded * house.g_value * np.outer(passing, windows[:, i])
+    grid.setflags(write=False)
+    return grid
+
+
+def _year() -> Array:
+    return np.arange(0.0, YEAR_S + physics.GRID_S, physics.GRID_S)
