@@ -7,7 +7,7 @@ import pytest
 
 from thermoforce_mpc.errors import PlantError, WeatherError
 from thermoforce_mpc.plants.energyplus.engine import is_available, weather_file
-from thermoforce_mpc.plants.energyplus.simulate import Job, Recorder, run_engine
+from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, Recorder, run_engine
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec, zone_model
 from thermoforce_mpc.research.interventions.pool import simulate_all
 
@@ -85,7 +85,9 @@ def test_an_exception_in_a_callback_is_raised():
 
     one = job(HEATED, 21.0, steps=96)
     with pytest.raises(Broken):
-        run_engine(json.dumps(zone_model(HEATED, 30, 1)), weather_file("Chicago-OHare"), Recorder(one, policy))
+        run_engine(
+            json.dumps(zone_model(HEATED, 30, 1)), weather_file("Chicago-OHare"), Recorder(one, policy), ZONE_WIRING
+        )
 
 
 def test_a_model_the_engine_refuses_names_the_reason():
@@ -93,7 +95,7 @@ def test_a_model_the_engine_refuses_names_the_reason():
     model["Construction"]["Wall"]["layer_2"] = "no such material"
     one = job(HEATED, 21.0, steps=96)
     with pytest.raises(PlantError, match=r"(?i)no such material"):
-        run_engine(json.dumps(model), weather_file("Chicago-OHare"), Recorder(one, lambda step, T: 0.5))
+        run_engine(json.dumps(model), weather_file("Chicago-OHare"), Recorder(one, lambda step, T: 0.5), ZONE_WIRING)
 
 
 def test_unknown_weather_names_what_there_is():

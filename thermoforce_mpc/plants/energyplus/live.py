@@ -1,80 +1,122 @@
-"""Worker process of the EnergyPlus plant: one engine run whose actuator level is set step by step over a pipe.
+"""Worker process of an EnergyPlus plant: one engine run that is told step by step over a pipe what to do.
 
 The engine owns the main loop, so its callback blocks until the next request. A process runs one simulation and ends
-with it, or when the other end closes the pipe.
+with it, or when the other end closes the pipe. `process.EngineProcess` is the other end.
 """
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
-from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.plants.energyplus.engine import weather_file
-from thermoforce_mpc.plants.energyplus.simulate import Job, PiPolicy, Reading, run_engine
-from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
+from thermoforce_mpc.plants.energyplus.simulate import R, R_contra, Wiring, run_engine
+
+# What a building is told for a step, such as a level; None leaves it to its own control.
+U = TypeVar("U")
+
+
+class Acting(Protocol[U, R_contra]):
+    """Turns what a building is told into values of the engine's actuators, step by step, in the worker process."""
+
+    def __call__(self, step: int, told: U | None, last: R_contra | None) -> tuple[dict[str, float], U]:
+        """Return the actuator values of a step, as `Driver.begin` does, and what acts.
+
+        `step` is −1 while the engine warms up; `last` is the reading before the step, None before the first.
+        """
+        ...
+
+
+class Building(Protocol[U, R]):
+    """Building that a worker process simulates; picklable. Its run begins at midnight of `first_day`.
+
+    `first_day` counts from 1 January (0), steps last `step_s` s, the zone time step of the engine's model.
+    """
+
+    @property
+    def first_day(self) -> int:
+        """Day of the year, from 0."""
+        ...
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step, s."""
+        ...
+
+    @property
+    def n_steps(self) -> int:
+        """Length of the run, steps."""
+        ...
+
+    def model(self) -> str:
+        """Return the engine's input of `n_steps` steps or more."""
+        ...
+
+    def weather(self) -> Path:
+        """Return the weather file."""
+        ...
+
+    def wiring(self) -> Wiring[R]:
+        """Return the sensors and actuators of the model."""
+        ...
+
+    def acting(self) -> Acting[U, R]:
+        """Return the rule of a new run."""
+        ...
 
 
 @dataclass(frozen=True)
-class Advance:
-    """Request: apply `u` in [0, 1] (None: the thermostat's PI loop) for `steps` steps."""
+class Advance(Generic[U]):
+    """Request: do what is `told` (None: the building's own control) for `steps` steps."""
 
-    u: float | None
+    told: U | None
     steps: int
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Answer: the reading at the end of each step, and the actuator level of each step."""
+class Stretch(Generic[U, R]):
+    """Answer: the reading at the end of each step, and what acted in each step."""
 
-    readings: tuple[Reading, ...]
-    u: tuple[float, ...]
+    readings: tuple[R, ...]
+    acted: tuple[U, ...]
 
 
-class Live:
+class Live(Generic[U, R]):
     """`Driver` that answers requests from a pipe; the first answer is the state after the engine's warm-up."""
 
-    def __init__(self, job: Job, pipe: Connection) -> None:
-        self._job, self._pipe = job, pipe
-        self._policy = PiPolicy(job)
-        self._sign = 1.0 if job.spec.mode == "heating" else -1.0
-        self._last: Reading | None = None
-        self._request = Advance(None, 0)
-        self._answer: list[tuple[Reading, float]] = []
+    def __init__(self, building: Building[U, R], pipe: Connection) -> None:
+        self._n_steps, self._act, self._pipe = building.n_steps, building.acting(), pipe
+        self._last: R | None = None
+        self._request = Advance[U](None, 0)
+        self._answer: list[tuple[R, U]] = []
+        self._now: U | None = None
         self._step = 0
-        self._acting = 0.0
         self._closed = False
 
     @property
     def done(self) -> bool:
         """Whether the other end closed the pipe, or the run period is over."""
-        return self._closed or self._step >= self._job.n_steps
+        return self._closed or self._step >= self._n_steps
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Return the heat of each actuated source over the next step, W; wait for a request if the last is done."""
-        if self.done:
-            return {HVAC: 0.0, GAINS: 0.0}
-        if not warming_up and len(self._answer) >= self._request.steps:
+        """Return the actuator values of the next step; wait for a request if the last is done."""
+        if not self.done and not warming_up and len(self._answer) >= self._request.steps:
             self._receive()
-        step = -1 if warming_up else self._step
-        T = self._last.T_zone_C if self._last else float(self._job.setpoint_C[0])
-        native = self._policy(step, T)
-        told = None if warming_up else self._request.u
-        self._acting = native if told is None else told
-        spec = self._job.spec
-        gains = float(self._job.gains[max(step, 0)])
-        return {HVAC: self._sign * self._acting * spec.capacity_W, GAINS: gains * spec.gains_W}
+        if self.done:
+            return {}
+        told = None if warming_up else self._request.told
+        values, self._now = self._act(-1 if warming_up else self._step, told, self._last)
+        return values
 
-    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
+    def end(self, warming_up: bool, read: Callable[[], R]) -> bool:
         """Store the reading at the end of the step; return True when the run may stop."""
         self._last = reading = read()
-        if not warming_up and not self._closed:
+        if not warming_up and not self._closed and self._now is not None:
             self._step += 1
-            self._answer.append((reading, self._acting))
-            if self._step >= self._job.n_steps:
+            self._answer.append((reading, self._now))
+            if self._step >= self._n_steps:
                 self._send()
         return self.done
 
@@ -84,7 +126,7 @@ class Live:
         if self._answer:
             self._send()
         else:
-            self._pipe.send(Stretch((self._last,), (math.nan,)))
+            self._pipe.send(Stretch((self._last,), ()))
         try:
             self._request = self._pipe.recv()
         except EOFError:
@@ -95,12 +137,10 @@ class Live:
         self._pipe.send(Stretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))
 
 
-def serve(job: Job, pipe: Connection) -> None:
-    """Run the simulation of `job` in this process, answering over `pipe`; errors are sent as text."""
-    days = math.ceil(job.n_steps * job.spec.step_s / DAY_S)
+def serve(building: Building[U, R], pipe: Connection) -> None:
+    """Run the simulation of `building` in this process, answering over `pipe`; errors are sent as text."""
     try:
-        model = json.dumps(zone_model(job.spec, job.first_day, days))
-        run_engine(model, weather_file(job.spec.weather), Live(job, pipe))
+        run_engine(building.model(), building.weather(), Live(building, pipe), building.wiring())
     except (BrokenPipeError, KeyboardInterrupt):
         return
     except Exception as error:  # any error is reported by the other end

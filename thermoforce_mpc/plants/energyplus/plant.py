@@ -6,11 +6,10 @@ a fixed fraction of the Carnot efficiency, comfort bounds, tariffs and a forecas
 
 from __future__ import annotations
 
+import json
 import math
-import multiprocessing
-from dataclasses import replace
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -29,17 +28,15 @@ from thermoforce_mpc.plants.checks import (
 )
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
-from thermoforce_mpc.plants.energyplus.live import Advance, Stretch, serve
-from thermoforce_mpc.plants.energyplus.simulate import Job
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess
+from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, PiPolicy, Reading, Wiring
+from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 _KELVIN = 273.15
 _STEPS_PER_HOUR = 12
-# Length of the engine's run period, days: a year plus warm-up and forecast.
-_RUN_DAYS = 400
-_PATIENCE_S = 5.0
 _GAINS_SEED = 1
 
 
@@ -51,6 +48,60 @@ def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Ar
     supply_K = zone.supply_C + _KELVIN
     lift = (zone.supply_C - T_out_C) if mode == "heating" else (T_out_C - zone.supply_C)
     return np.asarray(np.abs(heat_W) * np.maximum(lift, zone.least_lift_K) / (zone.carnot_share * supply_K))
+
+
+@dataclass(frozen=True)
+class LiveZone:
+    """`Building` of a single zone: told a level in [0, 1], its own control is the PI loop of `simulate`."""
+
+    job: Job
+
+    @property
+    def first_day(self) -> int:
+        """Day of the year, from 0."""
+        return self.job.first_day
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step, s."""
+        return self.job.spec.step_s
+
+    @property
+    def n_steps(self) -> int:
+        """Length of the run, steps."""
+        return self.job.n_steps
+
+    def model(self) -> str:
+        """Return the model in epJSON."""
+        return json.dumps(zone_model(self.job.spec, self.first_day, math.ceil(self.n_steps * self.step_s / DAY_S)))
+
+    def weather(self) -> Path:
+        """Return the weather file."""
+        return weather_file(self.job.spec.weather)
+
+    def wiring(self) -> Wiring[Reading]:
+        """Return the sensors and actuators of the zone."""
+        return ZONE_WIRING
+
+    def acting(self) -> ZoneActing:
+        """Return the rule of a new run."""
+        return ZoneActing(self.job)
+
+
+class ZoneActing:
+    """`Acting` of a single zone: the heat of its source and the internal gains, W."""
+
+    def __init__(self, job: Job) -> None:
+        self._job, self._policy = job, PiPolicy(job)
+        self._sign = 1.0 if job.spec.mode == "heating" else -1.0
+
+    def __call__(self, step: int, told: float | None, last: Reading | None) -> tuple[dict[str, float], float]:
+        """Return the heat of each actuated source, W, and the level; the PI loop runs on while a level is told."""
+        spec = self._job.spec
+        native = self._policy(step, last.T_zone_C if last else float(self._job.setpoint_C[0]))
+        u = native if told is None else told
+        gains = float(self._job.gains[max(step, 0)])
+        return {HVAC: self._sign * u * spec.capacity_W, GAINS: gains * spec.gains_W}, u
 
 
 class EnergyPlusPlant:
@@ -104,8 +155,7 @@ class EnergyPlusPlant:
         self._tariffs = tariffs.by_name(highly_dynamic)
         self._price = "constant"
         self._start_s = self._now_s = 0.0
-        self._process: SpawnProcess | None = None
-        self._pipe: Connection | None = None
+        self._engine: EngineProcess[float, Reading] | None = None
 
     @property
     def info(self) -> PlantInfo:
@@ -139,30 +189,25 @@ class EnergyPlusPlant:
         check_start(start_s, warmup_s)
         if price not in self._tariffs:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
-        self._stop()
+        self.close()
         self._price = price
         begin_s = max(start_s - warmup_s, 0.0)
         first_day = int(begin_s // DAY_S)
-        setpoint = base_setpoint(replace(self._climate, spec=self._spec), _RUN_DAYS)
+        setpoint = base_setpoint(replace(self._climate, spec=self._spec), RUN_DAYS)
         job = Job(
             spec=self._spec,
             first_day=first_day,
             setpoint_C=setpoint + self._zone.native_margin_K * self._climate.sign,
-            gains=gains(replace(self._climate, spec=self._spec), first_day, _RUN_DAYS, _GAINS_SEED),
+            gains=gains(replace(self._climate, spec=self._spec), first_day, RUN_DAYS, _GAINS_SEED),
         )
-        context = multiprocessing.get_context("spawn")
-        self._pipe, other = context.Pipe()
-        self._process = context.Process(target=serve, args=(job, other), daemon=True)
-        self._process.start()
-        other.close()
+        self._engine = EngineProcess(LiveZone(job))
         self._start_s = float(start_s)
         self._now_s = first_day * DAY_S
-        first = self._answer()
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
         midnight = np.array([self._now_s])
         T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
         self._times = [self._now_s]
-        self._rows = [(first.readings[0].T_zone_C, T_out, solar, 0.0)]
+        self._rows = [(self._engine.first.T_zone_C, T_out, solar, 0.0)]
         until_begin = begin_s - self._now_s
         if until_begin > 0:
             self._advance(None, until_begin)
@@ -247,7 +292,9 @@ class EnergyPlusPlant:
 
     def close(self) -> None:
         """End the engine's process; safe to call twice."""
-        self._stop()
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
 
     def __enter__(self) -> EnergyPlusPlant:
         return self
@@ -267,56 +314,17 @@ class EnergyPlusPlant:
         return (machine, far) if self._climate.sign > 0 else (far, machine)
 
     def _advance(self, u: float | None, duration_s: float) -> None:
-        if self._pipe is None:
+        if self._engine is None:
             raise InputError("the plant has not been started: call reset() first")
-        step_s = self._spec.step_s
-        n = round(duration_s / step_s)
-        if n < 1 or abs(n * step_s - duration_s) > 1e-6:
-            raise InputError(f"step of {duration_s:g} s: expected a multiple of EnergyPlus' step of {step_s:g} s")
-        try:
-            self._pipe.send(Advance(u, n))
-        except OSError as error:
-            raise self._failed("process is not running") from error
-        stretch = self._answer()
-        if len(stretch.readings) != n:
-            raise self._failed(f"simulated {len(stretch.readings)} of {n} steps: its run period is over")
-        for reading, level in zip(stretch.readings, stretch.u, strict=True):
-            self._now_s += step_s
+        stretch = self._engine.advance(u, duration_s)
+        for reading, level in zip(stretch.readings, stretch.acted, strict=True):
+            self._now_s += self._spec.step_s
             self._times.append(self._now_s)
             self._rows.append((reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level))
 
-    def _answer(self) -> Stretch:
-        if self._pipe is None:
-            raise InputError("the plant has not been started: call reset() first")
-        try:
-            answer = self._pipe.recv()
-        except (EOFError, OSError) as error:
-            raise self._failed("ended without an answer") from error
-        if isinstance(answer, Stretch):
-            return answer
-        raise self._failed(f"failed: {answer}")
-
-    def _failed(self, what: str) -> PlantError:
-        """End the process, since an incomplete step cannot be continued, and return the error to raise."""
-        day = self._now_s / DAY_S
-        self._stop()
-        return PlantError(f"EnergyPlus {what} (day {day:g}); reset the plant to start it again")
-
-    def _stop(self) -> None:
-        if self._pipe is not None:
-            self._pipe.close()
-            self._pipe = None
-        if self._process is not None:
-            self._process.join(_PATIENCE_S)
-            if self._process.is_alive():
-                self._process.kill()
-                self._process.join()
-            self._process.close()
-            self._process = None
-
     def _record(self, last: int = 0) -> dict[str, Array]:
         """Return the record by name, all of it or the `last` samples; power and heat of the step that ends at each."""
-        if self._pipe is None:
+        if self._engine is None:
             raise InputError("the plant has not been started: call reset() first")
         rows = np.array(self._rows[-last:])
         heat = self._climate.sign * self._spec.capacity_W * rows[:, 3]

@@ -8,11 +8,12 @@ so they are stored, the simulation is stopped, and they are raised afterwards.
 from __future__ import annotations
 
 import json
+import math
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,6 +21,10 @@ from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.energyplus.engine import weather_file
 from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, ZONE, ZoneSpec, zone_model
+
+# What a driver reads at the end of a step.
+R = TypeVar("R")
+R_contra = TypeVar("R_contra", contravariant=True)
 
 # The engine's number for a run under a weather file.
 _RUN_PERIOD = 3
@@ -45,17 +50,20 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Wiring:
+class Wiring(Generic[R]):
     """Sensors and actuators of a model.
 
-    `sensors` maps names to (variable, key), `actuators` names to (component, control, key); `read` converts sensor
-    values to a reading; `suffix` is the model's file format.
+    `sensors` and `means` map names to (variable, key), `actuators` names to (component, control, key); `read` converts
+    the values of sensors and means to a reading; `suffix` is the model's file format. A sensor shows the value at the
+    end of a zone time step. A mean is taken over the step: the engine divides a step with large changes into several
+    system steps, and a sensor of the system shows the last of them.
     """
 
     sensors: Mapping[str, tuple[str, str]]
     actuators: Mapping[str, tuple[str, str, str]]
-    read: Callable[[Mapping[str, float]], Reading]
+    read: Callable[[Mapping[str, float]], R]
     suffix: str = "epJSON"
+    means: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 def weather_reading(value: Mapping[str, float], T_zone_C: float, heat_W: float = float("nan")) -> Reading:
@@ -64,7 +72,7 @@ def weather_reading(value: Mapping[str, float], T_zone_C: float, heat_W: float =
     return Reading(T_zone_C, value["T_out"], value["diffuse"] + up * value["direct"], heat_W)
 
 
-ZONE_WIRING = Wiring(
+ZONE_WIRING: Wiring[Reading] = Wiring(
     sensors={"T_zone": ("Zone Mean Air Temperature", ZONE)} | WEATHER_SENSORS,
     actuators={name: ("OtherEquipment", "Power Level", name) for name in (HVAC, GAINS)},
     read=lambda value: weather_reading(value, value["T_zone"]),
@@ -152,11 +160,11 @@ def simulate(job: Job) -> Record:
     days = -(-job.n_steps // per_day)
     model = zone_model(job.spec, job.first_day, days)
     recorder = Recorder(job, PiPolicy(job))
-    run_engine(json.dumps(model), weather_file(job.spec.weather), recorder)
+    run_engine(json.dumps(model), weather_file(job.spec.weather), recorder, ZONE_WIRING)
     return recorder.history()
 
 
-class Driver(Protocol):
+class Driver(Protocol[R_contra]):
     """Callbacks of `run_engine`."""
 
     @property
@@ -165,10 +173,13 @@ class Driver(Protocol):
         ...
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Return the value of each actuator over the next zone time step (heat in W of a zone's sources)."""
+        """Return the value of each actuator over the next zone time step, NaN to leave it to the model's own control.
+
+        An actuator that is left out keeps its value.
+        """
         ...
 
-    def end(self, warming_up: bool, read: Callable[[], Reading]) -> bool:
+    def end(self, warming_up: bool, read: Callable[[], R_contra]) -> bool:
         """Process the end of a zone time step, reading it if needed; return True when the run may stop."""
         ...
 
@@ -240,7 +251,7 @@ class Recorder:
         )
 
 
-def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZONE_WIRING) -> None:
+def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]) -> None:
     """Run the model text `model` with a weather file in this process, with the callbacks of `recorder`.
 
     Raises:
@@ -253,6 +264,8 @@ def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZON
     state = api.state_manager.new_state()
     failure: list[BaseException] = []
     handles: dict[str, int] = {}
+    variables = {**wiring.sensors, **wiring.means}
+    system_steps: list[tuple[float, dict[str, float]]] = []
 
     def guarded(action: Callable[[Any], None]) -> Callable[[Any], None]:
         def callback(state: Any) -> None:
@@ -269,7 +282,7 @@ def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZON
         return callback
 
     def find(state: Any) -> None:
-        for name, (variable, key) in wiring.sensors.items():
+        for name, (variable, key) in variables.items():
             handles[name] = api.exchange.get_variable_handle(state, variable, key)
         for name, (component, control, key) in wiring.actuators.items():
             handles[name] = api.exchange.get_actuator_handle(state, component, control, key)
@@ -281,23 +294,40 @@ def run_engine(model: str, weather: Path, recorder: Driver, wiring: Wiring = ZON
         if not handles:
             find(state)
         for name, told in recorder.begin(bool(api.exchange.warmup_flag(state))).items():
-            api.exchange.set_actuator_value(state, handles[name], told)
+            if math.isnan(told):
+                api.exchange.reset_actuator(state, handles[name])
+            else:
+                api.exchange.set_actuator_value(state, handles[name], told)
+
+    def values(state: Any, names: Iterable[str]) -> dict[str, float]:
+        return {name: api.exchange.get_variable_value(state, handles[name]) for name in names}
+
+    def end_system_step(state: Any) -> None:
+        if handles:
+            system_steps.append((api.exchange.system_time_step(state), values(state, wiring.means)))
 
     def end(state: Any) -> None:
         if not handles:
             return
 
-        def read() -> Reading:
-            return wiring.read({name: api.exchange.get_variable_value(state, handles[name]) for name in wiring.sensors})
+        parts = list(system_steps)
+        system_steps.clear()
+
+        def read() -> R:
+            whole = sum(length for length, _ in parts)
+            means = {name: sum(length * part[name] for length, part in parts) / whole for name in wiring.means}
+            return wiring.read(values(state, wiring.sensors) | means)
 
         if recorder.end(bool(api.exchange.warmup_flag(state)), read):
             api.runtime.stop_simulation(state)
 
     try:
         api.runtime.set_console_output_status(state, False)
-        for variable, key in wiring.sensors.values():
+        for variable, key in variables.values():
             api.exchange.request_variable(state, variable, key)
         api.runtime.callback_begin_zone_timestep_before_set_current_weather(state, guarded(begin))
+        if wiring.means:
+            api.runtime.callback_end_system_timestep_after_hvac_reporting(state, guarded(end_system_step))
         api.runtime.callback_end_zone_timestep_after_zone_reporting(state, guarded(end))
         with tempfile.TemporaryDirectory(prefix="energyplus-") as folder:
             path = Path(folder) / f"in.{wiring.suffix}"
