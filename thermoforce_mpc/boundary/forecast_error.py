@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import InputError
 
@@ -107,3 +108,18 @@ class ForecastError:
         padded = np.pad(forecast, 1, mode="edge")
         smooth = np.convolve(padded, np.ones(3) / 3, mode="valid")
         return np.asarray(truth - np.where(daylight, np.clip(smooth, _LEAST_SHARE * truth, _MOST_SHARE * truth), truth))
+
+
+def forecast_weather(weather: Weather, error: ForecastError | None, time_s: Array) -> tuple[Array, Array]:
+    """Return outdoor temperature, °C, and global horizontal irradiance, W/m², as forecast at `time_s[0]`, (n,) each.
+
+    `time_s` (n,) are the instants of the forecast, s since 1 January; `error` None: a perfect forecast.
+
+    Raises:
+        InputError: the horizon is longer than 48 h and there are errors.
+    """
+    T_out, solar = weather.at("T_dry_C", time_s), weather.at("global_W_m2", time_s)
+    if error is None:
+        return T_out, solar
+    hours = (math.floor(time_s[0] / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
+    return error.apply(time_s, T_out, weather.at("global_W_m2", hours), solar)

@@ -1,4 +1,4 @@
-"""Electricity tariffs of the test case (EUR/kWh) and its emission factor (kg CO2/kWh)."""
+"""Electricity tariffs of the test case (EUR/kWh), the price of gas, and their emission factors (kg CO2/kWh)."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from thermoforce_mpc.errors import ConfigError
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
 DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
+# Gas in Belgium, as in BOPTEST's `bestest_hydronic`: the same price in all three tariffs.
+GAS, GAS_EMISSION_KG_PER_KWH = 0.07, 0.181
 _YEAR_S = 365 * DAY_S
 _PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
 

@@ -11,7 +11,7 @@ from types import TracebackType
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
+from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
@@ -196,11 +196,7 @@ class EmbeddedPlant:
         """
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         lower, upper = schedule.bounds_C(time_s)
-        T_out, solar = self.weather.at("T_dry_C", time_s), self.weather.at("global_W_m2", time_s)
-        if self._forecast_error:
-            hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
-            hourly = self.weather.at("global_W_m2", hours)
-            T_out, solar = self._forecast_error.apply(time_s, T_out, hourly, solar)
+        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
         return Boundary(
             time_s=time_s,
             T_out_C=T_out,

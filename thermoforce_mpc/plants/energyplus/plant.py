@@ -15,7 +15,7 @@ from types import TracebackType
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
+from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
@@ -236,11 +236,7 @@ class EnergyPlusPlant:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
         """
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
-        T_out, solar = self.weather.at("T_dry_C", time_s), self.weather.at("global_W_m2", time_s)
-        if self._forecast_error:
-            hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
-            hourly = self.weather.at("global_W_m2", hours)
-            T_out, solar = self._forecast_error.apply(time_s, T_out, hourly, solar)
+        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
         lower, upper = self._bounds(time_s)
         return Boundary(
             time_s=time_s,

@@ -34,6 +34,11 @@ class EngineProcess(Generic[U, R]):
         self.first: R = self._answer().readings[0]
 
     @property
+    def step_s(self) -> float:
+        """Length of a step, s."""
+        return self._building.step_s
+
+    @property
     def now_s(self) -> float:
         """Time of the run, s since 1 January."""
         return self._building.first_day * DAY_S + self._steps * self._building.step_s

@@ -32,8 +32,6 @@ from thermoforce_mpc.version import VERSION
 
 # The baseline thermostat's set-point above the tightest lower bound, K, as in the shipped test case (21.3 for 21 °C).
 THERMOSTAT_ABOVE_K = 0.3
-# BOPTEST's prices and emissions of `bestest_hydronic_heat_pump` (electricity) and of gas in Belgium.
-GAS_EUR_PER_KWH, GAS_KG_PER_KWH = 0.07, 0.181
 
 _KELVIN = 273.15
 _CLOCK_S = 1e-6
@@ -216,7 +214,7 @@ class GeneratedHousePlant:
     def _prices(self) -> tuple[float, float]:
         """Price per kWh and emissions, kg/kWh, of the billed energy."""
         if self.house.machine == "boiler":
-            return GAS_EUR_PER_KWH, GAS_KG_PER_KWH
+            return tariffs.GAS, tariffs.GAS_EMISSION_KG_PER_KWH
         return tariffs.CONSTANT, tariffs.EMISSION_KG_PER_KWH
 
     def _advance(self, forced: float, duration_s: float) -> None:

@@ -7,29 +7,19 @@ one zone: air temperature averaged by floor area, and the sum of the sensible he
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import date, timedelta
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.energyplus.engine import reference_building, weather_file
+from thermoforce_mpc.plants.energyplus.engine import weather_file
+from thermoforce_mpc.plants.energyplus.office_model import BUILDING, WEATHER, ZONES, office_model
 from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Reading, Wiring, run_engine, weather_reading
-from thermoforce_mpc.plants.energyplus.zone import YEAR
 
-BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
-WEATHER = "Chicago-OHare"
 STEP_S = 900.0
-FLOOR_AREA_M2 = {
-    "Core_ZN": 149.66,
-    "Perimeter_ZN_1": 113.45,
-    "Perimeter_ZN_2": 67.30,
-    "Perimeter_ZN_3": 113.45,
-    "Perimeter_ZN_4": 67.30,
-}
+FLOOR_AREA_M2 = {zone.engine_name: zone.floor_area_m2 for zone in ZONES}
 # Sensible heat at u = 0 and u = 1, W; negative because ventilation removes heat with the burners off.
 RANGE_W = (-10e3, 50e3)
 _COOLING_C = 40.0
@@ -51,32 +41,6 @@ class OfficeJob:
 
     first_day: int
     setpoint_C: Array
-
-
-def office_model(first_day: int, days: int) -> str:
-    """The shipped IDF with the given run period and 15-min steps.
-
-    Raises:
-        PlantError: the file differs from the expected version.
-    """
-    begin = date(YEAR, 1, 1) + timedelta(days=first_day)
-    end = begin + timedelta(days=days - 1)
-    text = reference_building(BUILDING).read_text(encoding="latin-1")
-    period = (
-        f"Ours, {begin.month}, {begin.day}, {begin.year}, {end.month}, {end.day}, {end.year}, , No, No, No, Yes, Yes;"
-    )
-    changes = {
-        r"Timestep,\s*6;": "Timestep,4;",
-        r"(?s)RunPeriod,\s*Annual,.*?Use Weather File Snow Indicators": f"RunPeriod, {period} !",
-        r"YES,(\s*!- Run Simulation for Sizing Periods)": r"NO,\1",
-        r"NO,(\s*!- Run Simulation for Weather File Run Periods)": r"YES,\1",
-    }
-    for pattern, replacement in changes.items():
-        text, found = re.subn(pattern, replacement, text)
-        if found != 1:
-            raise PlantError(f"EnergyPlus: {BUILDING}.idf has {found} places like '{pattern}', expected one")
-    # Reports are not used, and writing them takes longer than the simulation.
-    return re.sub(r"(?ms)^\s*Output:(?:Table|Meter|Variable|SQLite)[^;]*;[^\n]*$", "", text)
 
 
 def _read(value: Mapping[str, float]) -> Reading:
@@ -120,7 +84,7 @@ def simulate_office(job: OfficeJob) -> Record:
     days = -(-job.setpoint_C.size // round(DAY_S / STEP_S))
     recorder = _Recorder(job)
     wiring = Wiring(_SENSORS | WEATHER_SENSORS, _ACTUATORS, _read, suffix="idf")
-    run_engine(office_model(job.first_day, days), weather_file(WEATHER), recorder, wiring)
+    run_engine(office_model(job.first_day, days, round(HOUR_S / STEP_S)), weather_file(WEATHER), recorder, wiring)
     if not recorder.done or recorder.before is None:
         raise PlantError(f"EnergyPlus recorded {len(recorder.readings)} of {job.setpoint_C.size} steps and then ended")
     readings = [recorder.before, *recorder.readings]

@@ -1,0 +1,268 @@
+"""The DOE small office (new construction of 2004, Chicago) that ships with the engine: its file, zones and wiring.
+
+Five conditioned zones under an unconditioned attic, each with a rooftop unit (PSZ-AC) of its own: gas burner, direct
+expansion coil, fan of constant flow and outdoor air. Schedules of people, lights, plugs, infiltration and ventilation
+are the file's. What acts are the heating and cooling set-points of each zone's thermostat.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date, timedelta
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.energyplus.engine import reference_building, weather_file
+from thermoforce_mpc.plants.energyplus.idf import Calendar, Schedule, idf_objects
+from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Wiring, weather_reading
+from thermoforce_mpc.plants.energyplus.zone import YEAR
+
+BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
+WEATHER = "Chicago-OHare"
+STEPS_PER_HOUR = 12
+
+
+@dataclass(frozen=True)
+class OfficeZone:
+    """Zone, its names in the engine's file, floor area, m², and what its unit was sized to there, W.
+
+    `heating_W` is the burner's heat, `cooling_W` the gross sensible cooling at rated conditions.
+    """
+
+    name: str
+    engine_name: str
+    unit: str
+    floor_area_m2: float
+    heating_W: float
+    cooling_W: float
+
+
+ZONES = (
+    OfficeZone("core", "Core_ZN", "PSZ-AC:1", 149.66, 15108.0, 7718.0),
+    OfficeZone("south", "Perimeter_ZN_1", "PSZ-AC:2", 113.45, 11970.0, 6124.0),
+    OfficeZone("east", "Perimeter_ZN_2", "PSZ-AC:3", 67.30, 9975.0, 5354.0),
+    OfficeZone("north", "Perimeter_ZN_3", "PSZ-AC:4", 113.45, 12424.0, 6390.0),
+    OfficeZone("west", "Perimeter_ZN_4", "PSZ-AC:5", 67.30, 9715.0, 5467.0),
+)
+# Floor area per person, m², at an occupancy of 1.
+AREA_PER_PERSON_M2 = 18.58
+
+
+@dataclass(frozen=True)
+class OfficeReading:
+    """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², means over the step W.
+
+    Per zone (Z): `T_zone_C`, `supply_W` (sensible heat that the supply air brings, negative where it cools), `fan_W`.
+    Per actuator (all heating, then all cooling; A = 2 Z): `setpoint_C` and `heat_W` (of burner, of coil, negative).
+    Per machine (all gas, then all electric; M = 2 Z): `power_W`, electric is compressor and fan.
+    """
+
+    T_zone_C: tuple[float, ...]
+    T_out_C: float
+    solar_W_m2: float
+    setpoint_C: tuple[float, ...]
+    heat_W: tuple[float, ...]
+    power_W: tuple[float, ...]
+    supply_W: tuple[float, ...]
+    fan_W: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class OfficeSchedules:
+    """Schedules of the file, for times in s since 1 January of standard time (n,).
+
+    `night_tolerance_K`: how far beyond the set-points of the night a zone may drift before its unit starts.
+    """
+
+    calendar: Calendar
+    heating: Schedule
+    cooling: Schedule
+    people: Schedule
+    night_tolerance_K: float
+
+    def setpoints_C(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the native heating and cooling set-points of every zone, °C, (n,) each."""
+        return self.heating.at(time_s, self.calendar), self.cooling.at(time_s, self.calendar)
+
+    def tight_C(self) -> tuple[float, float]:
+        """Return the comfort band of the day, °C: the highest heating and the lowest cooling set-point."""
+        return max(self.heating.values), min(self.cooling.values)
+
+    def wide_C(self) -> tuple[float, float]:
+        """Return the comfort band of the night, °C: the set-points of the night and the tolerance around them."""
+        return min(self.heating.values) - self.night_tolerance_K, max(self.cooling.values) + self.night_tolerance_K
+
+    def occupancy(self, time_s: Array) -> Array:
+        """Return the share of people who are present, (n,)."""
+        return self.people.at(time_s, self.calendar)
+
+
+@cache
+def office_schedules() -> OfficeSchedules:
+    """Return the schedules of the shipped file; raises `PlantError` where it is missing or differs."""
+    text = _shipped()
+    heating, cooling, people = (Schedule.of(text, name) for name in ("HTGSETP_SCH", "CLGSETP_SCH", "BLDG_OCC_SCH"))
+    night_cycles = idf_objects(text, "AvailabilityManager:NightCycle")
+    return OfficeSchedules(
+        Calendar.of(text), heating, cooling, people, max(float(fields[4]) for fields in night_cycles)
+    )
+
+
+def office_model(first_day: int, days: int, steps_per_hour: int) -> str:
+    """Return the shipped IDF with the given run period and zone time steps; `first_day` counts from 1 January (0).
+
+    Raises:
+        PlantError: the file differs from the expected version.
+    """
+    begin = date(YEAR, 1, 1) + timedelta(days=first_day)
+    end = begin + timedelta(days=days - 1)
+    text = _shipped()
+    period = (
+        f"Ours, {begin.month}, {begin.day}, {begin.year}, {end.month}, {end.day}, {end.year}, , No, No, No, Yes, Yes;"
+    )
+    changes = {
+        r"Timestep,\s*6;": f"Timestep,{steps_per_hour};",
+        r"(?s)RunPeriod,\s*Annual,.*?Use Weather File Snow Indicators": f"RunPeriod, {period} !",
+        r"YES,(\s*!- Run Simulation for Sizing Periods)": r"NO,\1",
+        r"NO,(\s*!- Run Simulation for Weather File Run Periods)": r"YES,\1",
+    }
+    for pattern, replacement in changes.items():
+        text, found = re.subn(pattern, replacement, text)
+        if found != 1:
+            raise PlantError(f"EnergyPlus: {BUILDING}.idf has {found} places like '{pattern}', expected one")
+    # Reports are not used, and writing them takes longer than the simulation.
+    return re.sub(r"(?ms)^\s*Output:(?:Table|Meter|Variable|SQLite)[^;]*;[^\n]*$", "", text)
+
+
+def _shipped() -> str:
+    return reference_building(BUILDING).read_text(encoding="latin-1")
+
+
+@dataclass(frozen=True)
+class OfficeRun:
+    """`live.Building` of the office: told a set-point per actuator, °C, NaN for that of the file's schedule."""
+
+    first_day: int
+    days: int
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step, s."""
+        return HOUR_S / STEPS_PER_HOUR
+
+    @property
+    def n_steps(self) -> int:
+        """Length of the run, steps."""
+        return round(self.days * DAY_S / self.step_s)
+
+    def model(self) -> str:
+        """Return the IDF."""
+        return office_model(self.first_day, self.days, STEPS_PER_HOUR)
+
+    def weather(self) -> Path:
+        """Return the weather file."""
+        return weather_file(WEATHER)
+
+    def wiring(self) -> Wiring[OfficeReading]:
+        """Return the sensors and actuators."""
+        return _WIRING
+
+    def acting(self) -> OfficeActing:
+        """Return the rule of a new run."""
+        begin_s = self.first_day * DAY_S
+        return OfficeActing(
+            *office_schedules().setpoints_C(begin_s + self.step_s * np.arange(self.n_steps, dtype=np.float64))
+        )
+
+
+class OfficeActing:
+    """`live.Acting` of the office.
+
+    Where one set-point of a zone is told and the other is native, the native one gives way if it would lie on the wrong
+    side: the engine refuses a zone that is to be heated above the temperature it is to be cooled to.
+    """
+
+    def __init__(self, heating_C: Array, cooling_C: Array) -> None:
+        self._heating_C, self._cooling_C = heating_C, cooling_C
+
+    def __call__(
+        self, step: int, told: tuple[float, ...] | None, last: OfficeReading | None
+    ) -> tuple[dict[str, float], tuple[float, ...]]:
+        """Return the set-points of a step by actuator, and what was told."""
+        told = told or (math.nan,) * (2 * len(ZONES))
+        native = float(self._heating_C[max(step, 0)]), float(self._cooling_C[max(step, 0)])
+        values: dict[str, float] = {}
+        for zone, heating, cooling in zip(ZONES, told[: len(ZONES)], told[len(ZONES) :], strict=True):
+            if math.isnan(heating) and native[0] > cooling:
+                heating = cooling
+            if math.isnan(cooling) and native[1] < heating:
+                cooling = heating
+            values |= {f"{zone.name}_heating": heating, f"{zone.name}_cooling": cooling}
+        return values, told
+
+
+def _read(value: Mapping[str, float]) -> OfficeReading:
+    def each(name: str) -> tuple[float, ...]:
+        return tuple(value[f"{zone.name}_{name}"] for zone in ZONES)
+
+    def less(of: tuple[float, ...], these: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(a - b for a, b in zip(of, these, strict=True))
+
+    weather = weather_reading(value, math.nan)
+    fan, none = each("fan"), (0.0,) * len(ZONES)
+    return OfficeReading(
+        T_zone_C=each("T"),
+        T_out_C=weather.T_out_C,
+        solar_W_m2=weather.solar_W_m2,
+        setpoint_C=each("heating_setpoint") + each("cooling_setpoint"),
+        heat_W=each("burner") + less(none, each("coil")),
+        power_W=each("gas") + tuple(a + b for a, b in zip(each("compressor"), fan, strict=True)),
+        supply_W=less(each("heated"), each("cooled")),
+        fan_W=fan,
+    )
+
+
+def _points(names: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """Return `names` (variable, key with {zone} and {unit}) for every zone."""
+    return {
+        f"{zone.name}_{name}": (variable, key.format(zone=zone.engine_name, unit=zone.unit))
+        for zone in ZONES
+        for name, (variable, key) in names.items()
+    }
+
+
+_WIRING = Wiring(
+    sensors=_points(
+        {
+            "T": ("Zone Air Temperature", "{zone}"),
+            "heating_setpoint": ("Zone Thermostat Heating Setpoint Temperature", "{zone}"),
+            "cooling_setpoint": ("Zone Thermostat Cooling Setpoint Temperature", "{zone}"),
+        }
+    )
+    | WEATHER_SENSORS,
+    means=_points(
+        {
+            "burner": ("Heating Coil Heating Rate", "{unit}_HeatC"),
+            "gas": ("Heating Coil NaturalGas Rate", "{unit}_HeatC"),
+            "coil": ("Cooling Coil Sensible Cooling Rate", "{unit}_CoolC DXCoil"),
+            "compressor": ("Cooling Coil Electricity Rate", "{unit}_CoolC DXCoil"),
+            "fan": ("Fan Electricity Rate", "{unit}_Fan"),
+            "heated": ("Zone Air System Sensible Heating Rate", "{zone}"),
+            "cooled": ("Zone Air System Sensible Cooling Rate", "{zone}"),
+        }
+    ),
+    actuators={
+        f"{zone.name}_{kind}": ("Zone Temperature Control", f"{kind.capitalize()} Setpoint", zone.engine_name)
+        for zone in ZONES
+        for kind in ("heating", "cooling")
+    },
+    read=_read,
+    suffix="idf",
+)
