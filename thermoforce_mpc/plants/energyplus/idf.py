@@ -117,8 +117,9 @@ class Schedule:
         clock_s = calendar.clock_s(np.asarray(time_s, dtype=np.float64)) + _CLOCK_S
         day = np.floor(clock_s / DAY_S).astype(int)
         hour = (clock_s - day * DAY_S) / HOUR_S
-        kinds = np.array([calendar.kind(int(one)) for one in day])
-        out = np.empty(kinds.shape)
+        days, index = np.unique(day, return_inverse=True)
+        kinds = np.array([calendar.kind(int(one)) for one in days])[index]
+        out = np.empty(day.shape)
         for kind in set(kinds.tolist()):
             here = kinds == kind
             until, values = self._rule(kind)
