@@ -35,7 +35,7 @@ from thermoforce_mpc.plants.energyplus.office_model import (
     OfficeRun,
     office_schedules,
 )
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess, whole_steps
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 
 NAME = "energyplus:small_office"
@@ -158,9 +158,11 @@ class SmallOffice:
         check_start(start_s, warmup_s)
         if price not in self._tariffs:
             raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
-        self.close()
         begin_s = max(start_s - warmup_s, 0.0)
         run = OfficeRun(int(begin_s // DAY_S), RUN_DAYS)
+        for what, duration_s in (("start", start_s), ("warm-up", warmup_s)):
+            whole_steps(what, duration_s, run.step_s)
+        self.close()
         self._price, self._start_s = price, float(start_s)
         self._engine = EngineProcess(run)
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
@@ -224,10 +226,7 @@ class SmallOffice:
             InputError: `step_s` is no positive multiple of 5 min, or the plant was not reset.
         """
         check_record_step(step_s)
-        engine_s = self._step_s
-        every = round(step_s / engine_s)
-        if every < 1 or abs(every * engine_s - step_s) > 1e-6:
-            raise InputError(f"history at {step_s:g} s: expected a multiple of EnergyPlus' step of {engine_s:g} s")
+        every = whole_steps("history in steps", step_s, self._step_s)
         n = (self._n - 1) // every
         rows = self._rows[self._n - 1 - n * every : self._n]
 

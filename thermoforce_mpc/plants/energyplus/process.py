@@ -15,6 +15,14 @@ RUN_DAYS = 400
 _PATIENCE_S = 5.0
 
 
+def whole_steps(what: str, duration_s: float, step_s: float) -> int:
+    """Return a duration in steps of the engine; raises `InputError`, naming `what`, if it is no whole number."""
+    n = round(duration_s / step_s)
+    if abs(n * step_s - duration_s) > 1e-6 or bool(n) != bool(duration_s):
+        raise InputError(f"{what} of {duration_s:g} s: expected a multiple of EnergyPlus' step of {step_s:g} s")
+    return n
+
+
 class EngineProcess(Generic[U, R]):
     """Process of one run of the engine; it is never used for a second run.
 
@@ -50,10 +58,7 @@ class EngineProcess(Generic[U, R]):
             InputError: the duration is no multiple of the engine's step.
             PlantError: the engine failed, or its run period is over.
         """
-        step_s = self._building.step_s
-        n = round(duration_s / step_s)
-        if n < 1 or abs(n * step_s - duration_s) > 1e-6:
-            raise InputError(f"step of {duration_s:g} s: expected a multiple of EnergyPlus' step of {step_s:g} s")
+        n = whole_steps("step", duration_s, self.step_s)
         if self._closed:
             raise PlantError("EnergyPlus was closed; reset the plant to start it again")
         try:
