@@ -1,13 +1,9 @@
 """House of rooms: a seeded building of 1 to 30 rooms with a valve each and one heat pump."""
 
-from thermoforce_mpc.plants.rooms.draw import DrawnHouse, draw_rooms
-from thermoforce_mpc.plants.rooms.plant import (
-    HouseForecast,
-    HouseMeasurement,
-    HouseOfRooms,
-    HouseRecord,
-    house_of_rooms,
-)
+from thermoforce_mpc.plants.rooms.draw import draw_rooms
+from thermoforce_mpc.plants.rooms.house import DrawnHouse
+from thermoforce_mpc.plants.rooms.plant import HouseOfRooms, house_of_rooms
+from thermoforce_mpc.plants.rooms.series import HouseForecast, HouseMeasurement, HouseRecord
 
 __all__ = [
     "DrawnHouse",

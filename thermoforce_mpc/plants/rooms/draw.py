@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import heat_pump as emulator
-from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K, Mass
+from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K
 from thermoforce_mpc.plants.generated.draw import ground_C
 from thermoforce_mpc.plants.glazing import FACADES, Facade
-from thermoforce_mpc.plants.occupants import PATTERNS, Pattern
-from thermoforce_mpc.plants.rooms.plan import Contact, Place, contacts, facade_lengths, lay_out
+from thermoforce_mpc.plants.occupants import PATTERNS
+from thermoforce_mpc.plants.rooms.house import (
+    DESIGN_OUT_C,
+    DESIGN_ROOM_C,
+    Curve,
+    Door,
+    DrawnHouse,
+    HeatPump,
+    Kind,
+    Room,
+    RoomEmitter,
+)
+from thermoforce_mpc.plants.rooms.plan import Contact, contacts, facade_lengths, lay_out
 
 MOST_ROOMS = 30
-Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall"]
-RoomEmitter = Literal["floor", "radiator"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,7 @@ _FIRST: tuple[Kind, ...] = ("living", "bedroom", "bath", "kitchen", "bedroom", "
 _FURTHER: tuple[Kind, ...] = ("hall", "bedroom", "study", "bedroom", "bath")
 # Where two storeys share the rooms, the ground floor is filled in this order; a second hall comes with the upper one.
 _FROM_THE_GROUND: tuple[Kind, ...] = ("living", "kitchen", "hall", "study", "bath", "bedroom")
-# Doors lead to the room that opens most: share of the time a door stands open, range of the draw.
+# Share of the time a door stands open, range of the draw, by the more private of its two rooms.
 _OPENNESS: dict[Kind, tuple[float, float]] = {
     "hall": (0.2, 0.7),
     "living": (0.3, 0.9),
@@ -60,16 +68,12 @@ _OPENNESS: dict[Kind, tuple[float, float]] = {
     "bath": (0.02, 0.15),
 }
 
-# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and the machine's room.
-_DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
 # Output of floor heating that rooms may need, W/m² (EN 1264-2: 100 at a surface of 29 °C), and share of the floor with
 # pipes; resistance from water to screed, m²K/W (Koschenz and Lehmann 2000); surface film, W/m²K (EN 1264-5).
 _FLOOR_LIMIT_W_M2, _COVERED, _PIPE_M2K_W, _FILM_W_M2K = 70.0, 0.85, 0.10, 10.8
 _RADIATOR_EXPONENT = 1.3
 _SPREAD_K: dict[RoomEmitter, float] = {"floor": 5.0, "radiator": 7.0}
 _LIMIT_C: dict[RoomEmitter, float] = {"floor": 45.0, "radiator": 60.0}
-# Film on either side of an inside wall, m²K/W (EN ISO 6946).
-_INSIDE_FILM_M2K_W = 0.13
 # Air through a door: a closed one leaks about 5 W/K; an open one of 0.9 m by 2 m exchanges 121 W/K^1.5
 # (ρ c Cd/3 W H^1.5 √(g/T), Cd 0.65: Brown and Solvason 1962).
 _OPEN_DOOR_W_K15 = 121.0
@@ -77,163 +81,6 @@ _OPEN_DOOR_W_K15 = 121.0
 _DESIGN_ABOVE_K = 1.0
 # Least emitter, W, so that every valve has something to do.
 _LEAST_EMITTER_W = 150.0
-
-
-@dataclass(frozen=True)
-class Room:
-    """One room: zone, heat emitter and valve. Powers in W, temperatures in °C, areas in m².
-
-    `walls_m2` outside walls and `windows_m2` glazing by `FACADES`; `opaque_W_K` and `windows_W_K` transmission to
-    outdoors, `ground_W_K` to the ground. Comfort band `lower_C` to `upper_C` while in use. `appliances` relative to
-    the house; `people_day`, `people_night` shares of the people at home.
-
-    `emitter_W` at design; water and metal of `emitter_J_K` deliver `emitter_W_Kn` · ΔT^`emitter_exponent` W: by a
-    radiator, `convective` of it to the air and the rest to the surfaces; in a floor, all to a slab of `slab_J_K`,
-    coupled to the room by `slab_room_W_K`. `flow_W_K`: heat taken at design flow per K of supply over mean water
-    temperature.
-    """
-
-    name: str
-    kind: Kind
-    place: Place
-    walls_m2: tuple[float, float, float, float]
-    windows_m2: tuple[float, float, float, float]
-    opaque_W_K: float
-    windows_W_K: float
-    ground_W_K: float
-    lower_C: float
-    upper_C: float
-    appliances: float
-    people_day: float
-    people_night: float
-    emitter: RoomEmitter
-    emitter_W: float
-    emitter_J_K: float
-    emitter_W_Kn: float
-    emitter_exponent: float
-    convective: float
-    slab_J_K: float
-    slab_room_W_K: float
-    flow_W_K: float
-
-    @property
-    def area_m2(self) -> float:
-        """Floor area, m²."""
-        return self.place.area_m2
-
-
-@dataclass(frozen=True)
-class Door:
-    """Air exchange between two rooms by index, W/K: `leak_W_K` + `open_W_K15` · √|ΔT|; a stairwell is one too."""
-
-    first: int
-    second: int
-    leak_W_K: float
-    open_W_K15: float
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Heating curve of one kind of emitter: `design_C` supply at the design outdoor temperature, raised by `shift_K`.
-
-    Supply temperature over 20 °C goes with the `exponent`-th root of the load; `limit_C` is never exceeded.
-    """
-
-    design_C: float
-    exponent: float
-    shift_K: float
-    limit_C: float
-
-
-@dataclass(frozen=True)
-class HeatPump:
-    """Air-to-water heat pump: `capacity_W` at design, rising by `capacity_per_K` per K outdoors.
-
-    Below `lowest_level` of the capacity it cycles. COP is `carnot` times Carnot's, beside `fixed_W` of electric power
-    while it runs.
-    """
-
-    capacity_W: float
-    capacity_per_K: float
-    lowest_level: float
-    carnot: float
-    fixed_W: float
-
-
-@dataclass(frozen=True)
-class DrawnHouse:
-    """A house of rooms with one heat pump, see `draw_rooms`.
-
-    `turn_deg`: the 'south' facade looks to 180° + `turn_deg`. `attached`: facades that touch a neighbour's house at
-    the same temperature. `U_inside` of walls and floors between rooms, air to air, W/m²K. `air_changes_1_h` mean
-    infiltration. `curves` by emitter; others as in `generated.House`.
-    """
-
-    seed: int
-    rooms: tuple[Room, ...]
-    contacts: tuple[Contact, ...]
-    doors: tuple[Door, ...]
-    storeys: int
-    turn_deg: float
-    attached: tuple[Facade, ...]
-    mass: Mass
-    U_wall_inside: float
-    U_floor_inside: float
-    g_value: float
-    unshaded: float
-    air_changes_1_h: float
-    pattern: Pattern
-    people: int
-    gains_home_W_m2: float
-    gains_empty_W_m2: float
-    gains_sd: float
-    weather_seed: int
-    warmer_K: float
-    clearer: float
-    sizing: float
-    curves: dict[RoomEmitter, Curve]
-    heat_pump: HeatPump
-
-    @property
-    def name(self) -> str:
-        """Name from which the house can be drawn again, see `house_of_rooms`."""
-        return f"house:{len(self.rooms)}rooms:{self.seed}"
-
-    @property
-    def floor_area_m2(self) -> float:
-        """Floor area of all rooms, m²."""
-        return sum(room.area_m2 for room in self.rooms)
-
-    @property
-    def design_out_C(self) -> float:
-        """Design outdoor temperature, °C."""
-        return _DESIGN_OUT_C + self.warmer_K
-
-    def ventilation_W_K(self, room: Room) -> float:
-        """Heat loss of a room by the mean infiltration, W/K."""
-        return AIR_WH_M3_K * HEIGHT_M * room.area_m2 * self.air_changes_1_h
-
-    @property
-    def loss_W_K(self) -> float:
-        """Heat loss coefficient to outdoors, ground excluded, W/K."""
-        return sum(room.opaque_W_K + room.windows_W_K + self.ventilation_W_K(room) for room in self.rooms)
-
-    @property
-    def design_load_W(self) -> float:
-        """Heat load at the design outdoor temperature and 20 °C in all rooms, without gains, W (EN 12831)."""
-        ground_W = sum(room.ground_W_K for room in self.rooms) * (DESIGN_ROOM_C - ground_C(self.warmer_K))
-        return self.loss_W_K * (DESIGN_ROOM_C - self.design_out_C) + ground_W
-
-    @property
-    def words(self) -> str:
-        """The house in one line."""
-        area = self.floor_area_m2
-        kinds = ", ".join(f"{room.name} ({room.emitter})" for room in self.rooms)
-        return (
-            f"{len(self.rooms)} rooms on {self.storeys} storey{'s' if self.storeys > 1 else ''}, {area:.0f} m2 "
-            f"{self.mass}, {self.loss_W_K / area:.1f} W/m2K, heat pump {self.heat_pump.capacity_W / 1e3:.1f} kW "
-            f"(x{self.sizing:.1f}), {self.pattern}: {kinds}"
-        )
 
 
 def emulator_fixed_share() -> float:
@@ -276,7 +123,7 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     turn = rng.uniform(-45.0, 45.0)
     mass = list(MASSES)[rng.integers(len(MASSES))]
     warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
-    design_out = _DESIGN_OUT_C + warmer
+    design_out = DESIGN_OUT_C + warmer
 
     # Outside walls and windows: glazing per floor area on the facades by their length, at most 60 % of a wall.
     walls, windows = np.zeros((n_rooms, 4)), np.zeros((n_rooms, 4))
@@ -320,20 +167,7 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     people_day, people_night = _people(kinds)
     names = _names(kinds)
     rooms = []
-    hottest = 0.0
     for i, kind in enumerate(kinds):
-        covered = _COVERED * area[i]
-        if emitters[i] == "floor":
-            resistance = (_PIPE_M2K_W + 1.0 / _FILM_W_M2K + covering) / covered
-            hottest = max(hottest, warm[i] + emitter_W[i] * resistance + 0.5 * _SPREAD_K["floor"])
-            water_J_K, strength, exponent, convective = 1.2 * covered * WATER_J_KG_K, covered / _PIPE_M2K_W, 1.0, 0.0
-            slab_J_K, slab_room = covered * screed * 2000.0 * 1000.0, covered / (1.0 / _FILM_W_M2K + covering)
-        else:
-            # EN 442: type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
-            over = excess + DESIGN_ROOM_C - warm[i]
-            water_J_K = (11.0 * WATER_J_KG_K + 28.0 * 460.0) * emitter_W[i] / 1e3 * (50.0 / over) ** _RADIATOR_EXPONENT
-            strength, exponent, convective = emitter_W[i] / over**_RADIATOR_EXPONENT, _RADIATOR_EXPONENT, 0.7
-            slab_J_K = slab_room = 0.0
         rooms.append(
             Room(
                 name=names[i],
@@ -351,22 +185,20 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
                 people_night=float(people_night[i]),
                 emitter=emitters[i],
                 emitter_W=float(emitter_W[i]),
-                emitter_J_K=float(water_J_K),
-                emitter_W_Kn=float(strength),
-                emitter_exponent=exponent,
-                convective=convective,
-                slab_J_K=float(slab_J_K),
-                slab_room_W_K=float(slab_room),
                 flow_W_K=float(2.0 * emitter_W[i] / _SPREAD_K[emitters[i]]),
+                **_circuit(emitters[i], emitter_W[i], area[i], excess + DESIGN_ROOM_C - warm[i], covering, screed),
             )
         )
     shift = rng.uniform(2.0, 4.0)  # as installers set a curve: some reserve, which the valves take back
-    radiators_C = DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["radiator"]
     curves: dict[RoomEmitter, Curve] = {}
     if "floor" in emitters:
-        curves["floor"] = Curve(float(min(hottest, _LIMIT_C["floor"])), 1.0, float(shift), _LIMIT_C["floor"])
+        # The room that needs the warmest water sets the curve of all floors.
+        mean_C = warm + emitter_W * (_PIPE_M2K_W + 1.0 / _FILM_W_M2K + covering) / (_COVERED * area)
+        hottest_C = float(mean_C[wanted & can].max()) + 0.5 * _SPREAD_K["floor"]
+        curves["floor"] = Curve(min(hottest_C, _LIMIT_C["floor"]), 1.0, float(shift), _LIMIT_C["floor"])
     if "radiator" in emitters:
-        curves["radiator"] = Curve(float(radiators_C), _RADIATOR_EXPONENT, float(shift), _LIMIT_C["radiator"])
+        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["radiator"])
+        curves["radiator"] = Curve(hottest_C, _RADIATOR_EXPONENT, float(shift), _LIMIT_C["radiator"])
 
     loss = float((opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes).sum())
     house_W = loss * (DESIGN_ROOM_C - design_out) + float(ground.sum()) * (DESIGN_ROOM_C - ground_C(warmer))
@@ -408,22 +240,30 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     )
 
 
-def core_W_m2K(U_W_m2K: float) -> float:
-    """Return the conductance between the structures of two rooms, W/m²K, of a wall of `U_W_m2K` from air to air."""
-    return 1.0 / (1.0 / U_W_m2K - 2.0 * _INSIDE_FILM_M2K_W)
-
-
-def curve_supply_C(
-    design_C: float, exponent: float, shift_K: float, limit_C: float, design_out_C: float, T_out_C: float
-) -> float:
-    """Return the supply temperature of a heating curve, see `Curve`, °C; arguments in °C and K."""
-    load = max((20.0 - T_out_C) / (20.0 - design_out_C), 0.0)
-    return float(min(20.0 + shift_K + (design_C - 20.0) * load ** (1.0 / exponent), limit_C))
-
-
-def full_capacity_W(capacity_W: float, per_K: float, design_out_C: float, T_out_C: float) -> float:
-    """Return the heat pump's capacity at `T_out_C`, W: between 0.5 and 1.6 times that at design."""
-    return capacity_W * min(max(1.0 + per_K * (T_out_C - design_out_C), 0.5), 1.6)
+def _circuit(
+    emitter: RoomEmitter, emitter_W: float, area_m2: float, over_K: float, covering: float, screed_m: float
+) -> dict[str, float]:
+    """Return the fields of a `Room` of its emitter; `over_K`: mean radiator water over the room at design."""
+    if emitter == "floor":
+        covered = _COVERED * area_m2
+        return {
+            "emitter_J_K": float(1.2 * covered * WATER_J_KG_K),
+            "emitter_W_Kn": float(covered / _PIPE_M2K_W),
+            "emitter_exponent": 1.0,
+            "convective": 0.0,
+            "slab_J_K": float(covered * screed_m * 2000.0 * 1000.0),
+            "slab_room_W_K": float(covered / (1.0 / _FILM_W_M2K + covering)),
+        }
+    # EN 442: type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
+    per_kW = (11.0 * WATER_J_KG_K + 28.0 * 460.0) * (50.0 / over_K) ** _RADIATOR_EXPONENT
+    return {
+        "emitter_J_K": float(per_kW * emitter_W / 1e3),
+        "emitter_W_Kn": float(emitter_W / over_K**_RADIATOR_EXPONENT),
+        "emitter_exponent": _RADIATOR_EXPONENT,
+        "convective": 0.7,
+        "slab_J_K": 0.0,
+        "slab_room_W_K": 0.0,
+    }
 
 
 def _kinds(n: int) -> list[Kind]:

@@ -27,7 +27,7 @@ from thermoforce_mpc.plants.envelope import (
     solve,
 )
 from thermoforce_mpc.plants.generated.draw import ground_C, heat_pump_cop
-from thermoforce_mpc.plants.rooms.draw import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W
+from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W
 
 STEP_S = 30.0
 GRID_S = 900.0

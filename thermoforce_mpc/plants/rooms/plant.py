@@ -1,4 +1,4 @@
-"""Plant of a house of rooms, see `draw.DrawnHouse` and docs/rooms_house.md."""
+"""Plant of a house of rooms, see `house.DrawnHouse` and docs/rooms_house.md."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, discomfort_Kh, excess
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
-from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, DrawnHouse, draw_rooms
+from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
+from thermoforce_mpc.plants.rooms.house import DrawnHouse
+from thermoforce_mpc.plants.rooms.series import HouseForecast, HouseMeasurement, HouseRecord
 from thermoforce_mpc.plants.weeks import week_or_day
 from thermoforce_mpc.version import VERSION
 
@@ -33,63 +35,6 @@ THERMOSTAT_ABOVE_K = 0.3
 
 _NAME = re.compile(r"house:(\d+)rooms?(?::(\d+))?")
 _CLOCK_S = 1e-6
-
-
-@dataclass(frozen=True)
-class HouseForecast:
-    """Boundary conditions at N + 1 instants, the first being *now*; Z rooms, one machine.
-
-    `time_s` (N + 1,) s; `T_out_C` °C and `solar_W_m2` global horizontal (N + 1,); `occupancy` expected persons,
-    `lower_C` and `upper_C` comfort bounds °C (Z, N + 1); `price_per_kWh` EUR/kWh and `emission_kg_per_kWh` (1, N + 1).
-    """
-
-    time_s: Array
-    T_out_C: Array
-    solar_W_m2: Array
-    occupancy: Array
-    lower_C: Array
-    upper_C: Array
-    price_per_kWh: Array
-    emission_kg_per_kWh: Array
-
-
-@dataclass(frozen=True)
-class HouseRecord:
-    """What was measured over n past equal steps, the last instant being *now*; Z rooms, A valves, one machine.
-
-    Sampled: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,), `T_zone_C` operative temperatures (Z, n + 1). Means over each
-    step: `u` levels and `heat_W` heat delivered to the circuits (A, n), `power_W` electric (1, n). `zones`, `actuators`
-    and `machines` name the rows.
-    """
-
-    zones: tuple[str, ...]
-    actuators: tuple[str, ...]
-    machines: tuple[str, ...]
-    time_s: Array
-    T_zone_C: Array
-    T_out_C: Array
-    solar_W_m2: Array
-    u: Array
-    heat_W: Array
-    power_W: Array
-
-
-@dataclass(frozen=True)
-class HouseMeasurement:
-    """State at `time_s` and means over the step that led there: Z rooms, A valves, one machine.
-
-    `T_zone_C` (Z,) °C, `T_out_C` °C, `solar_W_m2`; means `u` (A,), `heat_W` (A,), `power_W` (1,) and `T_supply_C` (1,),
-    NaN before the first step.
-    """
-
-    time_s: float
-    T_zone_C: Array
-    T_out_C: float
-    solar_W_m2: float
-    u: Array
-    heat_W: Array
-    power_W: Array
-    T_supply_C: Array
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,196 @@
+"""What a house of rooms is made of, and the few laws that both its draw and its physics need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, Mass
+from thermoforce_mpc.plants.generated.draw import ground_C
+from thermoforce_mpc.plants.glazing import Facade
+from thermoforce_mpc.plants.occupants import Pattern
+from thermoforce_mpc.plants.rooms.plan import Contact, Place
+
+Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall"]
+RoomEmitter = Literal["floor", "radiator"]
+
+# Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and rooms that size the
+# machine, °C.
+DESIGN_OUT_C, DESIGN_ROOM_C = -8.0, 20.0
+# Film on either side of an inside wall, m²K/W (EN ISO 6946).
+_INSIDE_FILM_M2K_W = 0.13
+
+
+@dataclass(frozen=True)
+class Room:
+    """One room: zone, heat emitter and valve. Powers in W, temperatures in °C, areas in m².
+
+    `walls_m2` outside walls and `windows_m2` glazing by `FACADES`; `opaque_W_K` and `windows_W_K` transmission to
+    outdoors, `ground_W_K` to the ground. Comfort band `lower_C` to `upper_C` while in use. `appliances` relative to
+    the house; `people_day`, `people_night` shares of the people at home.
+
+    `emitter_W` at design; water and metal of `emitter_J_K` deliver `emitter_W_Kn` · ΔT^`emitter_exponent` W: by a
+    radiator, `convective` of it to the air and the rest to the surfaces; in a floor, all to a slab of `slab_J_K`,
+    coupled to the room by `slab_room_W_K`. `flow_W_K`: heat taken at design flow per K of supply over mean water
+    temperature.
+    """
+
+    name: str
+    kind: Kind
+    place: Place
+    walls_m2: tuple[float, float, float, float]
+    windows_m2: tuple[float, float, float, float]
+    opaque_W_K: float
+    windows_W_K: float
+    ground_W_K: float
+    lower_C: float
+    upper_C: float
+    appliances: float
+    people_day: float
+    people_night: float
+    emitter: RoomEmitter
+    emitter_W: float
+    emitter_J_K: float
+    emitter_W_Kn: float
+    emitter_exponent: float
+    convective: float
+    slab_J_K: float
+    slab_room_W_K: float
+    flow_W_K: float
+
+    @property
+    def area_m2(self) -> float:
+        """Floor area, m²."""
+        return self.place.area_m2
+
+
+@dataclass(frozen=True)
+class Door:
+    """Air exchange between two rooms by index, W/K: `leak_W_K` + `open_W_K15` · √|ΔT|; a stairwell is one too."""
+
+    first: int
+    second: int
+    leak_W_K: float
+    open_W_K15: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Heating curve of one kind of emitter: `design_C` supply at the design outdoor temperature, raised by `shift_K`.
+
+    Supply temperature over 20 °C goes with the `exponent`-th root of the load; `limit_C` is never exceeded.
+    """
+
+    design_C: float
+    exponent: float
+    shift_K: float
+    limit_C: float
+
+
+@dataclass(frozen=True)
+class HeatPump:
+    """Air-to-water heat pump: `capacity_W` at design, rising by `capacity_per_K` per K outdoors.
+
+    Below `lowest_level` of the capacity it cycles. COP is `carnot` times Carnot's, beside `fixed_W` of electric power
+    while it runs.
+    """
+
+    capacity_W: float
+    capacity_per_K: float
+    lowest_level: float
+    carnot: float
+    fixed_W: float
+
+
+@dataclass(frozen=True)
+class DrawnHouse:
+    """A house of rooms with one heat pump, see `draw_rooms`.
+
+    `turn_deg`: the 'south' facade looks to 180° + `turn_deg`. `attached`: facades that touch a neighbour's house at
+    the same temperature. `U_inside` of walls and floors between rooms, air to air, W/m²K. `air_changes_1_h` mean
+    infiltration. `curves` by emitter; others as in `generated.House`.
+    """
+
+    seed: int
+    rooms: tuple[Room, ...]
+    contacts: tuple[Contact, ...]
+    doors: tuple[Door, ...]
+    storeys: int
+    turn_deg: float
+    attached: tuple[Facade, ...]
+    mass: Mass
+    U_wall_inside: float
+    U_floor_inside: float
+    g_value: float
+    unshaded: float
+    air_changes_1_h: float
+    pattern: Pattern
+    people: int
+    gains_home_W_m2: float
+    gains_empty_W_m2: float
+    gains_sd: float
+    weather_seed: int
+    warmer_K: float
+    clearer: float
+    sizing: float
+    curves: dict[RoomEmitter, Curve]
+    heat_pump: HeatPump
+
+    @property
+    def name(self) -> str:
+        """Name from which the house can be drawn again, see `house_of_rooms`."""
+        return f"house:{len(self.rooms)}rooms:{self.seed}"
+
+    @property
+    def floor_area_m2(self) -> float:
+        """Floor area of all rooms, m²."""
+        return sum(room.area_m2 for room in self.rooms)
+
+    @property
+    def design_out_C(self) -> float:
+        """Design outdoor temperature, °C."""
+        return DESIGN_OUT_C + self.warmer_K
+
+    def ventilation_W_K(self, room: Room) -> float:
+        """Heat loss of a room by the mean infiltration, W/K."""
+        return AIR_WH_M3_K * HEIGHT_M * room.area_m2 * self.air_changes_1_h
+
+    @property
+    def loss_W_K(self) -> float:
+        """Heat loss coefficient to outdoors, ground excluded, W/K."""
+        return sum(room.opaque_W_K + room.windows_W_K + self.ventilation_W_K(room) for room in self.rooms)
+
+    @property
+    def design_load_W(self) -> float:
+        """Heat load at the design outdoor temperature and 20 °C in all rooms, without gains, W (EN 12831)."""
+        ground_W = sum(room.ground_W_K for room in self.rooms) * (DESIGN_ROOM_C - ground_C(self.warmer_K))
+        return self.loss_W_K * (DESIGN_ROOM_C - self.design_out_C) + ground_W
+
+    @property
+    def words(self) -> str:
+        """The house in one line."""
+        area = self.floor_area_m2
+        kinds = ", ".join(f"{room.name} ({room.emitter})" for room in self.rooms)
+        return (
+            f"{len(self.rooms)} rooms on {self.storeys} storey{'s' if self.storeys > 1 else ''}, {area:.0f} m2 "
+            f"{self.mass}, {self.loss_W_K / area:.1f} W/m2K, heat pump {self.heat_pump.capacity_W / 1e3:.1f} kW "
+            f"(x{self.sizing:.1f}), {self.pattern}: {kinds}"
+        )
+
+
+def core_W_m2K(U_W_m2K: float) -> float:
+    """Return the conductance between the structures of two rooms, W/m²K, of a wall of `U_W_m2K` from air to air."""
+    return 1.0 / (1.0 / U_W_m2K - 2.0 * _INSIDE_FILM_M2K_W)
+
+
+def curve_supply_C(
+    design_C: float, exponent: float, shift_K: float, limit_C: float, design_out_C: float, T_out_C: float
+) -> float:
+    """Return the supply temperature of a heating curve, see `Curve`, °C; arguments in °C and K."""
+    load = max((20.0 - T_out_C) / (20.0 - design_out_C), 0.0)
+    return float(min(20.0 + shift_K + (design_C - 20.0) * load ** (1.0 / exponent), limit_C))
+
+
+def full_capacity_W(capacity_W: float, per_K: float, design_out_C: float, T_out_C: float) -> float:
+    """Return the heat pump's capacity at `T_out_C`, W: between 0.5 and 1.6 times that at design."""
+    return capacity_W * min(max(1.0 + per_K * (T_out_C - design_out_C), 0.5), 1.6)
