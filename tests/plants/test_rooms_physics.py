@@ -71,7 +71,7 @@ def test_the_energy_balance_closes(emitters):
     rng = np.random.default_rng(0)
     for _ in range(48):
         levels = np.where(rng.uniform(size=5) < 0.3, np.nan, rng.uniform(size=5) * (rng.uniform(size=5) < 0.7))
-        plant.advance(levels, HOUR_S)
+        plant.advance([None if np.isnan(level) else level for level in levels], HOUR_S)
     _, rows = plant.recorded(40 * DAY_S, 42 * DAY_S)
     stored = rows[-1, physics.STORED] - rows[0, physics.STORED]
     into = physics.STEP_S * (rows[:, physics.HEAT] + rows[:, physics.GAIN] - rows[:, physics.LOSS])[1:].sum()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data import DAY_S, HOUR_S, Names
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.rooms import HouseOfRooms, draw_rooms, house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.schedule import bounds_C, gains_W, in_use, native_setpoints_C, people
@@ -28,7 +28,7 @@ def test_the_record_samples_temperatures_and_means_the_rest_at_any_step():
     for levels in applied.T:
         m = plant.advance(levels, 900.0)
     past = plant.past(900.0)
-    assert (past.zones, past.actuators, past.machines) == (plant.zones, plant.actuators, ("heat_pump",))
+    assert past.names == m.names == Names(plant.zones, plant.actuators, ("heat_pump",))
     assert past.time_s.size == 96 + 6 + 1
     assert past.time_s[-1] == 20 * DAY_S + 5400.0
     assert past.T_zone_C.shape == (3, 103)
@@ -51,7 +51,7 @@ def test_same_inputs_give_the_same_bytes_and_steps_may_be_split():
     for parts in (1, 3, 1):
         plant = plant_at(warmup=0.5)
         for _ in range(parts):
-            plant.advance([0.5, np.nan, None], 2700.0 / parts)
+            plant.advance([0.5, None, None], 2700.0 / parts)
         ends.append(plant.past(900.0).T_zone_C.tobytes() + plant.past(900.0).heat_W.tobytes())
     assert ends[0] == ends[2]
     np.testing.assert_allclose(np.frombuffer(ends[0]), np.frombuffer(ends[1]), rtol=1e-9)
@@ -191,9 +191,9 @@ def test_sun_reaches_a_room_through_its_own_facades():
 @pytest.mark.parametrize(
     ("levels", "message"),
     [
-        ([0.5, 1.2, 0.0], "bath_valve: level of 1.2"),
-        ([0.5, -0.1, 0.0], "bath_valve: level of -0.1"),
-        ([0.5, 0.1], "2 levels: expected 3, one for each of living_valve, bath_valve, bedroom_valve"),
+        ([0.5, 1.2, 0.0], "level of 1.2 for 'bath_valve'"),
+        ([0.5, -0.1, 0.0], "level of -0.1 for 'bath_valve'"),
+        ([0.5, 0.1], "levels of 2 actuators: expected one for each of living_valve, bath_valve, bedroom_valve"),
     ],
 )
 def test_wrong_levels_are_refused_by_name(levels, message):

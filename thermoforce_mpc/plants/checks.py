@@ -11,8 +11,8 @@ import numpy as np
 from thermoforce_mpc.boundary.weather.year import YEAR_S
 from thermoforce_mpc.data import DAY_S, SINGLE, Array, Bands, Block, Levels, Names, Period
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:

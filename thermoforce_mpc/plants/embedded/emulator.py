@@ -14,7 +14,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule

@@ -18,7 +18,7 @@ from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, Array, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.checks import (
-    check_level_and_duration,
+    check_levels,
     check_record_step,
     check_start,
     day_period,
@@ -192,7 +192,7 @@ class SmallOffice:
                 duration is no multiple of 5 min, or the plant was not reset.
             PlantError: the engine failed.
         """
-        check_level_and_duration(None, duration_s)
+        check_levels(None, duration_s)
         return self._measurement(self._advance(None if setpoint_C is None else _checked(setpoint_C), float(duration_s)))
 
     def forecast(self, horizon_s: float, interval_s: float) -> OfficeBoundary:

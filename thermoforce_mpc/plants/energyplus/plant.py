@@ -17,7 +17,7 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.checks import (
     check_levels,

@@ -107,7 +107,7 @@ class Scores:
 
 
 def _of_one_zone(testcase: TestCase) -> dict[str, tuple[str, ...]]:
-    """Signals of an FMU without kpis.json; raises `ConfigError` for several zones, whose bounds it would have to name."""
+    """Signals of an FMU without kpis.json; raises `ConfigError` for several zones, whose bounds it would not name."""
     m = testcase.metered
     return {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
 

@@ -3,14 +3,10 @@
 from thermoforce_mpc.plants.rooms.draw import draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms, house_of_rooms
-from thermoforce_mpc.plants.rooms.series import HouseForecast, HouseMeasurement, HouseRecord
 
 __all__ = [
     "DrawnHouse",
-    "HouseForecast",
-    "HouseMeasurement",
     "HouseOfRooms",
-    "HouseRecord",
     "draw_rooms",
     "house_of_rooms",
 ]

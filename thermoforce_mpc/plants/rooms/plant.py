@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -14,9 +13,9 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import Array, Period, PlantInfo
+from thermoforce_mpc.data import Array, Boundary, Layout, Levels, Measurement, Names, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_level_and_duration, check_record_step, check_start, forecast_times
+from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
 from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, discomfort_Kh, excess
@@ -24,7 +23,6 @@ from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
-from thermoforce_mpc.plants.rooms.series import HouseForecast, HouseMeasurement, HouseRecord
 from thermoforce_mpc.plants.weeks import week_or_day
 from thermoforce_mpc.version import VERSION
 
@@ -72,7 +70,8 @@ class HouseOfRooms:
     Attributes:
         house: what was drawn.
         weather: its synthetic year.
-        zones, actuators, machines: names by row of all arrays; valve i stands in room i.
+        layout: rooms, valves and the heat pump; valve i stands in room i.
+        zones, actuators, machines: names by row of all arrays.
         floor_area_m2: of each room, shape (Z,).
         design_heat_W: of each emitter, shape (A,).
         capacity_W: of the heat pump at the design outdoor temperature, shape (1,).
@@ -89,6 +88,16 @@ class HouseOfRooms:
         self.design_heat_W = np.array([room.emitter_W for room in house.rooms])
         self.capacity_W = np.array([house.heat_pump.capacity_W])
         self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
+        n = len(self.zones)
+        self.layout = Layout(
+            names=Names(self.zones, self.actuators, self.machines),
+            signs=(1,) * n,
+            home=tuple(range(n)),
+            machine_of=(0,) * n,
+            lowest=(0.0,) * n,
+            shares=tuple((self.design_heat_W / self.capacity_W).tolist()) if n > 1 else (0.0,),
+            floor_area_m2=tuple(self.floor_area_m2.tolist()),
+        )
         self._weather = weather_grid(house, self.weather)
         time_s = _year()
         self._gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
@@ -125,7 +134,7 @@ class HouseOfRooms:
             grid_s=physics.GRID_S,
         )
 
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> HouseMeasurement:
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
 
         All nodes begin at the room's lower bound in use. `price`: constant, dynamic or highly_dynamic.
@@ -149,8 +158,8 @@ class HouseOfRooms:
             self._advance(np.full(n, math.nan), self._start_s - self._now_s)
         return self._measured(math.nan)
 
-    def advance(self, levels: Sequence[float | None] | Array | None, duration_s: float) -> HouseMeasurement:
-        """Apply the valves' `levels` (A,) in [0, 1] for `duration_s`; None or NaN leaves a valve to its thermostat.
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
+        """Apply the valves' levels `u` (A,) in [0, 1] for `duration_s`; None leaves a valve to its thermostat.
 
         A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and
         the supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. The
@@ -159,25 +168,12 @@ class HouseOfRooms:
         Raises:
             InputError: a level is out of range or not one for each valve, or `duration_s` is out of range.
         """
-        n = len(self.actuators)
-        values = [None] * n if levels is None else list(levels)
-        if len(values) != n:
-            raise InputError(f"{len(values)} levels: expected {n}, one for each of {', '.join(self.actuators)}")
-        forced = np.full(n, math.nan)
-        for i, value in enumerate(values):
-            if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
-                continue
-            try:
-                check_level_and_duration(value, duration_s)
-            except InputError as error:
-                raise InputError(f"{self.actuators[i]}: {error}") from None
-            forced[i] = value
-        check_level_and_duration(None, duration_s)
+        block = check_levels(u, duration_s, names=self.layout.names)
         before_s = self._now_s
-        self._advance(forced, float(duration_s))
+        self._advance(block.as_array(), block.duration_s)
         return self._measured(before_s)
 
-    def forecast(self, horizon_s: float, interval_s: float) -> HouseForecast:
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return boundary conditions from now to `horizon_s` ahead every `interval_s`: a perfect weather forecast.
 
         Raises:
@@ -185,7 +181,7 @@ class HouseOfRooms:
         """
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         lower, upper = schedule.bounds_C(self.house, time_s)
-        return HouseForecast(
+        return Boundary(
             time_s=time_s,
             T_out_C=self.weather.at("T_dry_C", time_s),
             solar_W_m2=self.weather.at("global_W_m2", time_s),
@@ -194,9 +190,10 @@ class HouseOfRooms:
             upper_C=upper,
             price_per_kWh=self._tariffs[self._price](time_s)[None],
             emission_kg_per_kWh=np.full((1, time_s.size), tariffs.EMISSION_KG_PER_KWH),
+            names=self.layout.names,
         )
 
-    def past(self, step_s: float) -> HouseRecord:
+    def past(self, step_s: float) -> Record:
         """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
 
         Raises:
@@ -211,10 +208,8 @@ class HouseOfRooms:
             return np.interp(edges, times, rows[:, column])
 
         rooms, valves, heats = self._blocks()
-        return HouseRecord(
-            zones=self.zones,
-            actuators=self.actuators,
-            machines=self.machines,
+        return Record(
+            names=self.layout.names,
             time_s=edges,
             T_zone_C=np.array([sampled(column) for column in rooms]),
             T_out_C=sampled(physics.OUTDOOR),
@@ -326,7 +321,7 @@ class HouseOfRooms:
         self._rows[self._n : self._n + n], self._times[self._n : self._n + n] = rows, time_s
         self._n += n
 
-    def _measured(self, before_s: float) -> HouseMeasurement:
+    def _measured(self, before_s: float) -> Measurement:
         """Return the state now and means since `before_s` (NaN: no means)."""
         rooms, valves, heats = self._blocks()
         row = self._rows[self._n - 1]
@@ -336,7 +331,8 @@ class HouseOfRooms:
             time_s, rows = self.recorded(before_s, self._now_s)
             means = means_between(time_s, rows[:, columns].T, np.array([before_s, self._now_s]))[:, 0]
         n = len(self.actuators)
-        return HouseMeasurement(
+        return Measurement(
+            names=self.layout.names,
             time_s=self._now_s,
             T_zone_C=row[rooms].copy(),
             T_out_C=float(row[physics.OUTDOOR]),
@@ -344,7 +340,7 @@ class HouseOfRooms:
             u=means[:n],
             heat_W=means[n : 2 * n],
             power_W=means[2 * n : 2 * n + 1],
-            T_supply_C=means[2 * n + 1 :],
+            points={"T_supply_C": float(means[2 * n + 1])},
         )
 
     def _first_row(self) -> Array:
