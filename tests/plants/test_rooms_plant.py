@@ -8,8 +8,10 @@ import pytest
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S, HOUR_S, Names
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.plants.rooms import HouseOfRooms, draw_rooms, house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.schedule import bounds_C, gains_W, in_use, native_setpoints_C, people
+from thermoforce_mpc.protocols import Plant
 
 SEED = 7
 TUESDAY = 7 * DAY_S
@@ -44,6 +46,16 @@ def test_the_record_samples_temperatures_and_means_the_rest_at_any_step():
     np.testing.assert_allclose(coarse.power_W, past.power_W.reshape(1, -1, 2).mean(axis=2))
     np.testing.assert_array_equal(coarse.T_zone_C, past.T_zone_C[:, ::2])
     assert plant.past(5 * DAY_S).u.shape == (3, 0)
+
+
+def test_it_is_a_plant_whose_layout_says_what_each_valve_serves():
+    plant = plant_at()
+    assert isinstance(plant, Plant)
+    layout = plant.layout
+    assert [layout.actuators_of(z) for z in range(3)] == [[0], [1], [2]]
+    assert layout.fed_by(0) == [0, 1, 2]
+    assert layout.shares == pytest.approx(plant.design_heat_W / plant.capacity_W)
+    assert plant.forecast(HOUR_S, 900.0).names == layout.names
 
 
 def test_same_inputs_give_the_same_bytes_and_steps_may_be_split():
@@ -86,6 +98,7 @@ def test_discomfort_is_by_room_and_the_total_is_the_mean_over_rooms():
     assert tuple(rooms) == plant.zones
     assert max(rooms.values()) > 1.0
     assert kpis["tdis_tot"] == pytest.approx(expected.mean())
+    assert zone_kpis(kpis) == pytest.approx(rooms)
     energy_kWh = np.trapezoid(rows[:, physics.POWER], time_s) / 3.6e6
     assert kpis["ener_tot"] == pytest.approx(energy_kWh / plant.floor_area_m2.sum())
     assert kpis["cost_tot"] == pytest.approx(kpis["ener_tot"] * tariffs.CONSTANT)

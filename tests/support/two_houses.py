@@ -5,20 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from simple_house import SimpleHouse
+from simple_house import SimpleHouse, simple_model
 
-from thermoforce_mpc.data import CONDITIONS, Measurement, Names, Record
+from thermoforce_mpc.data import ACTING, CONDITIONS, Measurement, Names, Observation, Record
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.checks import check_levels
 
 TWO = Names(("bath", "hall"), ("radiator", "floor"), ("boiler", "heat pump"))
 
 
 class TwoHouses:
-    """Two simple houses as the zones of one building; the level of the second is not measured."""
+    """Two simple houses as the zones of one building; the level of the second is not measured.
 
-    def __init__(self) -> None:
-        self.houses = (SimpleHouse(), SimpleHouse(T_start_C=19.0))
-        self.info = self.houses[0].info
+    `lower_K`: added to the lower bound of the second, K.
+    """
+
+    def __init__(self, first=None, second=None, lower_K=0.0) -> None:
+        self.houses = (first or SimpleHouse(), second or SimpleHouse(T_start_C=19.0))
+        self.info, self.lower_K = self.houses[0].info, lower_K
 
     def _both(self, parts):
         def rows(name):
@@ -50,6 +55,7 @@ class TwoHouses:
             name: np.repeat(getattr(one, name), 2, axis=0) for name in CONDITIONS if np.ndim(getattr(one, name)) == 2
         }
         both["upper_C"] = both["upper_C"] + np.array([[0.0], [1.0]])
+        both["lower_C"] = both["lower_C"] + np.array([[0.0], [self.lower_K]])
         return replace(one, **both, names=TWO)
 
     def past(self, step_s):
@@ -66,3 +72,41 @@ class TwoHouses:
 
     def close(self):
         pass
+
+
+def two_model(competence=(None, None)) -> ThermalModel:
+    """The exact model of two houses at hourly steps, with verdicts on them."""
+    zone = simple_model().only
+    pair = zone.operator
+    operator = BuildingOperator(TWO.zones, TWO.actuators, ((pair, None), (None, pair)), (0, 1))
+    cards = tuple(replace(zone.card, competence=one) for one in competence)
+    return ThermalModel(operator, (zone.power,) * 2, (None,) * 2, cards, TWO.machines, (0, 1), (0.0, 0.0))
+
+
+def two_observation(hours=24, houses=None) -> Observation:
+    """Two days of both houses under native control, and the forecast."""
+    houses = houses or TwoHouses()
+    houses.reset(10 * 86400.0, 2 * 86400.0)
+    parts = [house.past(3600.0) for house in houses.houses]
+    rows = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("T_zone_C", *ACTING)}
+    weather = {name: getattr(parts[0], name) for name in ("time_s", "T_out_C", "solar_W_m2")}
+    return Observation(Record(**weather, **rows, names=TWO), houses.forecast(hours * 3600.0, 3600.0))
+
+
+def reordered(observation: Observation, zones, actuators, machines) -> Observation:
+    """The same building with its zones, actuators and machines in another order."""
+    old = observation.names
+    axes = {"zones": list(zones), "actuators": list(actuators), "machines": list(machines)}
+    names = Names(*(tuple(getattr(old, kind)[i] for i in order) for kind, order in axes.items()))
+    history, boundary = observation.history, observation.boundary
+    of = {name: axes["zones"] for name in ("T_zone_C", "occupancy", "lower_C", "upper_C")}
+    of |= dict.fromkeys(("u", "heat_W"), axes["actuators"])
+    of |= {
+        name: axes["machines"]
+        for name in ("power_W", "T_return_C", "price_per_kWh", "emission_kg_per_kWh", "heating_price_per_kWh")
+    }
+
+    def part(data):
+        return {name: getattr(data, name)[rows] for name, rows in of.items() if hasattr(data, name)}
+
+    return Observation(replace(history, **part(history), names=names), replace(boundary, **part(boundary), names=names))

@@ -1,0 +1,124 @@
+"""Several actuators together: blocks of all from blocks of each, and on/off blocks of those that share a machine."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.actuators import Actuators, merged
+from thermoforce_mpc.data import Block, Layout, Names
+
+STEP_S = 900.0
+
+
+def layout(actuators: int, machine_of: tuple[int, ...]) -> Layout:
+    names = Names(
+        tuple(f"room {a}" for a in range(actuators)),
+        tuple(f"valve {a}" for a in range(actuators)),
+        tuple(f"machine {m}" for m in range(max(machine_of) + 1)),
+    )
+    return Layout(
+        names,
+        (1,) * actuators,
+        tuple(range(actuators)),
+        machine_of,
+        (0.0,) * actuators,
+        (0.5,) * actuators,
+        (float("nan"),) * actuators,
+    )
+
+
+def switched(actuators: int, machine_of: tuple[int, ...], **options) -> Actuators:
+    options = {"block_s": 300.0, "min_on_s": 600.0, "min_off_s": 600.0, **options}
+    return Actuators(layout(actuators, machine_of), [Actuation(ActuationConfig(**options))] * actuators)
+
+
+def mean_levels(blocks: tuple[Block, ...]) -> np.ndarray:
+    return sum(block.as_array() * block.duration_s for block in blocks) / sum(block.duration_s for block in blocks)
+
+
+def test_blocks_of_all_change_wherever_those_of_one_change():
+    first = (Block(0.0, 300.0), Block(1.0, 600.0))
+    second = (Block(0.4, 600.0), Block(0.0, 300.0, (20.0, 24.0)))
+    assert [(block.u, block.duration_s, block.band_C) for block in merged([first, second, (Block(None, 900.0),)])] == [
+        ((0.0, 0.4, None), 300.0, (None, None, None)),
+        ((1.0, 0.4, None), 300.0, (None, None, None)),
+        ((1.0, 0.0, None), 300.0, (None, (20.0, 24.0), None)),
+    ]
+
+
+def test_ends_that_differ_by_rounding_are_one():
+    thirds = (Block(1.0, 0.1 + 0.2), Block(0.0, 0.6))
+    others = (Block(1.0, 0.3), Block(0.0, 0.6))
+    assert [block.u for block in merged([thirds, others])] == [(1.0, 1.0), (0.0, 0.0)]
+
+
+def test_actuators_of_one_machine_are_on_together_and_of_two_each_as_it_is():
+    states = (ActuationState(on=False, held_s=3600.0), ActuationState(on=True, held_s=3600.0))
+    apart = switched(2, (0, 1)).realise([2 / 3, 1 / 3], STEP_S, states).together()
+    assert [(block.u, block.duration_s) for block in apart] == [((0.0, 1.0), 300.0), ((1.0, 0.0), 600.0)]
+    one = switched(2, (0, 0)).realise([2 / 3, 1 / 3], STEP_S, states).together()
+    assert [(block.u, block.duration_s) for block in one] == [
+        ((1.0, 1.0), 300.0),
+        ((1.0, 0.0), 300.0),
+        ((0.0, 0.0), 300.0),
+    ], "the machine runs: all at the start"
+    standing = (ActuationState(held_s=3600.0),) * 2
+    one = switched(2, (0, 0)).realise([2 / 3, 1 / 3], STEP_S, standing).together()
+    assert [block.u for block in one] == [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], "it stands: all at the end"
+
+
+def test_a_machine_that_one_actuator_started_keeps_running_its_minimum_for_the_other():
+    actuators = switched(2, (0, 0))
+    first = actuators.realise([1 / 3, 0.0], STEP_S, (ActuationState(held_s=3600.0),) * 2)
+    assert [block.u for block in first.together()] == [(0.0, 0.0), (1.0, 0.0)]
+    second = actuators.realise([0.0, 1 / 3], STEP_S, first.states).together()
+    assert (second[0].u, second[0].duration_s) == ((0.0, 1.0), 300.0), "one run of 600 s, not two of 300 s"
+
+
+def test_the_longest_share_leads_where_levels_differ():
+    layout_ = layout(2, (0, 0))
+    half = Actuation(ActuationConfig(block_s=300.0, level=0.5))
+    full = Actuation(ActuationConfig(block_s=300.0))
+    acted = Actuators(layout_, [half, full]).realise([0.5, 2 / 3], STEP_S, (ActuationState(held_s=3600.0),) * 2)
+    assert mean_levels(acted.together()) == pytest.approx([0.5, 2 / 3]), "half level for all of the step"
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1)), min_size=2, max_size=30))
+def test_a_shared_machine_keeps_its_minimum_times_and_every_actuator_its_share(demands):
+    actuators, states = switched(3, (0, 0, 1)), (ActuationState(held_s=3600.0),) * 3
+    on = []
+    for demand in demands:
+        acted = actuators.realise(demand, STEP_S, states)
+        states, blocks = acted.states, acted.together()
+        assert sum(block.duration_s for block in blocks) == pytest.approx(STEP_S)
+        for block in blocks:
+            on += [block.u[0] > 0 or block.u[1] > 0] * round(block.duration_s / 300.0)
+        longest = max(sum(block.duration_s for block in one if block.u[0]) for one in acted.blocks[:2])
+        assert sum(b.duration_s for b in blocks if b.u[0] or b.u[1]) == pytest.approx(longest), "on together"
+    runs = [len(list(group)) for _, group in itertools.groupby(on)]
+    assert all(run * 300.0 >= 600.0 for run in runs[1:-1])
+
+
+@pytest.mark.parametrize("shares", [(0.1, 0.07), (0.3, 0.05), (0.5, 0.5)])
+def test_shares_shorter_than_a_block_are_owed_on_a_shared_machine_too(shares):
+    actuators, states = switched(2, (0, 0)), (ActuationState(held_s=3600.0),) * 2
+    means = []
+    for _ in range(80):
+        acted = actuators.realise(shares, STEP_S, states)
+        states = acted.states
+        means.append(mean_levels(acted.together()))
+    assert np.mean(means, axis=0) == pytest.approx(shares, abs=0.02)
+
+
+def test_native_control_of_one_leaves_the_other_its_blocks():
+    acted = switched(2, (0, 0)).realise([None, 2 / 3], STEP_S, (ActuationState(held_s=3600.0),) * 2)
+    assert [block.u for block in acted.together()] == [(None, 0.0), (None, 1.0)]
+    assert acted.states[0].native
+    assert acted.states[1].on

@@ -1,0 +1,310 @@
+"""Two zones, each with an actuator of its own: what happens to the one is no business of the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from two_houses import TWO, TwoHouses, reordered, two_model, two_observation
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.own_record import own_record
+from controllers.pi import PIController
+from controllers.planner import MPCState
+from controllers.problem import Solution
+from controllers.thermostat import Thermostat
+from controllers.watch import WatchState
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+
+CONDEMNED = Competence(False, reasons=("6 h ahead it errs by 7.00 K, need 1 K",), effect_K=7.0, effect_sd_K=5.0)
+LAYOUT = Layout(TWO, (1, 1), (0, 1), (0, 1), (0.0,) * 2, (0.0,) * 2, (60.0, 40.0))
+RADIATOR, FLOOR = range(2)
+
+
+def mpc(model: ThermalModel | None = None, free=None, **options) -> ThermoForceMPC:
+    config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
+    return ThermoForceMPC(model or two_model(), config, free_response=free or OutdoorResponse())
+
+
+def level(plan, actuator: int) -> float | None:
+    """Mean level of an actuator over the step; None under native control."""
+    levels = [block.u[actuator] for block in plan.blocks]
+    if None in levels:
+        assert set(levels) == {None}
+        return None
+    return sum(u * block.duration_s for u, block in zip(levels, plan.blocks, strict=True)) / HOUR_S
+
+
+def silenced(observation: Observation, zone: int) -> Observation:
+    T = observation.history.T_zone_C.copy()
+    T[zone] = np.nan
+    return replace(observation, history=replace(observation.history, T_zone_C=T))
+
+
+def test_each_zone_follows_its_own_bound_as_if_it_were_alone():
+    seen = two_observation(houses=TwoHouses(lower_K=1.0))
+    both = mpc().plan(seen)
+    assert both.status is PlanStatus.SOLVED
+    assert both.acting == (PlanStatus.SOLVED,) * 2
+    for z in range(2):
+        boundary = {
+            name: getattr(seen.boundary, name)[z]
+            for name in ("occupancy", "lower_C", "upper_C", "price_per_kWh", "emission_kg_per_kWh")
+        }
+        weather = {name: getattr(seen.boundary, name) for name in ("time_s", "T_out_C", "solar_W_m2")}
+        alone = mpc(simple_model()).plan(
+            Observation(seen.history.part(z, [z], [z]), type(seen.boundary)(**weather, **boundary))
+        )
+        np.testing.assert_allclose(both.u[z], alone.u[0], atol=1e-3)
+        np.testing.assert_allclose(both.T_zone_C[z], alone.T_zone_C[0], atol=2e-3)
+
+
+def test_in_closed_loop_both_zones_are_warm_and_names_say_which_binds():
+    result = run_closed_loop(TwoHouses(lower_K=1.0), mpc(), SimpleHouse().period("x"))
+    assert {step.plan.acting for step in result.steps[24:]} == {(PlanStatus.SOLVED,) * 2}
+    T = np.array([sample.T_zone_C for sample in result.samples[len(result.samples) // 2 :]])
+    lower = np.array([sample.lower_C for sample in result.samples[len(result.samples) // 2 :]])
+    assert (T - lower).min() > -0.25
+    night = lower[:, 0] > 20
+    assert (T - lower)[night].mean(axis=0) == pytest.approx([0.2, 0.2], abs=0.2), "no warmer than need be"
+    assert any(" in bath" in step.plan.why for step in result.steps)
+    assert any(" in hall" in step.plan.why for step in result.steps)
+
+
+@pytest.mark.parametrize("closed", [RADIATOR, FLOOR])
+def test_a_condemned_model_of_one_leaves_the_other_to_the_plan(closed):
+    seen = two_observation()
+    verdicts = tuple(CONDEMNED if a == closed else None for a in range(2))
+    plan, free = mpc(two_model(verdicts)).plan(seen), mpc().plan(seen)
+    other = 1 - closed
+    assert plan.status is PlanStatus.GATE
+    assert (plan.acting[closed], plan.acting[other]) == (PlanStatus.GATE, PlanStatus.SOLVED)
+    assert plan.why.startswith(f"{TWO.actuators[closed]}: gate: the model is ")
+    assert ": native control; " in plan.why
+    assert level(plan, closed) is None
+    assert level(plan, other) == level(free, other)
+    assert plan.state.actuation[closed].native
+    assert not plan.state.actuation[other].native
+
+
+def test_where_all_stand_back_each_has_its_own_reason_and_level():
+    controller = mpc(two_model((None, CONDEMNED)), fallback={"stand_back": "rule"})
+    seen = two_observation()
+    T = seen.history.T_zone_C.copy()
+    T[:, -1] = 19.0, 23.0
+    seen = replace(seen, history=replace(seen.history, T_zone_C=T))
+    alarmed = WatchState(alarm="it is colder than predicted", since_s=seen.time_s, wait_h=12.0)
+    state = replace(first_state(seen), watch=(alarmed, WatchState()))
+    plan = controller.plan(seen, state)
+    assert plan.acting == (PlanStatus.WATCH, PlanStatus.GATE)
+    assert plan.status is PlanStatus.WATCH
+    assert plan.why.index("radiator: watch: it is colder") < plan.why.index("floor: gate: ")
+    assert [level(plan, a) for a in range(2)] == [1.0, 0.0], "the cold zone is heated, not the other"
+    gated = mpc(two_model((CONDEMNED, CONDEMNED))).plan(seen)
+    assert gated.acting == (PlanStatus.GATE,) * 2
+    assert [block.u for block in gated.blocks] == [(None, None)]
+
+
+def first_state(seen: Observation) -> MPCState:
+    state = mpc().plan(seen).state
+    assert isinstance(state, MPCState)
+    return state
+
+
+class Stuck(SimpleHouse):
+    """From the second day on its actuator does nothing, which is measured."""
+
+    def _advance(self, u, duration_s):
+        return super()._advance(0.0 if 11 * DAY_S <= self.now_s < 12 * DAY_S else u, duration_s)
+
+
+def test_an_actuator_that_fails_is_handed_back_alone_and_returns():
+    period = replace(SimpleHouse().period("x"), scored_s=5 * DAY_S)
+    result = run_closed_loop(TwoHouses(first=Stuck()), mpc(), period)
+    held = [step for step in result.steps if step.plan.acting[RADIATOR] is PlanStatus.WATCH]
+    assert held
+    assert 11 * DAY_S < held[0].time_s <= 12 * DAY_S
+    assert held[-1].time_s < result.steps[-1].time_s, "control returned"
+    for step in held:
+        assert step.plan.status is PlanStatus.WATCH
+        assert "radiator: watch: the actuator does not follow" in step.plan.why
+        assert all(sample.u_applied[RADIATOR] is None for sample in step.samples)
+    assert {step.plan.acting[FLOOR] for step in result.steps} == {PlanStatus.SOLVED}
+    lower = np.array([s.lower_C[1] for s in result.samples[24:]])
+    assert (np.array([s.T_zone_C[1] for s in result.samples[24:]]) - lower).min() > -0.3
+
+
+class Warm(OutdoorResponse):
+    """A forecast that is finite, confident and 12 K too warm."""
+
+    def forecast(self, free_C, history, boundary):
+        right = super().forecast(free_C, history, boundary)
+        return replace(right, quantiles_C=right.quantiles_C + 12.0)
+
+
+@pytest.mark.parametrize("cold", [RADIATOR, FLOOR])
+def test_the_guard_acts_in_the_zone_that_is_outside_and_in_no_other(cold):
+    houses = [SimpleHouse(), SimpleHouse()]
+    houses[cold] = SimpleHouse(T_start_C=17.0)
+    plant = TwoHouses(*houses)
+    plant.reset(10 * DAY_S, 0.0)
+    seen = Observation(plant.past(900.0), plant.forecast(DAY_S, HOUR_S))
+    free = [OutdoorResponse(), OutdoorResponse()]
+    free[cold] = Warm()
+    plan = mpc(free=free, actuation={"mode": "modulating", "lowest_level": 0.0}).plan(seen)
+    other = 1 - cold
+    assert plan.status is PlanStatus.GUARD
+    assert (plan.acting[cold], plan.acting[other]) == (PlanStatus.GUARD, PlanStatus.SOLVED)
+    assert plan.why.startswith(f"{TWO.actuators[cold]}: guard: ")
+    assert level(plan, cold) == 1.0
+    assert plan.u[cold, 0] < 0.5, "the plan itself stays readable"
+    assert level(plan, other) == pytest.approx(plan.u[other, 0], abs=0.01)
+
+
+@pytest.mark.parametrize("silent", [0, 1])
+def test_a_zone_without_a_reading_goes_to_native_control_and_the_other_follows_the_plan(silent):
+    seen = two_observation()
+    plan, healthy = mpc().plan(silenced(seen, silent)), mpc().plan(seen)
+    other = 1 - silent
+    assert plan.status is PlanStatus.THERMOSTAT
+    assert (plan.acting[silent], plan.acting[other]) == (PlanStatus.THERMOSTAT, PlanStatus.SOLVED)
+    assert level(plan, silent) is None
+    assert level(plan, other) == pytest.approx(level(healthy, other), abs=1e-6)
+    np.testing.assert_allclose(plan.u[other], healthy.u[other], atol=1e-3)
+    zone = TWO.zones[silent]
+    assert f"{TWO.actuators[silent]}: the temperature of {zone} was never measured: native control" in plan.why
+    assert f"T_zone_C[{zone}]: never measured, the mean free response of the other zones" in plan.why
+    assert np.isfinite(plan.T_zone_C).all()
+    assert np.isnan(plan.state.good.T_zone_C[silent]).all(), "nothing that was not predicted is held against a reading"
+    assert not plan.state.watch[silent].tracks[0].pending
+    assert plan.state.watch[other].tracks[0].pending
+
+
+def test_a_sensor_that_is_silent_for_a_whole_run_and_one_that_comes_back():
+    class Silent(SimpleHouse):
+        def _measure(self, u=np.nan):
+            measurement = super()._measure(u)
+            return replace(measurement, T_zone_C=np.nan) if self.now_s < self.silent_until_s else measurement
+
+    for until_s in (np.inf, 11 * DAY_S):
+        house = Silent()
+        house.silent_until_s = until_s
+        result = run_closed_loop(TwoHouses(first=house), mpc(), SimpleHouse().period("x"))
+        assert {step.plan.acting[FLOOR] for step in result.steps[24:]} == {PlanStatus.SOLVED}
+        radiator = [step.plan.acting[RADIATOR] for step in result.steps]
+        n = len(radiator) if until_s == np.inf else 24
+        assert set(radiator[:n]) == {PlanStatus.THERMOSTAT}
+        assert set(radiator[n:]) <= {PlanStatus.SOLVED}
+        hall = [(s.T_zone_C[1] - s.lower_C[1]) for step in result.steps[24:] for s in step.samples]
+        assert min(hall) > -0.3
+
+
+def test_two_silent_sensors_are_no_prediction():
+    seen = silenced(silenced(two_observation(), 0), 1)
+    plan = mpc().plan(seen)
+    assert plan.acting == (PlanStatus.THERMOSTAT,) * 2
+    assert plan.why.startswith("no prediction (")
+    assert [block.u for block in plan.blocks] == [(None, None)]
+    with pytest.raises(DataError, match="never measured"):
+        mpc().predictor.context(seen)
+
+
+class Failing:
+    def solve(self, problem, guess=None) -> Solution:
+        return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
+
+
+def test_after_a_failed_solve_each_actuator_falls_back_by_its_own_zone():
+    controller, seen = mpc(), two_observation()
+    plan = controller.plan(seen)
+    later = replace(
+        seen,
+        history=replace(seen.history, time_s=seen.history.time_s + HOUR_S),
+        boundary=replace(seen.boundary, time_s=seen.boundary.time_s + HOUR_S),
+    )
+    T = later.history.T_zone_C.copy()
+    T[:, -1] = plan.T_zone_C[:, 0]
+    T[1, -1] = 17.0
+    later = replace(later, history=replace(later.history, T_zone_C=T))
+    controller._base = replace(controller._base, solver=Failing())
+    after = controller.plan(later, plan.state)
+    assert after.acting == (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT)
+    assert after.status is PlanStatus.THERMOSTAT
+    assert "radiator: following the previous plan" in after.why
+    assert "floor: 17.00 °C against" in after.why
+    assert level(after, FLOOR) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("zones", "actuators", "machines"),
+    [((1, 0), (0, 1), (0, 1)), ((0, 1), (1, 0), (0, 1)), ((0, 1), (0, 1), (1, 0)), ((1, 0), (1, 0), (1, 0))],
+)
+def test_the_order_of_zones_actuators_and_machines_does_not_matter(zones, actuators, machines):
+    seen = two_observation(houses=TwoHouses(lower_K=1.0))
+    model = two_model((None, CONDEMNED))
+    # A cheaper second machine and a weak effect of each on the other's zone.
+    weak = replace(simple_model().only.operator, gains=0.2 * simple_model().only.operator.gains)
+    pairs = ((model.operator.pairs[0][0], weak), (weak, model.operator.pairs[1][1]))
+    model = replace(model, operator=replace(model.operator, pairs=pairs))
+    seen = replace(
+        seen, boundary=replace(seen.boundary, price_per_kWh=seen.boundary.price_per_kWh * np.array([[1.0], [0.5]]))
+    )
+    turned = ThermalModel(
+        BuildingOperator(
+            tuple(TWO.zones[z] for z in zones),
+            tuple(TWO.actuators[a] for a in actuators),
+            tuple(tuple(pairs[z][a] for a in actuators) for z in zones),
+            tuple(zones.index(model.operator.home[a]) for a in actuators),
+        ),
+        tuple(model.power[m] for m in machines),
+        model.free,
+        tuple(model.cards[a] for a in actuators),
+        tuple(TWO.machines[m] for m in machines),
+        tuple(machines.index(model.machine_of[a]) for a in actuators),
+        (0.0, 0.0),
+    )
+    plan = mpc(model).plan(seen)
+    other = mpc(turned).plan(reordered(seen, zones, actuators, machines))
+    np.testing.assert_allclose(other.u, plan.u[list(actuators)], atol=2e-3)
+    np.testing.assert_allclose(other.T_zone_C, plan.T_zone_C[list(zones)], atol=2e-3)
+    np.testing.assert_allclose(other.power_W, plan.power_W[list(machines)], atol=10.0)
+    assert other.acting == tuple(plan.acting[a] for a in actuators)
+    assert [level(other, i) for i in range(2)] == pytest.approx([level(plan, a) for a in actuators], abs=1e-6)
+
+
+def test_a_building_of_other_names_is_refused():
+    seen = two_observation()
+    with pytest.raises(DataError, match="another building"):
+        mpc().plan(reordered(seen, (1, 0), (0, 1), (0, 1)))
+
+
+def test_what_the_other_actuator_did_is_taken_out_of_a_zones_record():
+    model, seen = two_model(), two_observation()
+    forced_K = mpc(model).predictor.followed(seen.history).forced_K
+    apart = own_record(model, seen.history, forced_K, RADIATOR)
+    np.testing.assert_array_equal(apart.T_zone_C[0], seen.history.T_zone_C[0])
+    pair = model.operator.pairs[0][0]
+    coupled = replace(model, operator=replace(model.operator, pairs=((pair, pair), (None, pair))))
+    forced_K = mpc(coupled).predictor.followed(seen.history).forced_K
+    own = own_record(coupled, seen.history, forced_K, RADIATOR)
+    np.testing.assert_allclose(own.T_zone_C[0], seen.history.T_zone_C[0] - forced_K[0, FLOOR].sum(axis=-1))
+    assert np.abs(own.T_zone_C - seen.history.T_zone_C[:1]).max() > 0.5
+    assert own.names.actuators == ("radiator",)
+    assert np.isnan(own_record(coupled, seen.history, None, RADIATOR).T_zone_C).all(), "not known, so not judged"
+
+
+@pytest.mark.parametrize("kind", [Thermostat, PIController])
+def test_rules_act_zone_by_zone(kind):
+    plant = TwoHouses(SimpleHouse(T_start_C=17.0), SimpleHouse(T_start_C=17.0))
+    plant.reset(10 * DAY_S, 0.0)
+    seen = Observation(plant.past(900.0), plant.forecast(DAY_S, kind().step_s))
+    plan = kind(layout=LAYOUT).plan(silenced(seen, 0))
+    assert [block.u for block in plan.blocks] == [(None, 1.0)]
+    assert "radiator: zone temperature missing: native control" in plan.why
