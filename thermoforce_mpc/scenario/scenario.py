@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from pydantic import Field, field_validator, model_validator
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import Price, TestCase
 
@@ -98,11 +99,22 @@ class Scenario(StrictModel):
         return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
+# Test cases that are drawn instead of read, by prefix: where the function stands that makes one from its name.
+_DRAWN = {"house": "thermoforce_mpc.plants.rooms.testcase:house_testcase"}
+
+
 def load_testcase(name: str) -> TestCase:
     """Read a test case by name or YAML path; raises `ConfigError`.
 
-    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`.
+    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`; `house:Nrooms` is drawn.
     """
+    prefix = name.partition(":")[0]
+    if prefix in _DRAWN and ":" in name:
+        module, function = _DRAWN[prefix].split(":")
+        try:
+            return cast(TestCase, getattr(importlib.import_module(module), function)(name))
+        except InputError as error:
+            raise ConfigError(f"testcase: {error}") from error
     path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1))
     return validate(TestCase, read_yaml(path), str(path))
 

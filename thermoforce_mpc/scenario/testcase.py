@@ -128,6 +128,9 @@ class TestCase(StrictModel):
     defaults: Defaults = Defaults()
     energyplus: EnergyPlusZone | None = Field(None, description="EnergyPlus zone of this test case")
     embedded: bool = Field(False, description="whether the embedded emulator implements this test case")
+    plant: Literal["rooms", "small_office"] | None = Field(
+        None, description="plant of our own with several zones that implements this test case"
+    )
 
     @property
     def layout(self) -> Layout:

@@ -41,6 +41,16 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
 
     tariff = tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
+    if testcase.plant == "rooms":
+        from thermoforce_mpc.plants.rooms import house_of_rooms
+
+        return house_of_rooms(testcase.name)
+    if testcase.plant == "small_office":
+        from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
+
+        return SmallOfficePlant(testcase, highly_dynamic=tariff, forecast_error=error)
+    if testcase.zones:
+        raise ConfigError(f"test case '{testcase.name}' has several zones: run it with --url or --fmu")
     if testcase.energyplus is not None:
         from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
 
