@@ -57,7 +57,7 @@ def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
 def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     """One row per plan: status, solver status, computing times, first predicted step, and reason.
 
-    Temperatures have a column per zone and levels one per actuator, by `Names.label`.
+    Temperatures have a column per zone and levels and what acted one per actuator, by `Names.label`.
     """
     rows = []
     for step in steps:
@@ -79,6 +79,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
                 "time_s": step.time_s,
                 **{names.label("T_zone_C", z): float(T) for z, T in enumerate(step.T_zone_C)},
                 "status": plan.status.value,
+                **_by_actuator(plan, names),
                 "solver_status": plan.solver_status,
                 "iterations": plan.iterations,
                 **first("u_planned", "u"),
@@ -98,6 +99,14 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def _by_actuator(plan: Plan, names: Names) -> dict[str, str]:
+    """What acted at each actuator, where there are several."""
+    if len(names.actuators) == 1:
+        return {}
+    acting = plan.acting if len(plan.acting) == len(names.actuators) else (plan.status,) * len(names.actuators)
+    return {f"status[{name}]": status.value for name, status in zip(names.actuators, acting, strict=True)}
 
 
 def environment() -> dict[str, str]:

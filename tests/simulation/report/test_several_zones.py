@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.display import LoopDisplay, RunDisplay
 from thermoforce_mpc.simulation.report import write_report
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
+from thermoforce_mpc.simulation.run_folder import steps_frame
 
 N = 6
 LAYOUT = Layout(TWO, (1, 1), (1, 0), (0, 1), (0.0, 0.0), (0.0, 0.0), (60.0, 40.0))
@@ -72,6 +74,14 @@ def test_the_report_has_a_row_per_zone_and_a_panel_per_actuator_and_machine(resu
     first = result.steps[0]
     assert f"{first.T_zone_C[0]:.2f}, {first.T_zone_C[1]:.2f}" in page
     assert "0.50, 0.25" in page
+
+
+def test_the_step_log_says_what_acted_at_each_actuator(result):
+    step = result.steps[0]
+    partly = replace(step.plan, acting=(PlanStatus.SOLVED, PlanStatus.THERMOSTAT))
+    frame = steps_frame([step, replace(step, plan=partly)])
+    assert frame["status[radiator]"].tolist() == ["solved", "solved"]
+    assert frame["status[floor]"].tolist() == ["solved", "thermostat"]
 
 
 def test_prediction_errors_are_told_zone_by_zone(result):
