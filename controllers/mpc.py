@@ -180,8 +180,8 @@ class ThermoForceMPC(Acting):
 
     def _silent(self, observation: Observation) -> dict[int, Held]:
         """The actuators of zones that were never measured, where others were."""
-        known = np.isfinite(observation.history.T_zone_C).any(axis=1)
-        if not known.any():  # there is no prediction at all
+        known = [bool(np.isfinite(row).any()) for row in observation.history.T_zone_C]
+        if not any(known):  # there is no prediction at all
             return {}
         return {
             a: Held(PlanStatus.THERMOSTAT, f"the temperature of {self._layout.names.zones[z]} was never measured")

@@ -1,7 +1,8 @@
 """A zone as if only its own actuator acted: record and prediction with the effect of all others taken out.
 
 Adaptation and watch judge one actuator on its home zone. What the others did to it is known from their measured levels
-and the model, so it is subtracted from the temperature; for one actuator nothing is.
+and the model, so it is subtracted from the temperature; for one actuator nothing is. The power of a machine that feeds
+others too says nothing of one of them and is left out.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ def own_record(model: ThermalModel, history: Record, forced_K: Array | None, a: 
         a: the actuator.
     """
     z = model.operator.home[a]
-    part = history.part(z, [a], [model.machine_of[a]])
+    m = model.machine_of[a]
+    part = history.part(z, [a], [m] if model.machine_of.count(m) == 1 else [])
     others = [b for b in range(len(model.operator.actuators)) if b != a and model.operator.pairs[z][b] is not None]
     if not others:
         return part

@@ -15,7 +15,7 @@ from controllers.planner import MPCState, Planner
 from controllers.watch import Track, Watch, WatchState
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState
-from thermoforce_mpc.model.predictor import PredictionContext
+from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 Item = TypeVar("Item")
@@ -59,7 +59,8 @@ class WatchedPredictions:
                 continue
             if before.alarm and not found.alarm:
                 used = found.tracks[0]
-                now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=used.predictor)
+                predictor = _later(now.predictor, used.predictor)
+                now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=predictor)
             now = replace(now, watch=_with(now.watch, a, found))
         return now
 
@@ -128,6 +129,13 @@ class WatchedPredictions:
         """`text` with the actuator's name where there are several."""
         names = self._model.operator.actuators
         return text if len(names) == 1 else f"{names[a]}: {text}"
+
+
+def _later(kept: PredictorState | None, used: PredictorState | None) -> PredictorState | None:
+    """The state of a predictor that returns to use, or the one `kept` meanwhile where others went on planning."""
+    if not (kept and kept.forced and used and used.forced) or used.forced.time_s[-1] >= kept.forced.time_s[-1]:
+        return used
+    return replace(kept, forced=None)  # it was computed with the operator of another model
 
 
 def _with(values: tuple[Item, ...], at: int, value: Item) -> tuple[Item, ...]:

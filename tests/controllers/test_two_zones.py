@@ -16,6 +16,7 @@ from controllers.planner import MPCState
 from controllers.problem import Solution
 from controllers.thermostat import Thermostat
 from controllers.watch import WatchState
+from controllers.watched import _later
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence
@@ -308,3 +309,42 @@ def test_rules_act_zone_by_zone(kind):
     plan = kind(layout=LAYOUT).plan(silenced(seen, 0))
     assert [block.u for block in plan.blocks] == [(None, 1.0)]
     assert "radiator: zone temperature missing: native control" in plan.why
+
+
+def test_a_shared_machine_feeds_both_at_once_and_its_meter_accuses_neither():
+    plant = TwoHouses(lower_K=1.0, shared=True)
+    result = run_closed_loop(plant, mpc(two_model(shared=True)), replace(SimpleHouse().period("x"), scored_s=4 * DAY_S))
+    assert {step.plan.acting for step in result.steps[24:]} == {(PlanStatus.SOLVED,) * 2}
+    together = 0
+    for step in result.steps:
+        on_s = np.array([np.array(s.u_applied, dtype=float) * s.duration_s for s in step.samples])
+        union_s = sum(s.duration_s for s in step.samples if any(s.u_applied))
+        assert union_s == pytest.approx(on_s.sum(axis=0).max()), "as long as the longest of them"
+        together += on_s.sum(axis=0).min() > 0
+    assert together > 10
+    u = result.steps[-1].plan.u
+    weather = result.steps[-1].boundary.T_out_C[: u.shape[1]]
+    fixed_W, per_u_W = two_model(shared=True).power[0].parts(weather)
+    planned_W = fixed_W * u.max(axis=0) + 0.5 * per_u_W * u.sum(axis=0)
+    np.testing.assert_allclose(result.steps[-1].plan.power_W[0], planned_W, rtol=1e-6)
+
+
+def test_what_a_shared_machine_uses_is_in_no_actuators_record():
+    seen = two_observation()
+    boiler = replace(seen.history.names, machines=("boiler",))
+    both = replace(seen.history, power_W=seen.history.power_W[:1], T_return_C=seen.history.T_return_C[:1], names=boiler)
+    assert np.isnan(own_record(two_model(shared=True), both, None, RADIATOR).power_W).all()
+    own = own_record(two_model(), seen.history, None, FLOOR)
+    np.testing.assert_array_equal(own.power_W[0], seen.history.power_W[1])
+
+
+def test_the_predictor_of_those_that_went_on_is_kept_when_one_returns():
+    """At steps below an hour the shadow of the one is older than the plans of the other."""
+    seen = two_observation()
+    state = first_state(seen).predictor
+    older = (
+        mpc().predictor.context(Observation(seen.history.slice(0, seen.history.n_steps - 1), seen.boundary), None).state
+    )
+    assert _later(state, older) == replace(state, forced=None)
+    assert _later(older, state) is state
+    assert _later(None, older) is older

@@ -67,13 +67,13 @@ def recorded(law, u, power):
 )
 def test_the_temperature_tells_the_cost_of_heat_at_part_load(law, power, modulates):
     model = identify(recorded(law, levels((0.5, 0.25)), power), config=CONFIG).only
-    found = CostAtPartLoad.of(model.only.card.uncertainty)
+    found = CostAtPartLoad.of(model.card.uncertainty)
     true_heat = float(law(np.array(found.level))) / found.level
     true_cost = float(power(np.array(found.level))) / 3000.0 / float(law(np.array(found.level)))
     assert abs(found.heat - true_heat) < 2.5 * found.heat_sd, found
     assert abs(found.cost - true_cost) < 2.5 * found.cost_sd, found
     assert found.heat_sd < 0.8 * PART_LOAD.sd, "the data told more than the prior"
-    choice = choose_actuation(ActuationConfig(), model.only.power, model.only.operator.heat_input, found)
+    choice = choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found)
     assert choice.actuation.modulates is modulates, choice.why
     assert "the temperature says" in choice.why
 
@@ -82,16 +82,16 @@ def test_an_electric_heater_is_not_switched_for_an_estimate_below_what_it_can_be
     # Errors of the record that look like 0.75 of the heat per level at part load.
     given = recorded(lambda u: np.where((u > 0) & (u < 1), 0.75 * u, u), levels((0.5, 0.25)), lambda u: 3000.0 * u)
     model = identify(given, config=CONFIG).only
-    found = CostAtPartLoad.of(model.only.card.uncertainty)
+    found = CostAtPartLoad.of(model.card.uncertainty)
     assert found.heat == 1.0
-    assert choose_actuation(ActuationConfig(), model.only.power, model.only.operator.heat_input, found).actuation.modulates
+    assert choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found).actuation.modulates
 
 
 def test_nothing_is_said_of_part_load_that_was_not_seen_or_is_metered():
     unseen = identify(recorded(lambda u: u, levels((1.0,)), lambda u: 3000.0 * u), config=CONFIG).only
-    assert CostAtPartLoad.of(unseen.only.card.uncertainty) is None
+    assert CostAtPartLoad.of(unseen.card.uncertainty) is None
     metered = identify(record(ROOM, 3.0, u=levels((0.5, 0.25)), noise_K=0.02), config=CONFIG, floor_area_m2=190.0).only
-    assert CostAtPartLoad.of(metered.only.card.uncertainty) is None
+    assert CostAtPartLoad.of(metered.card.uncertainty) is None
 
 
 def test_not_knowing_the_heat_makes_part_load_dearer_and_ends_in_blocks():
@@ -128,9 +128,9 @@ def test_the_exponent_of_a_radiator_is_found_or_said_to_be_unknown(true, days_of
     config = CONFIG.model_copy(update={"part_load": False, "radiator_exponent": 1.3, "lowest_level": 0.1})
     given = recorded(lambda u: u ** (true / 1.3), levels(days_of_levels), lambda u: 3000.0 * u)
     model = identify(given, config=config).only
-    (note,) = (note for note in model.only.card.notes if "exponent" in note)
+    (note,) = (note for note in model.card.notes if "exponent" in note)
     assert re.search(words, note), note
-    assert model.only.card.uncertainty["radiator_exponent_sd"] <= 0.1001
+    assert model.card.uncertainty["radiator_exponent_sd"] <= 0.1001
 
 
 def test_a_run_asks_for_what_its_test_case_does_not_meter():

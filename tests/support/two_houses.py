@@ -13,15 +13,17 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.checks import check_levels
 
 TWO = Names(("bath", "hall"), ("radiator", "floor"), ("boiler", "heat pump"))
+SHARED = Names(TWO.zones, TWO.actuators, ("boiler",))
 
 
 class TwoHouses:
     """Two simple houses as the zones of one building; the level of the second is not measured.
 
-    `lower_K`: added to the lower bound of the second, K.
+    `lower_K`: added to the lower bound of the second, K. `shared`: one machine feeds both, and its power is measured.
     """
 
-    def __init__(self, first=None, second=None, lower_K=0.0) -> None:
+    def __init__(self, first=None, second=None, lower_K=0.0, shared=False) -> None:
+        self.names = SHARED if shared else TWO
         self.houses = (first or SimpleHouse(), second or SimpleHouse(T_start_C=19.0))
         self.info, self.lower_K = self.houses[0].info, lower_K
 
@@ -30,6 +32,9 @@ class TwoHouses:
             return np.array([getattr(part, name)[0] for part in parts])
 
         u = rows("u") * np.array([1.0, np.nan])
+        power_W = rows("power_W")
+        if self.names is SHARED:
+            power_W = power_W.sum(keepdims=True)
         first = parts[0]
         return Measurement(
             first.time_s,
@@ -37,16 +42,16 @@ class TwoHouses:
             first.T_out_C,
             first.solar_W_m2,
             u,
-            rows("power_W"),
+            power_W,
             rows("heat_W"),
-            names=TWO,
+            names=self.names,
         )
 
     def reset(self, start_s, warmup_s, price="constant"):
         return self._both([house.reset(start_s, warmup_s, price) for house in self.houses])
 
     def advance(self, u, duration_s):
-        levels = check_levels(u, duration_s, names=TWO).u
+        levels = check_levels(u, duration_s, names=self.names).u
         return self._both([h.advance(level, duration_s) for h, level in zip(self.houses, levels, strict=True)])
 
     def forecast(self, horizon_s, interval_s):
@@ -56,7 +61,9 @@ class TwoHouses:
         }
         both["upper_C"] = both["upper_C"] + np.array([[0.0], [1.0]])
         both["lower_C"] = both["lower_C"] + np.array([[0.0], [self.lower_K]])
-        return replace(one, **both, names=TWO)
+        if self.names is SHARED:
+            both |= {name: both[name][:1] for name in both if name.startswith(("price", "emission", "heating"))}
+        return replace(one, **both, names=self.names)
 
     def past(self, step_s):
         return Record.beginning(self._both([house._measure() for house in self.houses]))
@@ -74,12 +81,16 @@ class TwoHouses:
         pass
 
 
-def two_model(competence=(None, None)) -> ThermalModel:
-    """The exact model of two houses at hourly steps, with verdicts on them."""
+def two_model(competence=(None, None), shared=False) -> ThermalModel:
+    """The exact model of two houses at hourly steps, with verdicts on them; `shared`: one machine feeds both."""
     zone = simple_model().only
     pair = zone.operator
     operator = BuildingOperator(TWO.zones, TWO.actuators, ((pair, None), (None, pair)), (0, 1))
     cards = tuple(replace(zone.card, competence=one) for one in competence)
+    if shared:
+        load = replace(zone.power.load, coefficients=tuple(2.0 * c for c in zone.power.load.coefficients))
+        power = (replace(zone.power, load=load),)
+        return ThermalModel(operator, power, (None,) * 2, cards, SHARED.machines, (0, 0), (0.5, 0.5))
     return ThermalModel(operator, (zone.power,) * 2, (None,) * 2, cards, TWO.machines, (0, 1), (0.0, 0.0))
 
 

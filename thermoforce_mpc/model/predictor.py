@@ -226,9 +226,9 @@ class Predictor:
             state: `PredictionContext.state` of the last context of this run; None begins a run.
 
         Raises:
-            DataError: the history cannot be split (see `forced_history`), the temperature of all zones is silent throughout, its
-                weather was never measured, the forecast of the weather has gaps, or the estimate or the forecast is
-                not fit to plan with.
+            DataError: the history cannot be split (see `forced_history`), no zone's temperature was ever measured nor
+                the weather, the forecast of the weather has gaps, or the estimate or the forecast is not fit to plan
+                with.
         """
         boundary = observation.boundary
         boundary.check(*WEATHER)
@@ -245,7 +245,7 @@ class Predictor:
         if not known.any():
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         answers, states = [], list(kept)
-        for z in np.flatnonzero(known):
+        for z in np.flatnonzero(known).tolist():
             method = self._free_responses[z]
             answer, states[z] = follow(method, free_C[z], history, boundary, kept[z])
             answers.append(checked_forecast(answer, boundary.n_steps, method.name))
