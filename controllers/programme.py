@@ -194,7 +194,7 @@ class Programme:
     def _bounds(self) -> tuple[_Entries, Array, Array]:
         """Inequalities: comfort first, then power, then constants. Numbers of the instance: 1, then power parts."""
         shape, machinery, n, m = self.shape, self.shape.machinery, self.shape.n_steps, self.shape.n_moves
-        Z, step, move = self._s.shape[0], self._step, self._move
+        Z, step = self._s.shape[0], self._step
         parts: list[_Entries] = []
         # y_k + s_k ≥ lower_k − T_free,k and y_k − s_k ≤ upper_k − T_free,k.
         of_zone = np.array([group.zone for group in self._groups], dtype=np.intp)

@@ -348,3 +348,47 @@ def test_the_predictor_of_those_that_went_on_is_kept_when_one_returns():
     assert _later(state, older) == replace(state, forced=None)
     assert _later(older, state) is state
     assert _later(None, older) is older
+
+
+def test_a_plan_made_without_a_reading_is_not_followed_when_the_sensor_is_back():
+    controller, seen = mpc(), two_observation()
+    blind = controller.plan(silenced(seen, 0))
+    later = replace(
+        seen,
+        history=replace(seen.history, time_s=seen.history.time_s + HOUR_S),
+        boundary=replace(seen.boundary, time_s=seen.boundary.time_s + HOUR_S),
+    )
+    T = later.history.T_zone_C.copy()
+    T[:, -1] = blind.T_zone_C[:, 0]
+    later = replace(later, history=replace(later.history, T_zone_C=T))
+    controller._base = replace(controller._base, solver=Failing())
+    assert controller.plan(later, blind.state).acting == (PlanStatus.THERMOSTAT, PlanStatus.SHIFTED)
+
+
+def test_the_gain_in_a_zone_without_a_reading_sees_the_mean_of_the_others():
+    model, seen = two_model(), two_observation()
+    weights = np.zeros_like(model.operator.pairs[0][0].hidden_weight)
+    weights[0, 0] = 1.0
+    output = np.zeros(weights.shape[0])
+    output[0] = -0.3
+    pair = replace(
+        model.operator.pairs[0][0],
+        hidden_weight=weights,
+        output_weight=output,
+        feature_mean=np.array([21.0, 0.0, 0.0, 0.0]),
+        feature_scale=np.array([3.0, 5.0, 100.0, 1.0]),
+    )
+    operator = replace(model.operator, pairs=((pair, None), (None, pair)))
+    predictor = mpc(replace(model, operator=operator)).predictor
+    # The same levels in both zones, so that their control-free temperatures are the same where the readings are.
+    u = np.repeat(seen.history.u[:1], 2, axis=0)
+    known = replace(seen.history, u=u, T_zone_C=np.repeat(seen.history.T_zone_C[1:], 2, axis=0))
+    silent = silenced(replace(seen, history=known), 0).history
+    cut = known.n_steps - 5
+    for begun in (known.n_steps, cut):
+        states = []
+        for history in (known, silent):
+            state = predictor.followed(history.slice(0, begun))
+            states.append(predictor._estimator.update(state, history).forced_K)
+        np.testing.assert_allclose(states[1], states[0], atol=1e-12)
+        assert np.abs(states[0]).max() > 1.0

@@ -197,7 +197,7 @@ def test_a_missing_effect_is_told_from_cold_that_has_another_cause():
 
 
 def test_predictions_from_before_a_return_do_not_count_against_the_effect():
-    watch = Watch(WatchConfig(), simple_model(), 48, lambda record: record.u)
+    watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
     now = 20 * DAY_S
     judged = tuple(Judged(now - h * HOUR_S, 0, -0.2, 0.1, 0.4) for h in range(24))
     state = WatchState(tracks=(Track(judged=judged),))
@@ -226,7 +226,7 @@ def test_levels_that_differ_for_long_enough_are_a_fault():
 
 def test_low_levels_that_nobody_asked_for_are_a_fault_within_a_day():
     """Native control that holds a zone on a mild day: less than an hour at full level in 6 h."""
-    watch, state = Watch(WatchConfig(), simple_model(), 48, lambda record: record.u), WatchState()
+    watch, state = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u), WatchState()
     asked, seen = record([0.0] * 24, [0.13] * 24)
     found = {}
     for hour, (time_s, level) in enumerate(asked, start=1):

@@ -69,13 +69,13 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     days = record.time_s / DAY_S
     found = rollouts(model, record)
     for z, axes in enumerate(courses[:-1]):
-        of = "" if zones == 1 else f", {model.operator.zones[z]}"
-        axes.set_title(f"Measured and predicted zone temperature{of}", loc="left")
+        title = "Measured and predicted zone temperature" if zones == 1 else model.operator.zones[z]
+        axes.set_title(title, loc="left")
         axes.plot(days, record.T_zone_C[z], color="black", linewidth=1.2, label="measured")
         if found is not None:
             label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K[z]:.2f} K"
             axes.plot(days, found.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
-        axes.set_ylabel("zone temperature, °C")
+        axes.set_ylabel("zone temperature, °C" if zones == 1 else "°C")
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, frameon=False)
     for a, name in enumerate(model.operator.actuators):
         courses[-1].stairs(record.u[a], days, color=f"C{a}", fill=actuators == 1, alpha=0.5, label=name)
@@ -92,7 +92,7 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
             if model.operator.pairs[z][a] is None:
                 cells[z, a].set_title(f"{model.operator.actuators[a]} on {model.operator.zones[z]}", loc="left")
                 cells[z, a].text(0.5, 0.5, "no effect", ha="center", transform=cells[z, a].transAxes)
-        cells[z, 0].set_ylabel("change of the zone temperature, K")
+        cells[z, 0].set_ylabel("change of the zone temperature, K" if zones == 1 else "change, K")
     for axes in cells[-1]:
         axes.set_xlabel("hours since the step")
     figure.savefig(path, dpi=120, metadata={"Software": None})

@@ -1,8 +1,9 @@
 """Model of one zone from its records: order, linear fit, monotone-neural gain, verdict.
 
 Fit every order to the first part of the data and keep the one whose rollouts are best on the rest; fit it to
-everything; train the modulation the same way; refuse an operator that explains next to nothing or whose sign is not proven, whatever
-the method. The zone's own actuator is the first of its records; the others' effects are estimated with it.
+everything; train the modulation the same way; refuse an operator that explains next to nothing or whose sign is not
+proven, whatever the method. The zone's own actuator is the first of its records; the others' effects are estimated with
+it.
 """
 
 from __future__ import annotations
@@ -145,7 +146,7 @@ def _joint_model(
     say: Callable[[str], None],
     power: PowerModel | None,
 ) -> tuple[ZoneModel, JointFit]:
-    """The joint estimator as a zone's model, and its fit: order chosen on held-out data, modulation trained where it pays."""
+    """The joint estimator as a zone's model, and its fit: order by held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
     splits = held_out(cases, config)
 

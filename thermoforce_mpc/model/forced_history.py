@@ -50,7 +50,7 @@ def forced_history(operator: BuildingOperator, history: Record, *, initial_force
 
 
 def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: int) -> Array:
-    """Return v of each actuator over the steps `start` … `stop` − 1, shape (A, stop − start), from measured heat if any.
+    """Return v of each actuator over the steps `start` … `stop` − 1, (A, stop − start), from measured heat if any.
 
     Identification is driven by v(u) instead; `identification.regression_data.run_regression` says why.
 

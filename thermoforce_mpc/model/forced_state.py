@@ -40,7 +40,7 @@ class EstimatorConfig(StrictModel):
 class ForcedState:
     """Estimated forced state of a run so far.
 
-    `time_s` (n + 1,): boundaries of the processed history. `forced_K` (Z, A, n + 1, r): forced state of each pair there.
+    `time_s` (n + 1,): boundaries of the processed history. `forced_K` (Z, A, n + 1, r): forced state of each pair.
     `covariance` (Z, A r, A r) K²: that of the last one, zone by zone. `expected`: free response forecast for a later
     boundary, as time s, medians °C (Z,) and standard deviations K (Z,).
     """
@@ -145,7 +145,7 @@ class ForcedStateEstimator:
 
 
 def _last_known_C(T_zone_C: Array) -> Array:
-    """The last finite temperature of each zone (Z,), of `T_zone_C` (Z, n); the mean of the others, or 0, without one."""
+    """The last finite temperature (Z,) of `T_zone_C` (Z, n); without one the mean of the other zones, or 0."""
     rows = [row[np.isfinite(row)] for row in T_zone_C]
     last = [float(row[-1]) for row in rows if row.size]
     mean = float(np.mean(last)) if last else 0.0

@@ -50,8 +50,8 @@ class Prediction:
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
 
-        The band is that of the free response; the uncertainty of the gain is on the model's card. With several zones, one
-        of each per name: `T_zone_C[bath]`.
+        The band is that of the free response; the uncertainty of the gain is on the model's card. With several zones,
+        one of each per name: `T_zone_C[bath]`.
 
         Raises:
             DataError: the prediction is of several candidates at once.
@@ -72,7 +72,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class PredictorState:
-    """What a predictor has learned in one run: the forced state so far, and what each zone's free response keeps (Z,)."""
+    """What a predictor has learned in one run: the forced state so far, and what each free response (Z,) keeps."""
 
     forced: ForcedState | None = None
     free: tuple[object, ...] = ()
@@ -118,8 +118,8 @@ class PredictionContext:
         One actuator's levels may be given as (..., N).
 
         Raises:
-            DataError: `u` has another number of actuators or steps, is not finite, or leaves [0, 1] (its lower end where
-                the operator's levels are signed).
+            DataError: `u` has another number of actuators or steps, is not finite, or leaves [0, 1] (its lower end
+                where the operator's levels are signed).
         """
         u = np.asarray(u, dtype=np.float64)
         actuators = len(self.operator.actuators)

@@ -40,8 +40,8 @@ _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
 class Limits:
     """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.model.limits`).
 
-    `power_W` and `heat_W` are (lowest, highest) in W of any machine and actuator, as measured: heat of a cooling machine
-    is negative. `lowest`: the lowest level, below 0 where levels are signed.
+    `power_W` and `heat_W` are (lowest, highest) in W of any machine and actuator, as measured: heat of a cooling
+    machine is negative. `lowest`: the lowest level, below 0 where levels are signed.
     """
 
     power_W: tuple[float, float] = _INFINITE
@@ -142,8 +142,8 @@ def _refusal(
     if abs(value - before_C) <= _reach_K(since_s) or np.isnan(value):
         return None
     return (
-        f"{label} of {value:.6g} °C is more than {_reach_K(since_s):.3g} K from {before_C:.2f} °C {since_s:g} s before: "
-        f"{_NOT_MEASURED}"
+        f"{label} of {value:.6g} °C is more than {_reach_K(since_s):.3g} K from {before_C:.2f} °C {since_s:g} s "
+        f"before: {_NOT_MEASURED}"
     )
 
 

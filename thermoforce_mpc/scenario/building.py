@@ -100,8 +100,8 @@ class ActuatorPoints:
 class BuildingPoints:
     """Points of Z zones, A actuators and M machines, in the order of the layout's names.
 
-    `zones` (Z,), `actuators` (A,), `machines` (M,); `outdoor_temperature` and `solar` are measured, with forecast points
-    `forecast_outdoor` and `forecast_solar`.
+    `zones` (Z,), `actuators` (A,), `machines` (M,); `outdoor_temperature` and `solar` are measured, with
+    forecast points `forecast_outdoor` and `forecast_solar`.
     """
 
     layout: Layout

@@ -109,8 +109,8 @@ def probe(
 class Probing:
     """A probing that can be continued; `record` is what was measured so far.
 
-    Each actuator has draws of its own, so that their effects can be told apart, and follows the comfort band of the zone
-    that it serves.
+    Each actuator has draws of its own, so that their effects can be told apart, and follows the comfort band of the
+    zone that it serves.
     """
 
     def __init__(
@@ -133,7 +133,8 @@ class Probing:
         self._plant, self._layout = plant, layout or Layout.single()
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
         self.record = Record.beginning(now)
-        past = plant.past(c.step_s)
+        # The past bounds the effect of a level; rooms need none.
+        past = plant.past(c.step_s) if any(lowest >= 0.0 for lowest in self._layout.lowest) else self.record
         self._excites: list[_Levels | _Rooms] = []
         for a, (zone, lowest) in enumerate(zip(self._layout.home, self._layout.lowest, strict=True)):
             draws = (seed,) if a == 0 else (seed, a)

@@ -330,7 +330,8 @@ class SmallOffice:
         rows = self._rows[first : self._n]
         if len(rows) < 2:
             names = ("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "pele_tot", "pgas_tot")
-            return dict.fromkeys(names, 0.0)
+            of_zones = [f"tdis_tot[{ZONE_NAMES[zone]}]" for zone in zones] if len(zones) > 1 else []
+            return dict.fromkeys((*names, *of_zones), 0.0)
         time_s = self._start_s + step_s * np.arange(len(rows), dtype=np.float64)
         lower, upper = self._bounds(time_s)
         power, T_zone = rows[:, _PLACE["power_W"]], rows[:, _PLACE["T_zone_C"]]

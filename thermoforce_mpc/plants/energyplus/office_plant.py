@@ -1,8 +1,8 @@
 """The small office behind the `Plant` protocol: one room thermostat per zone, with a level of either sign.
 
 A zone's unit has a burner and a cooling coil, of which one works at a time; its level is heat over the burner's size,
-negative for cooling. Gas and electricity of a unit are billed apart: while heating at the price of gas, while cooling at
-that of electricity.
+negative for cooling. Gas and electricity of a unit are billed apart: while heating at the price of gas, while cooling
+at that of electricity.
 """
 
 from __future__ import annotations
@@ -120,13 +120,16 @@ class SmallOfficePlant:
         self.close()
 
     def _measured(self, found: OfficeMeasurement) -> Measurement:
+        acting = self._acting(found)
         return Measurement(
             time_s=found.time_s,
             T_zone_C=found.T_zone_C,
             T_out_C=found.T_out_C,
             solar_W_m2=found.solar_W_m2,
+            u=acting["u"],
+            heat_W=acting["heat_W"],
+            power_W=acting["power_W"],
             names=self._points.layout.names,
-            **self._acting(found),
         )
 
     def _acting(self, found: OfficeRecord | OfficeMeasurement) -> dict[str, Array]:

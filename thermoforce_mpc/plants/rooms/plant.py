@@ -222,7 +222,8 @@ class HouseOfRooms:
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms."""
         if self._now_s - self._start_s < _CLOCK_S:
-            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot"), 0.0)
+            of_rooms = [f"tdis_tot[{name}]" for name in self.zones] if len(self.zones) > 1 else []
+            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", *of_rooms), 0.0)
         time_s, rows = self.recorded(self._start_s, self._now_s)
         supply = Supply(
             "ElectricPower",
