@@ -56,7 +56,7 @@ class Machinery:
             if not (self.u_min[a] <= 0.0 < self.u_max[a] and self.lowest_level[a] > 0.0 and self.share[a] >= 0.0):
                 raise ControllerConfigError(
                     f"actuator {actuator}: levels from {self.u_min[a]:g} to {self.u_max[a]:g}, lowest level "
-                    f"{self.lowest_level[a]:g}, share {self.share[a]:g}: expected u_min ≤ 0 < u_max, others positive"
+                    f"{self.lowest_level[a]:g}, share {self.share[a]:g}: expected u_min ≤ 0 < u_max, lowest > 0 ≤ share"
                 )
             if not 0 <= self.machine_of[a] < M:
                 raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")

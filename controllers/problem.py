@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,7 +190,7 @@ class MPCProblem:
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
         (A, M), r = self.machinery.shape, np.shape(self.forced_state_K)[-1]
-        expected: list[tuple[str, Any, tuple[int, ...]]] = [
+        expected: list[tuple[str, Array | float, tuple[int, ...]]] = [
             ("T_free_C", self.T_free_C, (Z, n)),
             ("lower_C", self.lower_C, (Z, n)),
             ("upper_C", self.upper_C, (Z, n)),

@@ -49,8 +49,8 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: Machi
     )
     chosen = config.solver
     if chosen == "auto":
-        sees_plan, convex = operator.of_actuator(0).feedback_active, shape.convex(operator)
-        chosen = "ipopt" if sees_plan else "qp" if convex else "milp"
+        chosen = "ipopt" if operator.of_actuator(0).feedback_active else "milp"
+        chosen = "qp" if shape.convex(operator) else chosen
     if chosen == "qp":
         return QPSolver(operator, shape, config.qp)
     if chosen == "milp":

@@ -9,6 +9,7 @@ from controllers.machinery import Machinery
 from controllers.problem import MPCProblem, Weights
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 N = 12
@@ -94,3 +95,58 @@ def multi_start_optimum(
         found = minimize(cost, x0, method="SLSQP", bounds=bounds, constraints=[constraint], options={"maxiter": 300})
         best = min(best, float(problem.cost(operator, np.clip(found.x[None, :n], 0, highest))))
     return best
+
+
+def random_building(
+    rng: np.random.Generator,
+    zones: int,
+    signs: tuple[int, ...],
+    order: int = 2,
+    *,
+    reach: float = 1.0,
+    own_poles: bool = False,
+    heat: HeatInput = IDENTITY,
+) -> BuildingOperator:
+    """Zones with actuators of these signs, each at home in one zone; it reaches others with probability `reach`."""
+    rows = []
+    home = tuple(a % zones for a in range(len(signs)))
+    for z in range(zones):
+        row: list[OperatorParameters | None] = []
+        for a, sign in enumerate(signs):
+            poles = np.linspace(0.3, 0.97, order) * (rng.uniform(0.9, 1.0) if own_poles else 1.0)
+            gains = sign * rng.uniform(0.1, 0.5, order) * (1.0 if z == home[a] else 0.2)
+            pair = linear_operator(poles, gains, step_s=3600.0, sign=sign, heat_input=heat)
+            row.append(pair if z == home[a] or rng.uniform() < reach else None)
+        rows.append(tuple(row))
+    names = tuple(f"zone {z}" for z in range(zones)), tuple(f"actuator {a}" for a in range(len(signs)))
+    return BuildingOperator(*names, tuple(rows), home)
+
+
+def machinery_of(operator: BuildingOperator, machine_of: tuple[int, ...], **options) -> Machinery:
+    """Machines for the actuators of a building, by default in blocks and without limit of capacity."""
+    ones = np.ones(len(operator.actuators))
+    names = tuple(f"machine {m}" for m in range(max(machine_of) + 1))
+    defaults = {"u_max": ones, "lowest_level": ones, "u_min": 0 * ones, "share": 0 * ones}
+    return Machinery(operator.actuators, names, machine_of=np.array(machine_of), **(defaults | options))
+
+
+def random_building_problem(
+    rng: np.random.Generator, operator: BuildingOperator, machinery: Machinery, n: int = N, **options
+) -> MPCProblem:
+    """Zones that are too cold at first and too warm later."""
+    (Z, A, r), M = operator.shape, len(machinery.machines)
+    sign = operator.signs[:, None]
+    warm = np.where(np.arange(n) < n // 2, rng.uniform(12, 18, (Z, n)), rng.uniform(23, 28, (Z, n)))
+    numbers = {
+        "forced_state_K": rng.uniform(0, 1, (Z, A, r)) * sign * (operator.gains != 0),
+        "features": rng.normal([10, 5, 100, 0], [3, 5, 100, 0.7], (Z, n, 4)),
+        "T_free_C": warm,
+        "lower_C": np.where(np.arange(n) % 5 < 3, 21.0, 15.0) * np.ones((Z, 1)),
+        "upper_C": np.full((Z, n), 24.0),
+        "price_per_kWh": rng.uniform(0.1, 0.4, (M, n)),
+        "power_fixed_W": rng.uniform(500, 1000, (M, n)),
+        "power_per_u_W": rng.uniform(1000, 2000, (A, n)),
+        "weights": Weights(rng.uniform(2.0, 6.0, Z), 1e-6),
+        "terminal_price_per_K": rng.uniform(0, 0.02, (Z, A, r)) * sign,
+    }
+    return MPCProblem(**(numbers | {"step_s": 3600.0, "machinery": machinery} | options))

@@ -1,0 +1,273 @@
+"""Several zones, actuators and machines in one plan: the optimum found another way, and what they share."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpc_problems import N, machinery_of, random_building, random_building_problem, random_operator, random_problem
+
+from controllers.errors import ControllerConfigError
+from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.machinery import Machinery
+from controllers.problem import Cooling, PowerCap, ProblemShape, Weights, blocked_moves, checked_solution, every_step
+from controllers.qp import QPSolver
+from controllers.qp_backends import QPConfig
+from controllers.search import CandidateSearch, SearchConfig
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.operator.building import BuildingOperator, single
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+SIGNS = (1, 1, 1, -1)
+# Two heating actuators on one heat pump of limited capacity, a third on a boiler, and a chiller.
+MACHINES, SHARES = (0, 0, 1, 2), np.array([0.7, 0.6, 0.0, 0.5])
+
+
+def whole_problem(rng: np.random.Generator, **building):
+    """Three zones with everything that a plan may hold: shared machine, cap, priced peak, weights per zone."""
+    operator = random_building(rng, 3, SIGNS, **building)
+    machinery = machinery_of(operator, MACHINES, share=SHARES)
+    problem = random_building_problem(
+        rng, operator, machinery, peak_so_far_W=1500.0, power_cap=PowerCap(np.full(N, 3000.0), 0.5)
+    )
+    problem = replace(problem, weights=replace(problem.weights, peak=2e-4))
+    shape = ProblemShape(blocked_moves(N, 3600.0, 6.0, 2.0), machinery, peak=True, capped=True)
+    return operator, problem, shape
+
+
+@pytest.mark.parametrize("backend", ["piqp", "clarabel"])
+@pytest.mark.parametrize("building", [{}, {"own_poles": True}, {"reach": 0.4, "order": 3}], ids=str)
+def test_the_programme_of_a_building_has_ipopts_optimum(building, backend):
+    rng = np.random.default_rng(1)
+    for _ in range(2):
+        operator, problem, shape = whole_problem(rng, **building)
+        ours = QPSolver(operator, shape, QPConfig(backends=(backend,))).solve(problem)
+        reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
+        assert ours.ok, ours.problem
+        assert reference.ok, reference.problem
+        best = float(problem.cost(operator, reference.u))
+        assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+        assert (ours.u.shape, ours.gap) == ((4, N), 0.0)
+
+
+def test_a_signed_level_beside_other_actuators_has_ipopts_optimum():
+    rng = np.random.default_rng(2)
+    operator = random_building(rng, 2, (1, 1, -1), heat=HeatInput())
+    signed = HeatInput(lowest=-0.6)
+    rows = tuple(
+        tuple(replace(pair, heat_input=signed) if pair and a == 1 else pair for a, pair in enumerate(row))
+        for row in operator.pairs
+    )
+    operator = replace(operator, pairs=rows)
+    machinery = machinery_of(operator, (0, 0, 1), share=np.array([0.6, 0.8, 0.0]), u_min=operator.lowest)
+    cooling = Cooling(rng.uniform(0.1, 0.4, (3, N)), rng.uniform(500, 1500, (3, N)))
+    problem = random_building_problem(rng, operator, machinery, cooling=cooling)
+    problem = replace(problem, weights=replace(problem.weights, peak=1e-3))
+    shape = ProblemShape(every_step(N), machinery, peak=True)
+    ours = QPSolver(operator, shape, QPConfig()).solve(problem)
+    reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
+    assert ours.ok, ours.problem
+    assert reference.ok, reference.problem
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+    assert ours.u[1].min() < -0.05
+
+
+def permuted(operator: BuildingOperator, zones: list[int], actuators: list[int]) -> BuildingOperator:
+    return BuildingOperator(
+        tuple(operator.zones[z] for z in zones),
+        tuple(operator.actuators[a] for a in actuators),
+        tuple(tuple(operator.pairs[z][a] for a in actuators) for z in zones),
+        tuple(zones.index(operator.home[a]) for a in actuators),
+    )
+
+
+def test_the_order_of_zones_actuators_and_machines_does_not_change_the_plan():
+    rng = np.random.default_rng(3)
+    operator, problem, shape = whole_problem(rng)
+    zones, actuators, machines = [2, 0, 1], [3, 1, 0, 2], [1, 2, 0]
+    other = permuted(operator, zones, actuators)
+    m = problem.machinery
+    machinery = Machinery(
+        other.actuators,
+        tuple(m.machines[i] for i in machines),
+        m.u_max[actuators],
+        m.lowest_level[actuators],
+        m.u_min[actuators],
+        np.array([machines.index(m.machine_of[a]) for a in actuators]),
+        m.share[actuators],
+    )
+    turned = replace(
+        problem,
+        **{name: getattr(problem, name)[zones] for name in ("features", "T_free_C", "lower_C", "upper_C")},
+        **{
+            name: getattr(problem, name)[np.ix_(zones, actuators)]
+            for name in ("forced_state_K", "terminal_price_per_K")
+        },
+        **{name: getattr(problem, name)[machines] for name in ("price_per_kWh", "power_fixed_W")},
+        power_per_u_W=problem.power_per_u_W[actuators],
+        machinery=machinery,
+        weights=replace(problem.weights, comfort=np.asarray(problem.weights.comfort)[zones]),
+    )
+    ours = QPSolver(operator, shape, QPConfig()).solve(problem)
+    theirs = QPSolver(other, replace(shape, machinery=machinery), QPConfig()).solve(turned)
+    assert ours.ok, ours.problem
+    assert theirs.ok, theirs.problem
+    assert float(turned.cost(other, theirs.u)) == pytest.approx(float(problem.cost(operator, ours.u)), rel=1e-7)
+    np.testing.assert_allclose(theirs.u, ours.u[actuators], atol=1e-3)
+
+
+def test_zones_that_share_nothing_are_planned_as_if_alone():
+    rng = np.random.default_rng(4)
+    operator = random_building(rng, 3, (1, 1, 1), reach=0.0)
+    machinery = machinery_of(operator, (0, 1, 2))
+    problem = random_building_problem(rng, operator, machinery)
+    together = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
+    assert together.ok, together.problem
+    for z in range(3):
+        pair, one = operator.pairs[z][z], slice(z, z + 1)
+        assert pair is not None
+        rows = ("features", "T_free_C", "lower_C", "upper_C", "price_per_kWh", "power_fixed_W", "power_per_u_W")
+        alone = replace(
+            problem,
+            **{name: getattr(problem, name)[one] for name in rows},
+            **{name: getattr(problem, name)[one, one] for name in ("forced_state_K", "terminal_price_per_K")},
+            machinery=Machinery.one(),
+            weights=Weights(float(np.asarray(problem.weights.comfort)[z]), 1e-6),
+        )
+        solution = QPSolver(single(pair), ProblemShape(every_step(N)), QPConfig()).solve(alone)
+        np.testing.assert_allclose(together.u[z], solution.u[0], atol=1e-4)
+
+
+def test_a_shared_machine_runs_as_long_as_the_longest_and_pays_its_fixed_part_once():
+    rng = np.random.default_rng(5)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 0), share=np.array([0.9, 0.8]))
+    problem = random_building_problem(rng, operator, machinery)
+    u = np.zeros((2, N))
+    u[:, 0], u[:, 1] = (0.6, 0.2), (0.5, 0.6)
+    per_u = (problem.power_per_u_W * u).sum(axis=0)
+    np.testing.assert_allclose(problem.running(u)[0, :3], [0.9 * 0.6 + 0.8 * 0.2, 0.9 * 0.5 + 0.8 * 0.6, 0.0])
+    np.testing.assert_allclose(problem.power_W(u)[0], problem.power_fixed_W[0] * problem.running(u)[0] + per_u)
+    unlimited = replace(problem, machinery=machinery_of(operator, (0, 0)))
+    np.testing.assert_allclose(unlimited.running(u)[0, :3], [0.6, 0.6, 0.0])
+
+
+def test_a_machine_of_one_actuator_needs_no_variable_of_its_own():
+    rng = np.random.default_rng(6)
+    operator = random_building(rng, 2, (1, 1))
+    own = QPSolver(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))), QPConfig())
+    shared = QPSolver(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))), QPConfig())
+    assert own._programme.n_variables == 6 * N
+    assert shared._programme.n_variables == 7 * N
+    assert QPSolver(
+        single(random_operator(rng, 3)), ProblemShape(every_step(N)), QPConfig()
+    )._programme.n_variables == (3 * N)
+
+
+def test_capacity_is_kept_where_it_would_be_exceeded():
+    rng = np.random.default_rng(7)
+    operator = random_building(rng, 2, (1, 1))
+    limited = machinery_of(operator, (0, 0), share=np.array([0.8, 0.8]))
+    problem = random_building_problem(rng, operator, limited)
+    solution = QPSolver(operator, ProblemShape(every_step(N), limited), QPConfig()).solve(problem)
+    free = machinery_of(operator, (0, 0))
+    unlimited = QPSolver(operator, ProblemShape(every_step(N), free), QPConfig()).solve(
+        replace(problem, machinery=free)
+    )
+    assert (0.8 * solution.u.sum(axis=0)).max() <= 1.0 + 1e-6
+    assert (0.8 * unlimited.u.sum(axis=0)).max() > 1.2
+    modes_of, cost = (lambda u: problem.modes_K(operator, u)), float(problem.cost(operator, unlimited.u))
+    refused = checked_solution(problem, modes_of, unlimited.u, cost, "ok", 1)
+    assert "capacity of machine 0" in refused.problem
+
+
+def test_power_above_the_cap_is_bought_only_where_comfort_is_worth_it():
+    rng = np.random.default_rng(8)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 1))
+    problem = random_building_problem(rng, operator, machinery)
+    free = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
+    limit = 0.5 * problem.power_W(free.u).sum(axis=0).max()
+    shape = ProblemShape(every_step(N), machinery, capped=True)
+    over = []
+    for price in (0.1, 100.0):
+        capped = replace(problem, power_cap=PowerCap(np.full(N, limit), price))
+        solution = QPSolver(operator, shape, QPConfig()).solve(capped)
+        assert solution.ok, solution.problem
+        over.append(np.maximum(problem.power_W(solution.u).sum(axis=0) - limit, 0.0).sum())
+    assert over[0] > 100.0
+    assert over[1] < 0.01 * over[0]
+
+
+def test_a_fixed_part_at_a_negative_price_is_no_reason_to_run():
+    rng = np.random.default_rng(9)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 0), share=np.array([0.5, 0.5]))
+    problem = random_building_problem(rng, operator, machinery)
+    problem = replace(problem, price_per_kWh=problem.price_per_kWh - 0.25)
+    solution = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
+    assert solution.ok, solution.problem
+
+
+def test_the_search_keeps_capacity_and_is_never_better_than_the_programme():
+    rng = np.random.default_rng(10)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 0), share=np.array([0.7, 0.7]))
+    problem = random_building_problem(rng, operator, machinery)
+    found = CandidateSearch(operator, N, SearchConfig()).solve(problem)
+    best = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
+    assert found.ok, found.problem
+    assert float(problem.cost(operator, best.u)) <= float(problem.cost(operator, found.u)) + 1e-6
+    off = float(problem.cost(operator, np.zeros((2, N))))
+    one_alone = min(
+        float(problem.cost(operator, np.array([np.full(N, a), np.full(N, b)])))
+        for a, b in itertools.product((0.0, 0.25, 0.5), repeat=2)
+    )
+    assert float(problem.cost(operator, found.u)) < min(off, one_alone)
+
+
+def test_messages_name_the_actuator():
+    rng = np.random.default_rng(11)
+    operator = random_building(rng, 2, (1, 1))
+    problem = random_building_problem(rng, operator, machinery_of(operator, (0, 1)))
+    u = np.zeros((2, N))
+    u[1, 3] = 1.5
+    solution = checked_solution(problem, lambda u: problem.modes_K(operator, u), u, 0.0, "ok", 1)
+    assert "u of actuator 1 leaves its bounds" in solution.problem
+    with pytest.raises(DataError, match=r"2 zones, 2 actuators and 2 machines over 12 steps: price_per_kWh has shape"):
+        replace(problem, price_per_kWh=problem.price_per_kWh[0])
+    with pytest.raises(DataError, match=r"weights\.comfort has shape \(3,\)"):
+        replace(problem, weights=Weights(np.ones(3), 0.0))
+    with pytest.raises(ControllerConfigError, match="machine 2 feeds no actuator"):
+        replace(problem.machinery, machines=("machine 0", "machine 1", "machine 2"))
+    with pytest.raises(ControllerConfigError, match="actuator 0: levels from 0 to -1"):
+        replace(problem.machinery, u_max=np.array([-1.0, 1.0]))
+    turned = replace(problem.machinery, actuators=("actuator 1", "actuator 0"))
+    with pytest.raises(ControllerConfigError, match="same in the same order"):
+        QPSolver(operator, ProblemShape(every_step(N), turned), QPConfig())
+
+
+def test_one_zone_is_solved_as_in_arrays_of_length_one():
+    """Two machines of half the power each that feed one zone are one machine."""
+    rng = np.random.default_rng(12)
+    pair = random_operator(rng, 2)
+    problem = random_problem(rng, 2, curvature=1e-6)
+    half = replace(pair, gains=0.5 * pair.gains)
+    twice = BuildingOperator(("zone",), ("left", "right"), ((half, half),), (0, 0))
+    both = {name: np.repeat(0.5 * getattr(problem, name), 2, axis=0) for name in ("power_fixed_W", "power_per_u_W")}
+    machinery = machinery_of(twice, (0, 1))
+    split = replace(
+        problem,
+        **both,
+        price_per_kWh=np.repeat(problem.price_per_kWh, 2, axis=0),
+        forced_state_K=np.repeat(0.5 * problem.forced_state_K, 2, axis=1),
+        terminal_price_per_K=np.zeros((1, 2, 2)),
+        machinery=machinery,
+    )
+    whole = QPSolver(single(pair), ProblemShape(every_step(N)), QPConfig()).solve(problem)
+    halves = QPSolver(twice, ProblemShape(every_step(N), machinery), QPConfig()).solve(split)
+    assert halves.ok, halves.problem
+    np.testing.assert_allclose(halves.u, np.repeat(whole.u, 2, axis=0), atol=1e-3)
