@@ -5,8 +5,8 @@ time, and with them the fixed part of a shared machine. They are decided exactly
 and power; later they are relaxed: switching at the highest level is the cheapest way to deliver a given heat, and
 actuators share a step in time. Only the first step is applied, and every plan decides its first hours anew.
 
-The curvature term is left out of the choice. The solver stops at its time limit with the best plan so far; how far that
-may be from the optimum of the programme solved is `Solution.gap`.
+The curvature term is left out of the choice. The solver starts from the rounded relaxation and stops at its time limit
+with the best plan so far; how far that may be from the optimum of the programme solved is `Solution.gap`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy import sparse
 from controllers.errors import ControllerConfigError
 from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
 from controllers.programme import Programme
-from controllers.qp_backends import QPData
+from controllers.qp_backends import Piqp, QPConfig, QPData
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import OUTDOOR
@@ -36,9 +36,9 @@ _SAME_K = 1e-4
 class MilpConfig(StrictModel):
     """Options of the mixed-integer programme."""
 
-    hours: float = Field(2.0, gt=0, description="first part of the horizon in which choices are decided, h")
+    hours: float = Field(1.0, gt=0, description="first part of the horizon in which choices are decided, h")
     gap: float = Field(1e-3, ge=0, description="relative gap to the bound at which the solver stops")
-    max_seconds: float = Field(5.0, gt=0, description="time after which the best plan so far is taken, s")
+    max_seconds: float = Field(2.0, gt=0, description="time after which the best plan so far is taken, s")
 
     def held_steps(self, step_s: float) -> int:
         """Number of steps of `step_s` seconds in which choices are decided, at least one."""
@@ -61,8 +61,8 @@ class Highs:
     def __init__(self, config: MilpConfig) -> None:
         self._config = config
 
-    def __call__(self, q: QPData, choices: NDArray[np.intp]) -> ChoiceResult:
-        """Solve one programme in which the columns `choices` are whole."""
+    def __call__(self, q: QPData, choices: NDArray[np.intp], start: Array | None = None) -> ChoiceResult:
+        """Solve one programme in which the columns `choices` are whole, from `start` (all columns) if given."""
         import highspy
 
         solver = highspy.Highs()
@@ -86,6 +86,10 @@ class Highs:
         kinds: Any = [highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger]
         lp.integrality_ = [kinds[kind] for kind in whole.tolist()]
         solver.passModel(lp)
+        if start is not None:
+            given = highspy.HighsSolution()
+            given.col_value = start
+            solver.setSolution(given)
         solver.run()
         status, info = solver.getModelStatus(), solver.getInfo()
         word = solver.modelStatusToString(status)
@@ -103,7 +107,9 @@ class MilpSolver:
         ControllerConfigError: the gain depends on the predicted temperature, or the operator is not of these actuators.
     """
 
-    def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: MilpConfig) -> None:
+    def __init__(
+        self, operator: BuildingOperator, shape: ProblemShape, config: MilpConfig, qp: QPConfig | None = None
+    ) -> None:
         if operator.of_actuator(0).feedback_active:
             raise ControllerConfigError(
                 "solver milp: the gain depends on the predicted temperature; use solver: ipopt, or a model of "
@@ -111,7 +117,7 @@ class MilpSolver:
             )
         self.operator, self.shape = operator, shape
         self._programme = Programme(operator, shape)
-        self._choose = Highs(config)
+        self._choose, self._relax = Highs(config), Piqp(qp or QPConfig())
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has the reason.
@@ -124,7 +130,7 @@ class MilpSolver:
         drive = self._programme.drive(solved)
         programme = self._programme.numbers(solved, drive)
         try:
-            answer = self._choose(programme, self._programme.choices)
+            answer = self._choose(programme, self._programme.choices, self._start(programme))
         except Exception as error:  # a failed solve is a value
             return failed("highs:raised", 0, f"highs: raised {type(error).__name__}: {error}")
         status = f"highs:{answer.status}"
@@ -147,6 +153,16 @@ class MilpSolver:
             why = f"highs: levels of later steps bring another heat than planned ({off_K:.2g} K)"
             return failed(status, answer.nodes, why)
         return replace(solution, u=held, gap=gap, status=f"{status}, gap {gap:.2g}")
+
+    def _start(self, programme: QPData) -> Array | None:
+        """The relaxation's levels with their choices rounded: what HiGHS improves on; None where it fails."""
+        choices = self._programme.choices
+        relaxed = self._relax(programme) if choices.size else None
+        if relaxed is None or not relaxed.solved:
+            return None
+        start = relaxed.x
+        start[choices] = self._programme.rounded(start)
+        return start
 
     def _held(self, problem: MPCProblem, u: Array) -> Array:
         """Levels with the relaxed steps of held actuators as the held level of the same heat."""

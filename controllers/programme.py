@@ -326,6 +326,20 @@ class Programme:
             moves[a, : self._h] = np.where(chosen, np.maximum(moves[a, : self._h], lowest), 0.0)
         return moves[:, self._move]
 
+    def rounded(self, x: Array) -> Array:
+        """Choices (in the order of `choices`) near a solution `x` of the relaxation in which they need not be whole."""
+        machinery, on = self.shape.machinery, np.zeros(self._b.shape)
+        for b, a in enumerate(self._chosen):
+            level = x[self._v[a, : self._h]] / machinery.u_max[a]
+            for i in np.flatnonzero(self._signed == a):
+                level = np.maximum(level, x[self._n[i, : self._h]] / -machinery.u_min[a])
+            lowest = machinery.lowest_level[a] / machinery.u_max[a] if self._held[a] else 0.5
+            on[b] = np.where(level >= 0.5 * lowest, 1.0 + level, 0.0)
+        for group in machinery.exclusive if self._h else ():
+            rows = np.flatnonzero(np.isin(self._chosen, group))
+            on[rows] = np.where(on[rows] < on[rows].max(axis=0), 0.0, on[rows])
+        return np.asarray(np.minimum(on, 1.0).ravel())
+
     def numbers(self, p: MPCProblem, drive: Drive) -> QPData:
         """The numbers of one instance."""
         machinery, n, firsts = self.shape.machinery, self.shape.n_steps, self.shape.first_steps

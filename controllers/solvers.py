@@ -54,5 +54,5 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: Machi
     if chosen == "qp":
         return QPSolver(operator, shape, config.qp)
     if chosen == "milp":
-        return MilpSolver(operator, shape, config.milp)
+        return MilpSolver(operator, shape, config.milp, config.qp)
     return IpoptSolver(operator, shape, config.ipopt)

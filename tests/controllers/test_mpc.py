@@ -239,6 +239,14 @@ def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its
     np.testing.assert_allclose(seen.boundary.upper_C[:, 1:] - problem.upper_C, inside[1], atol=1e-9)
 
 
+def test_power_stays_below_a_cap_whose_excess_is_dear():
+    free = controller().plan(observation())
+    dear = {"power_cap_kW": 0.4e-3 * free.power_W.max(), "power_cap_price_per_kWh": 1e3}
+    capped = controller(objective=dear).plan(observation())
+    assert {free.status, capped.status} == {PlanStatus.SOLVED}
+    assert capped.power_W.max() <= 0.401 * free.power_W.max()
+
+
 def test_planned_power_follows_the_return_water_expected_over_the_zone():
     model = simple_model()
     water = ReturnWater(0.01, reference_C=30.0, range_C=(0.0, 60.0), above_zone_K=9.0)
