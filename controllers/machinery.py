@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,36 +81,38 @@ class Machinery:
         """Actuators A, machines M."""
         return len(self.actuators), len(self.machines)
 
-    @property
+    @cached_property
     def held(self) -> NDArray[np.bool_]:
         """Whether a held level of each actuator is 0 or at least its lowest, (A,)."""
         return np.asarray(self.lowest_level < self.u_max)
 
-    @property
+    @cached_property
     def excluded(self) -> NDArray[np.bool_]:
         """Whether each actuator is in a group of which one may act, (A,)."""
         return np.isin(np.arange(len(self.actuators)), [a for group in self.exclusive for a in group])
 
-    @property
+    @cached_property
     def signed(self) -> NDArray[np.intp]:
         """Numbers of the actuators with levels below 0."""
         return np.flatnonzero(self.u_min < 0.0)
 
-    @property
+    @cached_property
     def shared(self) -> NDArray[np.bool_]:
         """Whether each machine feeds more than one actuator, (M,)."""
         return np.asarray(np.bincount(self.machine_of, minlength=len(self.machines)) > 1)
 
-    @property
+    @cached_property
     def fed_by(self) -> Array:
         """Incidence (M, A): 1 where the machine feeds the actuator."""
         return np.asarray(self.machine_of == np.arange(len(self.machines))[:, None], dtype=np.float64)
 
     def switched_at(self, n_steps: int, held_steps: int | None) -> Array:
-        """Level of each actuator at which it runs all of a step, (A, N).
+        """Level of each actuator at which it runs all of a step, (A, N), or (A, 1) where it is that of all steps.
 
         Levels are held in the first `held_steps` steps (None: all), and switched at their highest in later ones.
         """
+        if not self.held.any():
+            return self.lowest_level[:, None]
         later = np.maximum(self.lowest_level, self.u_max)
         held = n_steps if held_steps is None else held_steps
         return np.where(np.arange(n_steps) < held, self.lowest_level[:, None], later[:, None])

@@ -269,6 +269,8 @@ class MPCProblem:
         """Share of each step that each machine runs for levels `u` (..., A, N), shape (..., M, N)."""
         m = self.machinery
         on, loads = self.on_share(u), m.share[:, None] * self._heating(u) if m.share.any() else None
+        if len(m.machines) == 1 and len(m.actuators) == 1:
+            return on if loads is None else np.maximum(on, loads)
         running = []
         for number in range(len(m.machines)):
             fed = m.machine_of == number

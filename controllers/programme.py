@@ -30,6 +30,8 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
 Index = NDArray[np.intp]
+# Of parts that a programme has not.
+_NONE = np.zeros((0, 0))
 
 
 class SparsePattern:
@@ -138,11 +140,13 @@ class Programme:
         self._b = self.choices.reshape(self._chosen.size, self._h)
 
         # Share of a step that an actuator runs per unit of v, (A, moves); 0 where the choice b says it.
-        lowest = machinery.switched_at(n, shape.n_held if self._h else 0)[:, shape.first_steps]
+        lowest = np.broadcast_to(machinery.switched_at(n, shape.n_held if self._h else 0), (A, n))[:, shape.first_steps]
         per_v = np.maximum(1.0 / lowest, np.where(self._alone, machinery.share, 0.0)[:, None])
         self._held_moves = self._held[:, None] & (np.arange(m) < self._h)
         self._on_per_v = np.where(self._held_moves, 0.0, per_v)
         self._held_in = self._held_moves[:, self._move]
+        self._on_per_u, self._any_held = self._on_per_v[:, self._move], bool(self._held_moves.any())
+        self._firsts = shape.first_steps
 
         self._dynamics_entries = self._dynamics()
         self._A = SparsePattern(self._dynamics_entries.rows, self._dynamics_entries.columns, (G * n, self.n_variables))
@@ -154,6 +158,8 @@ class Programme:
         self._G = SparsePattern(
             self._bounds_entries.rows, self._bounds_entries.columns, (self._low.size, self.n_variables)
         )
+        # Without prices of power the inequalities are the same in every instance.
+        self._G_constant = self._G.filled(self._bounds_entries.factor)
         x_low, x_high = np.zeros(self.n_variables), np.full(self.n_variables, np.inf)
         x_low[self._y] = -np.inf
         x_high[self._v] = np.minimum(
@@ -284,7 +290,7 @@ class Programme:
         """Power, W, per unit of v (A, N), n (signed, N), running share (shared, N) and choice (A, N)."""
         machinery = self.shape.machinery
         fixed = np.where(self._alone[:, None], p.power_fixed_W[machinery.machine_of], 0.0)
-        per_v = p.power_per_u_W + fixed * self._on_per_v[:, self._move]
+        per_v = p.power_per_u_W + fixed * self._on_per_u
         per_n = np.zeros((0, 1)) if p.cooling is None else p.cooling.power_per_u_W[self._signed]
         return per_v, per_n, p.power_fixed_W[self._shared], np.where(self._held_in, fixed, 0.0)
 
@@ -294,8 +300,8 @@ class Programme:
         highest = machinery.u_max[:, None]
         full = self.operator.drive(np.broadcast_to(highest, (highest.size, n)), p.features)
         per_u = full / highest
-        if not self._held_in.any():
-            return Drive(per_u, np.zeros_like(per_u))
+        if not self._any_held:
+            return Drive(per_u, _NONE)
         lowest = np.minimum(machinery.lowest_level, 0.5 * machinery.u_max)[:, None]
         lowest = np.where(self._held[:, None], machinery.lowest_level[:, None], lowest)
         at_lowest = self.operator.drive(np.broadcast_to(lowest, full.shape), p.features)
@@ -305,7 +311,7 @@ class Programme:
     def modes(self, p: MPCProblem, drive: Drive, u: Array) -> Array:
         """Forced states (Z, A, N, r) of levels `u` (A, N), K, by rollout of every pair."""
         driven = drive.per_u * u
-        if self._held_in.any():
+        if self._any_held:
             driven = driven + drive.onset * p.on_share(u)
         return self.operator.driven(p.forced_state_K, driven)
 
@@ -342,7 +348,7 @@ class Programme:
 
     def numbers(self, p: MPCProblem, drive: Drive) -> QPData:
         """The numbers of one instance."""
-        machinery, n, firsts = self.shape.machinery, self.shape.n_steps, self.shape.first_steps
+        machinery, n, firsts = self.shape.machinery, self.shape.n_steps, self._firsts
         values = np.concatenate([[1.0], drive.per_u.ravel(), drive.onset.ravel()])
         entries = self._dynamics_entries
         A = self._A.filled(entries.factor * values[entries.of])
@@ -352,19 +358,18 @@ class Programme:
             begin = group.begin @ p.forced_state_K[group.zone, group.pairs].sum(axis=0)
             b[g * n : g * n + begin.size] = begin
 
-        per_v, per_n, of_runs, of_choice = self._power_parts(p)
         fixed_cost = p.fixed_cost
         alone = np.where(self._alone[:, None], fixed_cost[machinery.machine_of], 0.0)
-        cost_v = p.price_per_W[machinery.machine_of] * p.power_per_u_W + alone * self._on_per_v[:, self._move]
-        cost_b = np.where(self._held_in, alone, 0.0)
-        cost_n = p.cooling_cost_per_u[self._signed]
+        cost_v = p.price_per_W[machinery.machine_of] * p.power_per_u_W + alone * self._on_per_u
+        cost_b = np.where(self._held_in, alone, 0.0) if self._any_held else _NONE
+        cost_n = p.cooling_cost_per_u[self._signed] if self._signed.size else _NONE
         left = p.terminal_price_per_K
         if left.any():
             # Terminal value of the heat added by the moves.
             worth = np.einsum("zar,zarn->an", left, self._kept)
             cost_v = cost_v - worth * drive.per_u
-            cost_b = cost_b - worth * drive.onset
-            cost_n = cost_n + (worth * drive.per_u)[self._signed]
+            cost_b = cost_b - worth * drive.onset if self._any_held else cost_b
+            cost_n = cost_n + (worth * drive.per_u)[self._signed] if self._signed.size else cost_n
         linear = np.zeros(self.n_variables)
         linear[self._v] = np.add.reduceat(cost_v, firsts, axis=1)
         linear[self._s] = p.comfort_price[:, None]
@@ -376,11 +381,11 @@ class Programme:
             linear[self._over] = p.cap_price_per_W * POWER_UNIT_W
         if self._shared.size:
             linear[self._runs] = np.add.reduceat(fixed_cost[self._shared], firsts, axis=1)
-        if self._h:
+        if self._any_held:
             linear[self._b] = np.add.reduceat(cost_b, firsts, axis=1)[self._chosen, : self._h]
 
         low, high = self._low, self._high
-        comfort, values = p.T_free_C.size, np.ones(1)
+        comfort = p.T_free_C.size
         low[:comfort], high[comfort : 2 * comfort] = (p.lower_C - p.T_free_C).ravel(), (p.upper_C - p.T_free_C).ravel()
         row = 2 * comfort
         if self.shape.peak:
@@ -389,10 +394,11 @@ class Programme:
         if self.shape.capped and p.power_cap is not None:
             low[row : row + n] = -p.power_cap.limit_W / POWER_UNIT_W
         if self.shape.peak or self.shape.capped:
-            powers = [part.ravel() / POWER_UNIT_W for part in (per_v, per_n, of_runs, of_choice)]
-            values = np.concatenate([values, *powers])
-        entries = self._bounds_entries
-        G = self._G.filled(entries.factor * values[entries.of])
+            powers = [part.ravel() / POWER_UNIT_W for part in self._power_parts(p)]
+            values = np.concatenate([np.ones(1), *powers])
+            G = self._G.filled(self._bounds_entries.factor * values[self._bounds_entries.of])
+        else:
+            G = self._G_constant
         curvature = np.zeros(self.n_variables)
         curvature[self._v] = curvature[self._n] = 2.0 * p.weights.curvature * self._counts
         # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.
