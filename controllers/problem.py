@@ -243,11 +243,10 @@ class MPCProblem:
             return np.zeros(self.power_per_u_W.shape)
         return np.asarray(self.cooling.price_per_kWh * self.cooling.power_per_u_W * self.step_s / J_PER_KWH)
 
-    @property
+    @cached_property
     def comfort_price(self) -> Array:
         """Cost of one kelvin of violation at the end of one step, currency/K, shape (Z,)."""
-        weights = np.broadcast_to(np.asarray(self.weights.comfort, dtype=np.float64), self.T_free_C.shape[:1])
-        return weights * (self.step_s / HOUR_S)
+        return np.ones(self.T_free_C.shape[0]) * self.weights.comfort * (self.step_s / HOUR_S)
 
     @property
     def cap_price_per_W(self) -> float:

@@ -146,7 +146,9 @@ class Programme:
         self._on_per_v = np.where(self._held_moves, 0.0, per_v)
         self._held_in = self._held_moves[:, self._move]
         self._on_per_u, self._any_held = self._on_per_v[:, self._move], bool(self._held_moves.any())
-        self._firsts = shape.first_steps
+        self._firsts, self._full = shape.first_steps, np.repeat(machinery.u_max[:, None], n, axis=1)
+        # Moves and slack are contiguous.
+        self._v_at, self._s_at = slice(0, A * m), slice(int(self._s[0, 0]), int(self._s[-1, -1]) + 1)
 
         self._dynamics_entries = self._dynamics()
         self._A = SparsePattern(self._dynamics_entries.rows, self._dynamics_entries.columns, (G * n, self.n_variables))
@@ -296,9 +298,9 @@ class Programme:
 
     def drive(self, p: MPCProblem) -> Drive:
         """Drive of the modes at the features of an instance."""
-        machinery, n = self.shape.machinery, self.shape.n_steps
+        machinery = self.shape.machinery
         highest = machinery.u_max[:, None]
-        full = self.operator.drive(np.broadcast_to(highest, (highest.size, n)), p.features)
+        full = self.operator.drive(self._full, p.features)
         per_u = full / highest
         if not self._any_held:
             return Drive(per_u, _NONE)
@@ -323,8 +325,9 @@ class Programme:
 
     def levels(self, x: Array) -> Array:
         """Levels u (A, N) of a solution."""
-        moves = np.array(x[self._v])
-        moves[self._signed] -= x[self._n]
+        moves = x[: self._v.size].reshape(self._v.shape).copy()
+        if self._signed.size:
+            moves[self._signed] -= x[self._n]
         for b, a in zip(self._b, self._chosen, strict=True):
             # What a solver leaves of an actuator that is off, or lacks of its lowest level.
             chosen = x[b] > 0.5
@@ -359,7 +362,7 @@ class Programme:
             b[g * n : g * n + begin.size] = begin
 
         fixed_cost = p.fixed_cost
-        alone = np.where(self._alone[:, None], fixed_cost[machinery.machine_of], 0.0)
+        alone = self._alone[:, None] * fixed_cost[machinery.machine_of]
         cost_v = p.price_per_W[machinery.machine_of] * p.power_per_u_W + alone * self._on_per_u
         cost_b = np.where(self._held_in, alone, 0.0) if self._any_held else _NONE
         cost_n = p.cooling_cost_per_u[self._signed] if self._signed.size else _NONE
@@ -371,8 +374,8 @@ class Programme:
             cost_b = cost_b - worth * drive.onset if self._any_held else cost_b
             cost_n = cost_n + (worth * drive.per_u)[self._signed] if self._signed.size else cost_n
         linear = np.zeros(self.n_variables)
-        linear[self._v] = np.add.reduceat(cost_v, firsts, axis=1)
-        linear[self._s] = p.comfort_price[:, None]
+        linear[self._v_at] = np.add.reduceat(cost_v, firsts, axis=1).ravel()
+        linear[self._s_at] = np.repeat(p.comfort_price, n)
         if self._signed.size:
             linear[self._n] = np.add.reduceat(cost_n, firsts, axis=1)
         if self.shape.peak:
@@ -400,7 +403,10 @@ class Programme:
         else:
             G = self._G_constant
         curvature = np.zeros(self.n_variables)
-        curvature[self._v] = curvature[self._n] = 2.0 * p.weights.curvature * self._counts
+        of_moves = 2.0 * p.weights.curvature * self._counts
+        curvature[self._v_at] = np.tile(of_moves, self._v.shape[0])
+        if self._signed.size:
+            curvature[self._n] = of_moves
         # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.
         unit = float(np.abs(linear).max()) or 1.0
         self._quadratic.data[:] = curvature / unit

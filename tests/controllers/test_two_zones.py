@@ -375,8 +375,8 @@ def test_the_gain_in_a_zone_without_a_reading_sees_the_mean_of_the_others():
         model.operator.pairs[0][0],
         hidden_weight=weights,
         output_weight=output,
-        feature_mean=np.array([21.0, 0.0, 0.0, 0.0]),
-        feature_scale=np.array([3.0, 5.0, 100.0, 1.0]),
+        feature_mean=np.array([8.0, 0.0, 0.0, 0.0]),
+        feature_scale=np.array([8.0, 5.0, 100.0, 1.0]),
     )
     operator = replace(model.operator, pairs=((pair, None), (None, pair)))
     predictor = mpc(replace(model, operator=operator)).predictor

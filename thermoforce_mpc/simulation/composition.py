@@ -14,8 +14,11 @@ from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 
-# BOPTEST's names; the plant knows which of them it has.
-_NAMED_PERIODS = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day")
+# BOPTEST's names and those of plants of our own; the plant knows which of them it has.
+_NAMED_PERIODS = (
+    "peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day", "cold_week",
+    "sunny_week",
+)  # fmt: skip
 
 
 def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
