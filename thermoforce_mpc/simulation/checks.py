@@ -23,16 +23,18 @@ def validate_scenario(scenario: Scenario) -> TestCase:
                     f"baselines: '{name}' needs a model, but the controller of this scenario identifies none"
                 )
             identification_settings(scenario, testcase, name)
-    if scenario.plant.kind == "embedded" and testcase.energyplus is not None:
+    on_engine = testcase.energyplus is not None or testcase.plant == "small_office"
+    if scenario.plant.kind == "embedded" and (on_engine or testcase.plant is not None):
         if scenario.plant.weather != "synthetic":
-            raise ConfigError(f"plant.weather: test case '{testcase.name}' has EnergyPlus' own weather; leave it out")
+            raise ConfigError(f"plant.weather: test case '{testcase.name}' has its own weather; leave it out")
+    if scenario.plant.kind == "embedded" and on_engine:
         from thermoforce_mpc.plants.energyplus.engine import is_available
 
         if not is_available():
             raise ConfigError(
                 f"test case '{testcase.name}' runs on EnergyPlus: pip install 'thermoforce-mpc[energyplus]'"
             )
-    elif scenario.plant.kind == "embedded" and not testcase.embedded:
+    elif scenario.plant.kind == "embedded" and not testcase.embedded and testcase.plant is None:
         raise ConfigError(
             f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
             "give the address of a BOPTEST service with --url, or the test case's FMU with --fmu"

@@ -47,6 +47,10 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     if testcase.plant == "rooms":
         from thermoforce_mpc.plants.rooms import house_of_rooms
 
+        if error is not None or tariff is not None:
+            raise ConfigError(
+                f"test case '{testcase.name}': forecast_uncertainty and prices_file are not available for it; leave them out"
+            )
         return house_of_rooms(testcase.name)
     if testcase.plant == "small_office":
         from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
