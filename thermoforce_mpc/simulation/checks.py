@@ -24,9 +24,9 @@ def validate_scenario(scenario: Scenario) -> TestCase:
                 )
             identification_settings(scenario, testcase, name)
     on_engine = testcase.energyplus is not None or testcase.plant == "small_office"
-    if scenario.plant.kind == "embedded" and (on_engine or testcase.plant is not None):
-        if scenario.plant.weather != "synthetic":
-            raise ConfigError(f"plant.weather: test case '{testcase.name}' has its own weather; leave it out")
+    own_weather = scenario.plant.kind == "embedded" and (on_engine or testcase.plant is not None)
+    if own_weather and scenario.plant.weather != "synthetic":
+        raise ConfigError(f"plant.weather: test case '{testcase.name}' has its own weather; leave it out")
     if scenario.plant.kind == "embedded" and on_engine:
         from thermoforce_mpc.plants.energyplus.engine import is_available
 

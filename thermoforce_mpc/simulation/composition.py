@@ -49,7 +49,7 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
 
         if error is not None or tariff is not None:
             raise ConfigError(
-                f"test case '{testcase.name}': forecast_uncertainty and prices_file are not available for it; leave them out"
+                f"test case '{testcase.name}': it has neither forecast_uncertainty nor prices_file; leave them out"
             )
         return house_of_rooms(testcase.name)
     if testcase.plant == "small_office":

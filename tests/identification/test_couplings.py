@@ -1,0 +1,124 @@
+"""Effects between zones: found where they are, shrunk where they are not, and said where the data are silent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, random_levels, record
+
+from thermoforce_mpc.data import HOUR_S, Layout, Names, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.model.thermal_model import load_model
+
+STEP_S = 1800.0
+LINEAR = IdentificationConfig(modulation="linear")
+NAMES = Names(("living", "bed"), ("floor", "radiator"), ("pump", "boiler"))
+LAYOUT = Layout(
+    NAMES,
+    signs=(1, 1),
+    home=(0, 1),
+    machine_of=(0, 1),
+    lowest=(0.0, 0.0),
+    shares=(0.0, 0.0),
+    floor_area_m2=(100.0, 100.0),
+)
+# What a neighbour's heat does: the house's own response, a third of it.
+NEIGHBOUR = House(gain_K=(0.6, 8.0))
+FULL_W = sum(House().machine_W)
+
+
+def two_rooms(coupled: bool, days: float = 4.0, same: bool = False) -> Record:
+    """Living room and bedroom with a heater each; the living room's heater warms the bedroom too where `coupled`."""
+    house, n = House(), round(days * 24 * HOUR_S / STEP_S)
+    levels = [random_levels(n, seed, hold=8) for seed in (3, 3 if same else 4)]
+    rooms = [record(house, days, STEP_S, seed=5, u=u, noise_K=0.01) for u in levels]
+    bed_C = rooms[1].T_zone_C[0]
+    if coupled:
+        bed_C = bed_C + NEIGHBOUR.effect_K(rooms[0].heat_W[0] / FULL_W, STEP_S)
+    return Record(
+        rooms[0].time_s,
+        np.stack([rooms[0].T_zone_C[0], bed_C]),
+        rooms[0].T_out_C,
+        rooms[0].solar_W_m2,
+        np.stack(levels),
+        np.stack([room.power_W[0] for room in rooms]),
+        np.stack([room.heat_W[0] for room in rooms]),
+        names=NAMES,
+    )
+
+
+@pytest.fixture(scope="module")
+def coupled():
+    return identify([two_rooms(coupled=True)], config=LINEAR, layout=LAYOUT)
+
+
+def effect_K(pair, hours: float = 8.0) -> float:
+    """Effect of `hours` of the machine's full heat at 0 °C."""
+    steps = round(hours * HOUR_S / pair.step_s)
+    return float(np.cumsum(pair.impulse(steps))[-1]) * FULL_W / pair.heat_input.reference_W
+
+
+def test_a_neighbours_heat_is_found_where_it_is(coupled):
+    true_K = NEIGHBOUR.effect_K(np.ones(16), STEP_S)[-1]
+    own = coupled.operator.pairs[1][1]
+    across = coupled.operator.pairs[1][0]
+    assert across is not None
+    assert effect_K(across) == pytest.approx(true_K, rel=0.35)
+    assert effect_K(own) == pytest.approx(House().effect_K(np.ones(16), STEP_S)[-1], rel=0.2)
+    assert all(proof.certified for proof in coupled.operator.certificates().values())
+
+
+def test_no_effect_is_found_where_there_is_none(coupled):
+    none = coupled.operator.pairs[0][1]
+    assert none is None or effect_K(none) < 0.05 * effect_K(coupled.operator.pairs[0][0])
+
+
+def test_the_card_says_how_well_each_pair_is_known(coupled):
+    known = coupled.cards[1].uncertainty
+    mean, sd = known["step_response_8h_K[floor]"], known["step_response_8h_sd_K[floor]"]
+    pair = coupled.operator.pairs[1][0]
+    assert mean == pytest.approx(effect_K(pair) * pair.heat_input.reference_W / FULL_W, rel=1e-6)
+    assert 0 < sd < mean
+
+
+def test_records_that_always_act_together_cannot_tell_the_pairs_apart():
+    model = identify([two_rooms(coupled=True, same=True)], config=LINEAR, layout=LAYOUT)
+    apart = identify([two_rooms(coupled=True)], config=LINEAR, layout=LAYOUT)
+
+    def relative_sd(found) -> float:
+        known = found.cards[1].uncertainty
+        return known["step_response_8h_sd_K[floor]"] / known["step_response_8h_K"]
+
+    assert relative_sd(model) > 2 * relative_sd(apart)
+
+
+def test_a_building_comes_back_from_its_file(coupled, tmp_path):
+    back = load_model(coupled.save(tmp_path / "house"))
+    assert back.names == NAMES
+    np.testing.assert_array_equal(back.operator.gains, coupled.operator.gains)
+    assert back.power == coupled.power
+    assert "floor" in back.summary()
+
+
+def test_another_building_is_refused(coupled):
+    other = replace(two_rooms(coupled=True), names=replace(NAMES, zones=("kitchen", "bed")))
+    with pytest.raises(DataError, match="kitchen"):
+        identify([other], config=LINEAR, layout=LAYOUT)
+    with pytest.raises(DataError, match="say what acts where"):
+        identify([other], config=LINEAR)
+
+
+def test_order_of_the_zones_does_not_matter(coupled):
+    r = two_rooms(coupled=True)
+    turned = Record(
+        r.time_s, r.T_zone_C[::-1], r.T_out_C, r.solar_W_m2, r.u[::-1], r.power_W[::-1], r.heat_W[::-1],
+        names=Names(NAMES.zones[::-1], NAMES.actuators[::-1], NAMES.machines[::-1]),
+    )  # fmt: skip
+    model = identify([turned], config=LINEAR, layout=replace(LAYOUT, names=turned.names))
+    np.testing.assert_allclose(
+        model.operator.steady_gains_K[::-1, ::-1], coupled.operator.steady_gains_K, rtol=1e-6, atol=1e-9
+    )
