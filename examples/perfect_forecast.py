@@ -76,10 +76,10 @@ for number in range(int(passes) + 1):
     what = "as it is" if number == 0 else f"free response known, pass {number}"
     print(f"{what}: {cost:.4f} EUR/m2, {cold:.2f} K.h too cold, {warm:.2f} K.h too warm")
     history = plant.past(controller.step_s)
-    free_C = controller.predictor.free_history(history)
+    free_C, T_zone_C = controller.predictor.free_history(history)[0], history.T_zone_C[0]
     if number == 0:
         scored = (history.time_s > window.start_s + DAY_S / 2) & (history.time_s <= scored_end_s)
-        above_K = np.where(scored, history.T_zone_C - schedule.bounds_C(history.time_s)[1], -np.inf)
+        above_K = np.where(scored, T_zone_C - schedule.bounds_C(history.time_s)[1], -np.inf)
         worst = int(np.argmax(above_K))
         at_s = history.time_s[worst]
         print(f"warmest on day {at_s / DAY_S:.2f} ({above_K[worst]:+.2f} K to the upper bound); what plans missed:")
@@ -88,8 +88,8 @@ for number in range(int(passes) + 1):
             if plan is None or not plan.T_free_C.size:  # before the window, or a fallback
                 continue
             step = round(hours * HOUR_S / controller.step_s) - 1
-            free_K = free_C[worst] - plan.T_free_C[step]
-            forced_K = history.T_zone_C[worst] - free_C[worst] - plan.T_forced_K[step]
-            band_K = 0.5 * (plan.T_free_high_C[step] - plan.T_free_low_C[step])
+            free_K = free_C[worst] - plan.T_free_C[0, step]
+            forced_K = T_zone_C[worst] - free_C[worst] - plan.T_forced_K[0, step]
+            band_K = 0.5 * (plan.T_free_high_C[0, step] - plan.T_free_low_C[0, step])
             print(f"  {hours:2d} h before: free {free_K:+.2f} K beyond (band ±{band_K:.2f}), forced {forced_K:+.2f} K")
     controller = ThermoForceMPC(controller.model, controller.config, free_response=Known(history.time_s, free_C))
