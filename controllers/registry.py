@@ -161,7 +161,8 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     actuators = [one.actuator for one in points.actuators]
     if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
         if entry.needs_model:
-            defaults = dict(merge(defaults, _ROOM_SETPOINTS))
+            own = {"actuation": testcase.defaults.actuation} if testcase.defaults.actuation else {}
+            defaults = dict(merge(merge(defaults, _ROOM_SETPOINTS), own))
     elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
         kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]
         defaults["actuation"] = testcase.defaults.actuation or kinds[0]

@@ -31,10 +31,10 @@ def tables() -> tuple[pd.DataFrame, pd.DataFrame]:
     plant = EmbeddedPlant(synthetic_weather())
     r = probe(plant, 20 * DAY_S, 4.0, seed=1)
     index = pd.date_range("2025-01-21", periods=r.n_steps + 1, freq="15min", tz="Europe/Brussels", name="time")
-    columns = {"T_room": r.T_zone_C, "T_out": r.T_out_C, "sun": r.solar_W_m2, "u": [*r.u, None]}
-    df = pd.DataFrame(columns | {"P_el": [*r.power_W, None]}, index=index).astype(float)
+    columns = {"T_room": r.T_zone_C[0], "T_out": r.T_out_C, "sun": r.solar_W_m2, "u": [*r.u[0], None]}
+    df = pd.DataFrame(columns | {"P_el": [*r.power_W[0], None]}, index=index).astype(float)
     b = plant.forecast(2 * DAY_S, 3600.0)
-    ahead = {"T_out": b.T_out_C, "sun": b.solar_W_m2, "T_min": b.lower_C, "T_max": b.upper_C}
+    ahead = {"T_out": b.T_out_C, "sun": b.solar_W_m2, "T_min": b.lower_C[0], "T_max": b.upper_C[0]}
     forecast = pd.DataFrame(ahead, index=pd.date_range(index[-1], periods=b.n_steps + 1, freq="1h", name="time"))
     return df, forecast
 
@@ -119,7 +119,7 @@ def test_what_was_not_measured_is_left_out(tables):
     assert np.isnan(record.power_W).all()
     assert (record.solar_W_m2 == 0).all()
     model = tf.identify(record, config=LINEAR)
-    assert model.power is None
+    assert model.power == (None,)
     assert "energy cannot be planned" in model.summary()
 
 

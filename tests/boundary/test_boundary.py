@@ -73,7 +73,7 @@ def test_the_plant_pays_the_prices_of_the_file(tmp_path):
     path.write_text("time,price\n" + "\n".join(f"{hour * 3600},{0.1 if hour % 2 else 0.5}" for hour in range(8760)))
     plant = EmbeddedPlant(synthetic_weather(), highly_dynamic=tariffs.tariff_from_file(path))
     plant.reset(20 * DAY_S, 0.0, "highly_dynamic")
-    np.testing.assert_allclose(plant.forecast(3 * HOUR_S, HOUR_S).price_per_kWh, [0.5, 0.1, 0.5, 0.1])
+    np.testing.assert_allclose(plant.forecast(3 * HOUR_S, HOUR_S).price_per_kWh, [[0.5, 0.1, 0.5, 0.1]])
     energy = [plant.advance(u, HOUR_S) and plant.kpis()["ener_tot"] for u in (1.0, 0.0)]
     assert plant.kpis()["cost_tot"] == pytest.approx(0.5 * energy[0] + 0.1 * (energy[1] - energy[0]), rel=0.01)
 
