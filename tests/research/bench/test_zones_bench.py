@@ -1,0 +1,44 @@
+"""Targets of the bench of several zones."""
+
+from __future__ import annotations
+
+import math
+
+from thermoforce_mpc.research.bench.zones import APARTMENT, HOUSE, Case, Outcome, speed_targets, targets
+
+
+def outcome(testcase: str, ours, native, thermostat) -> Outcome:
+    kpis = zip(("thermoforce_mpc", "native", "thermostat"), (ours, native, thermostat), strict=True)
+    return Outcome(Case(testcase, "w", 7.0), {name: {"cost_tot": c, "tdis_tot": d} for name, (c, d) in kpis})
+
+
+def test_a_house_is_judged_by_the_cheaper_and_the_more_comfortable_baseline():
+    cost, discomfort = targets([outcome(HOUSE, (0.9, 0.4), (1.0, 2.0), (1.2, 0.1))])
+    assert cost.value == 0.9
+    assert cost.holds
+    assert discomfort.goal == 0.5
+    assert discomfort.holds
+    cost, discomfort = targets([outcome(HOUSE, (1.1, 1.1), (1.0, 2.0), (1.2, 1.0))])
+    assert not cost.holds
+    assert discomfort.goal == 1.0
+    assert not discomfort.holds
+
+
+def test_the_apartment_is_judged_by_a_tenth_of_natives_discomfort():
+    cost, discomfort = targets([outcome(APARTMENT, (1.0, 3.0), (1.0, 37.0), (2.0, 0.0))])
+    assert cost.holds
+    assert discomfort.goal == 0.1 * 37.0
+    assert discomfort.holds
+
+
+def test_a_failed_case_meets_nothing():
+    found = targets([Outcome(Case(HOUSE, "w", 7.0), failed="PlantError: no")])
+    assert len(found) == 2
+    assert not any(target.holds for target in found)
+    assert all(math.isnan(target.value) for target in found)
+
+
+def test_growth_is_the_slope_in_logarithms():
+    exponent, five = speed_targets({1: 2.0, 5: 10.0, 10: 20.0})
+    assert abs(exponent.value - 1.0) < 1e-9
+    assert five.value == 10.0
