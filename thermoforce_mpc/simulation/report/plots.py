@@ -112,15 +112,17 @@ def _levels(axis: Axes, trajectory: pd.DataFrame, actuators: Sequence[str]) -> N
 def actuation_plot(trajectory: pd.DataFrame, currency: str, names: Names = SINGLE) -> str:
     """Actuator level (below 0: cooling), power, kW, outdoor temperature, °C, irradiance, W/m², and price.
 
-    With several actuators or machines a panel for each, by name. With several zones the levels stand in their rows.
+    With several actuators or machines a panel for each, by name, and one per price. With several zones the levels stand
+    in their rows.
     """
     actuators = names.actuators if len(names.zones) == 1 else ()
+    prices = _different_prices(trajectory, names)
     if names.single:
         figure = Figure(figsize=(11, 6.2), layout="constrained")
         panels = figure.subplots(4, 1, sharex=True)
         below = panels[-1:]
     else:
-        n = len(actuators) + 2 * len(names.machines) + 1
+        n = len(actuators) + len(names.machines) + len(prices) + 1
         rows = -(-n // 2)
         figure = Figure(figsize=(11, 0.4 + 1.6 * rows), layout="constrained")
         grid = figure.subplots(rows, 2, sharex=True, squeeze=False)
@@ -133,11 +135,21 @@ def actuation_plot(trajectory: pd.DataFrame, currency: str, names: Names = SINGL
     for name in names.machines:
         _power(next(waiting), _of(trajectory, name), _titled("power, kW", name, names.machines))
     _weather(next(waiting), trajectory)
-    for name in names.machines:
-        _price(next(waiting), _of(trajectory, name), _titled("price", name, names.machines), currency)
+    for name in prices:
+        _price(next(waiting), _of(trajectory, name), _titled("price", name, prices), currency)
     for axis in below:
         axis.set_xlabel("day of the scored window")
     return svg_text(figure)
+
+
+def _different_prices(trajectory: pd.DataFrame, names: Names) -> list[str]:
+    """The first machine of each price: machines that pay the same share a panel."""
+    found: list[str] = []
+    for name in names.machines:
+        own = _of(trajectory, name).price_per_kWh
+        if not any(own.equals(_of(trajectory, other).price_per_kWh) for other in found):
+            found.append(name)
+    return found
 
 
 def _titled(label: str, name: str, names: Sequence[str]) -> str:
