@@ -14,9 +14,12 @@ def command() -> None:
     click.echo("Test cases (--testcase NAME):")
     for name, path in named_configs("testcases").items():
         testcase = load_testcase(name)
-        ships = "EnergyPlus (extra [energyplus])" if testcase.energyplus else ""
+        on_engine = testcase.energyplus is not None or testcase.plant == "small_office"
+        ships = "EnergyPlus (extra [energyplus])" if on_engine else ""
         plants = ships or f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
+    click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
+    click.echo("      plant: its own, nothing to install (docs/rooms_house.md)")
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():
         click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")
