@@ -10,9 +10,12 @@ import numpy as np
 from thermoforce_mpc.data import ACTING, Array, Block, Boundary, Measurement, Record
 from thermoforce_mpc.plants.checks import plant_inputs
 from thermoforce_mpc.scenario.building import BuildingPoints, Price
+from thermoforce_mpc.scenario.heat import HeatMeter, weighted_sum
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 
 _KELVIN = 273.15
+# Applied value above which the signal of a machine's pump or fan means that it runs.
+_RUNS = 1e-3
 
 
 def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float], edges: Array) -> Array:
@@ -38,26 +41,29 @@ def means_between(time_s: Array, values: Array, edges: Array) -> Array:
     return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges))
 
 
-def weighted_sum(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float]) -> Array:
-    """Return the sum of `points` over the samples of `record`, each times its factor where `points` has factors."""
-    factors = points if isinstance(points, Mapping) else dict.fromkeys(points, 1.0)
-    return np.asarray(np.sum([factor * record[name] for name, factor in factors.items()], axis=0))
-
-
 def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied: Mapping[str, Array]) -> Array:
     """Return the levels (A, n) of n samples: from the `applied` values of the points that the actuators sense.
 
-    Where room set-points act it is the heat to the room over full heat, in range.
+    Where room set-points act it is the heat to the room over full heat, in range. While a machine does not run, the
+    levels of its actuators are 0.
     """
     rows = []
-    for one, home in zip(points.actuators, points.layout.home, strict=True):
-        actuator = one.actuator
+    for one, home, m in zip(points.actuators, points.layout.home, points.layout.machine_of, strict=True):
+        actuator, running = one.actuator, points.machines[m].running
         if isinstance(actuator, RoomSetpoints):
-            rows.append(np.clip(weighted_sum(record, one.heat) / actuator.heating_W, actuator.lowest, 1.0))
+            level = np.clip(one.heat.heat_W(record) / actuator.heating_W, actuator.lowest, 1.0)
         else:
             room_C = record[points.zones[home].temperature] - _KELVIN
-            rows.append(actuator.level(applied[actuator.point], room_C, applied))
+            level = actuator.level(applied[actuator.point], room_C, applied)
+        rows.append(level if running is None else np.where(applied[running] > _RUNS, level, 0.0))
     return np.stack(rows)
+
+
+def heat_means(record: Mapping[str, Array], meter: HeatMeter, edges: Array) -> Array:
+    """Return the mean heat between `edges` (n + 1,), W, shape (n,); NaN where it is not measured."""
+    if not meter.units or edges.size < 2:
+        return np.full(edges.size - 1, math.nan)
+    return means_between(record["time"], meter.heat_W(record)[None], edges)[0]
 
 
 def acting_means(record: Mapping[str, Array], points: BuildingPoints, u: Array, edges: Array) -> dict[str, Array]:
@@ -65,7 +71,7 @@ def acting_means(record: Mapping[str, Array], points: BuildingPoints, u: Array, 
     return {
         "u": u,
         "power_W": np.stack([interval_means(record, machine.power, edges) for machine in points.machines]),
-        "heat_W": np.stack([interval_means(record, one.heat, edges) for one in points.actuators]),
+        "heat_W": np.stack([heat_means(record, one.heat, edges) for one in points.actuators]),
         "T_return_C": np.stack(
             [
                 interval_means(record, [machine.return_water] if machine.return_water else [], edges) - _KELVIN
@@ -151,7 +157,7 @@ def boundary(
 def inputs(points: BuildingPoints, block: Block, T_zone_C: Array) -> dict[str, float]:
     """Return the inputs of all actuators for a block with the zones at `T_zone_C` (Z,), °C.
 
-    A point that one actuator holds and another releases stays held.
+    A point that one actuator holds and another releases stays held. The points of a machine come after its actuators'.
 
     Raises:
         InputError: see `plant_inputs`.
@@ -160,4 +166,6 @@ def inputs(points: BuildingPoints, block: Block, T_zone_C: Array) -> dict[str, f
     for a, (one, home) in enumerate(zip(points.actuators, points.layout.home, strict=True)):
         for name, value in plant_inputs(one.actuator, block.u[a], block.band_C[a], float(T_zone_C[home])).items():
             out[name] = max(out.get(name, value), value) if name.endswith("_activate") else value
+    for m, machine in enumerate(points.machines):
+        out |= machine.inputs([block.u[a] for a in points.layout.fed_by(m)])
     return out

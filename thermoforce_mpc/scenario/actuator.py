@@ -91,6 +91,11 @@ class Actuator(StrictModel):
         """Points whose applied values give the level: the actuator's own, its switch and its supply."""
         return tuple(name for name in (self.point, self.switch, self.supply) if name is not None)
 
+    @property
+    def points(self) -> tuple[str, ...]:
+        """All overwrite points."""
+        return (self.point, *self.held)
+
     def value(self, u: float, T_zone_C: float = math.nan) -> float:
         """Return the value of `<point>_u` for `u` in [0, 1], in `unit`; a room that is not measured is at reference."""
         return float(self._value(np.asarray(u), self._room(T_zone_C)))
@@ -101,7 +106,7 @@ class Actuator(StrictModel):
         All points are set explicitly, since a point that is not set keeps its last value.
         """
         if u is None:
-            return {f"{name}_activate": 0.0 for name in (self.point, *self.held)}
+            return {f"{name}_activate": 0.0 for name in self.points}
         values = {self.point: self.value(u, T_zone_C), **self.held}
         if self.switch is not None and u <= 0:
             values[self.switch] = 0.0

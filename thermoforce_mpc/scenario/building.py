@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -21,12 +22,6 @@ ELECTRICITY: dict[Price, str] = {
     "dynamic": "PriceElectricPowerDynamic",
     "highly_dynamic": "PriceElectricPowerHighlyDynamic",
 }
-
-Heat = tuple[str, ...] | dict[str, float]
-_HEAT = (
-    "points whose sum is the delivered heat, W; empty if not measured. With a factor each, heat from metered power: an "
-    "efficiency, or for cooling minus the coefficient of performance"
-)
 
 
 class Zone(StrictModel):
@@ -41,9 +36,26 @@ class Zone(StrictModel):
 
 
 class Machine(StrictModel):
-    """A machine: the power that is billed, at the price of its carrier."""
+    """A machine: the power that is billed, at the price of its carrier, and what it needs to feed its actuators."""
 
-    power: tuple[str, ...] = Field(min_length=1, description="points whose sum is the power billed, W")
+    power: tuple[str, ...] | dict[str, float] = Field(
+        min_length=1,
+        description="points whose sum is the power billed, W. With a factor each where a part of it, such as a pump, "
+        "is billed at another price: that price over the machine's own",
+    )
+    held: dict[str, float] = Field(
+        default_factory=dict,
+        description="overwrite points held at a value (unit of the interface) while an actuator of the machine acts "
+        "(u is not 0), such as what starts its pump; native otherwise",
+    )
+    idle: dict[str, float] = Field(
+        default_factory=dict, description="values of points of `held` while all its actuators are held at u = 0"
+    )
+    running: str | None = Field(
+        None,
+        description="overwrite point whose applied value is above 0 while the machine feeds its actuators, such as the "
+        "signal of its pump: their level is 0 otherwise, whatever native control does to them",
+    )
     return_water: str | None = Field(None, description="return water temperature of the emitters, K")
     price: dict[Price, str] = Field(ELECTRICITY, description="forecast points of the price, per tariff")
     heating_price: dict[Price, str] | None = Field(
@@ -52,6 +64,26 @@ class Machine(StrictModel):
     )
     emission: str = Field("EmissionsElectricPower", description="forecast point of the emissions, kg CO2/kWh")
 
+    @model_validator(mode="after")
+    def _idle_is_held(self) -> Machine:
+        for name in self.idle:
+            if name not in self.held:
+                raise ValueError(f"idle: '{name}' is not one of the points in held")
+        return self
+
+    def inputs(self, levels: Sequence[float | None]) -> dict[str, float]:
+        """Return the plant inputs of the held points for the `levels` of the machine's actuators (None: native).
+
+        While some are native and none acts, the points are native too: native control may need the machine.
+        """
+        if any(level is not None and level != 0 for level in levels):
+            values = dict(self.held)
+        elif any(level is None for level in levels):
+            return {f"{name}_activate": 0.0 for name in self.held}
+        else:
+            values = {**self.held, **self.idle}
+        return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
+
 
 class ZoneActuator(Actuator):
     """An actuator of a building: what it serves and what feeds it."""
@@ -59,7 +91,7 @@ class ZoneActuator(Actuator):
     zone: str = Field(description="the zone that it serves")
     machine: str = Field(description="the machine that feeds it")
     mode: Literal["heating", "cooling"] = Field("heating", description="sign of its effect")
-    heat: Heat = Field((), description=_HEAT)
+    heat: Heat = Field((), description=HEAT_IS)
     share: float | None = Field(
         None, gt=0, description="share of its machine's capacity at full level; by default equal shares"
     )
@@ -70,7 +102,10 @@ class ZoneRoomSetpoints(RoomSetpoints):
 
     zone: str = Field(description="the zone that they serve")
     machine: str = Field(description="the machine that feeds it")
-    heat: Heat = Field((), description=_HEAT)
+    heat: Heat = Field((), description=HEAT_IS)
+    share: float | None = Field(
+        None, gt=0, description="share of its machine's capacity at full level; by default that of full heat"
+    )
 
 
 def _kind(actuator: object) -> str:
@@ -89,10 +124,10 @@ AnyZoneActuator = Annotated[
 
 @dataclass(frozen=True)
 class ActuatorPoints:
-    """An actuator, its heat points with their factors, and `key`, where it stands in the test case file."""
+    """An actuator, what tells its heat, and `key`, where it stands in the test case file."""
 
     actuator: Actuator | RoomSetpoints
-    heat: Mapping[str, float]
+    heat: HeatMeter
     key: str
 
 
@@ -116,13 +151,14 @@ class BuildingPoints:
     @property
     def sensed(self) -> tuple[str, ...]:
         """Points whose applied values give the levels."""
-        return tuple(dict.fromkeys(name for one in self.actuators for name in one.actuator.sensed))
+        names = [name for one in self.actuators for name in one.actuator.sensed]
+        return tuple(dict.fromkeys([*names, *(machine.running for machine in self.machines if machine.running)]))
 
     @property
     def flows(self) -> tuple[str, ...]:
         """Points that are averaged over a step instead of sampled."""
         names = [name for machine in self.machines for name in machine.power]
-        names += [name for one in self.actuators for name in one.heat]
+        names += [name for one in self.actuators for name in one.heat.units]
         names += [machine.return_water for machine in self.machines if machine.return_water]
         return tuple(dict.fromkeys(names))
 
@@ -162,9 +198,13 @@ def layout_of(
         if not names:
             raise ValueError(f"machines.{machine}: it feeds no actuator")
 
-    def share(name: str, one: Any) -> float:
-        siblings = fed[one.machine]
-        return 0.0 if len(siblings) == 1 else float(getattr(one, "share", None) or 1.0 / len(siblings))
+    def share(one: ZoneActuator | ZoneRoomSetpoints) -> float:
+        siblings = [actuators[name] for name in fed[one.machine]]
+        if len(siblings) == 1:
+            return 0.0
+        heat = [each.heating_W if isinstance(each, RoomSetpoints) else math.nan for each in siblings]
+        full = one.heating_W / sum(heat) if isinstance(one, RoomSetpoints) else math.nan
+        return one.share or (full if math.isfinite(full) else 1.0 / len(siblings))
 
     return Layout(
         Names(tuple(zones), tuple(actuators), tuple(machines)),
@@ -172,11 +212,6 @@ def layout_of(
         tuple(list(zones).index(one.zone) for one in actuators.values()),
         tuple(list(machines).index(one.machine) for one in actuators.values()),
         tuple(one.lowest if isinstance(one, RoomSetpoints) else 0.0 for one in actuators.values()),
-        tuple(share(name, one) for name, one in actuators.items()),
+        tuple(share(one) for one in actuators.values()),
         tuple(zone.floor_area_m2 for zone in zones.values()) or (math.nan,),
     )
-
-
-def heat_factors(heat: Heat) -> dict[str, float]:
-    """Factor of each heat point: 1 unless given."""
-    return dict(heat) if isinstance(heat, dict) else dict.fromkeys(heat, 1.0)

@@ -16,7 +16,7 @@ from thermoforce_mpc.errors import ConfigError
 Model = TypeVar("Model", bound=BaseModel)
 
 
-UNION_TAGS = ("direct", "room", "one_zone", "weather_only")
+UNION_TAGS = ("direct", "room", "one_zone", "weather_only", "meters", "factors", "air")
 """Tags of the alternatives of a key, which pydantic puts into the place of an error; no key has these names."""
 
 
@@ -140,7 +140,7 @@ def _explain(model: type[BaseModel], item: Any) -> str:
     if item["type"] == "missing":
         return f"{key}: missing"
     reason = item["msg"].removeprefix("Value error, ")
-    return f"{key}: {reason} (got {item['input']!r})"
+    return f"{key}: {reason}" + (f" (got {item['input']!r})" if path else "")  # not the whole file
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:

@@ -20,9 +20,9 @@ from thermoforce_mpc.scenario.building import (
     Machine,
     Price,
     Zone,
-    heat_factors,
     layout_of,
 )
+from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -45,11 +45,7 @@ class Measurements(StrictModel):
     electric_power: tuple[str, ...] = Field(
         min_length=1, description="points whose sum is the power billed at `forecast.price`: electric, or gas"
     )
-    heat: tuple[str, ...] | dict[str, float] = Field(
-        (),
-        description="points whose sum is the delivered heat, W; empty if not measured. With a factor each, heat from "
-        "metered power: an efficiency, or for cooling minus the coefficient of performance",
-    )
+    heat: Heat = Field((), description=HEAT_IS)
     return_water: str | None = Field(None, description="return water temperature of the emitters, for the power model")
 
 
@@ -152,7 +148,7 @@ class TestCase(StrictModel):
                 layout_of(self.zones, self.actuators, self.machines),
                 tuple(self.zones.values()),
                 tuple(
-                    ActuatorPoints(one, heat_factors(one.heat), f"actuators.{name}")
+                    ActuatorPoints(one, HeatMeter(one.heat, self.zones[one.zone].temperature), f"actuators.{name}")
                     for name, one in self.actuators.items()
                 ),
                 tuple(self.machines.values()),
@@ -179,7 +175,7 @@ class TestCase(StrictModel):
         return BuildingPoints(
             Layout.single(self.mode, lowest, self.area_m2),
             (zone,),
-            (ActuatorPoints(actuator, heat_factors(m.heat), "actuator"),),
+            (ActuatorPoints(actuator, HeatMeter(m.heat, m.zone_temperature), "actuator"),),
             (machine,),
             *weather,
         )
@@ -213,7 +209,22 @@ class TestCase(StrictModel):
         for name, one in self.actuators.items():
             if isinstance(one, RoomSetpoints) and not one.heat:
                 raise ValueError(f"actuators.{name}: room set-points need heat: the level is heat over full heat")
+        for name, machine in self.machines.items():
+            self._check_held(f"machines.{name}", machine)
         return self
+
+    def _check_held(self, key: str, machine: Machine) -> None:
+        """Refuse points of a machine that something else sets too, or that a plant of our own would ignore."""
+        others = {f"machines.{name}": tuple(each.held) for name, each in self.machines.items() if each is not machine}
+        others |= {f"actuators.{name}": one.points for name, one in self.actuators.items()}
+        for point in machine.held:
+            for other, points in others.items():
+                if point in points:
+                    raise ValueError(f"{key}.held: '{point}' is a point of {other} as well")
+        if self.plant is not None and (machine.held or machine.running):
+            raise ValueError(
+                f"{key}: the plant '{self.plant}' has no overwrite points, it would ignore held and running"
+            )
 
     def _of_one_zone(self, actuator: Actuator | RoomSetpoints, measurements: Measurements) -> TestCase:
         room = isinstance(actuator, RoomSetpoints)

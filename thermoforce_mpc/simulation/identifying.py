@@ -252,7 +252,7 @@ def identification_settings(
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
         if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
-            metered = all(one.heat for one in testcase.points.actuators)
+            metered = all(one.heat.units for one in testcase.points.actuators)
             shares = _METERED_SHARES if metered else _UNMETERED_SHARES
             defaults["trial_levels"] = tuple(share * actuation.level for share in shares)
             if not metered:
@@ -263,7 +263,7 @@ def identification_settings(
     between = [level for level in (*probing.levels, *probing.trial_levels) if 0.0 < level < max(probing.levels)]
     if actuation is not None and actuation.mode == "auto" and between:
         ours["lowest_level"] = min(between)  # these levels are held, not made by cycling
-    if probing.trial_levels and not all(one.heat for one in testcase.points.actuators):
+    if probing.trial_levels and not all(one.heat.units for one in testcase.points.actuators):
         ours["part_load"] = True
     if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator":
         ours["radiator_exponent"] = testcase.actuator.exponent

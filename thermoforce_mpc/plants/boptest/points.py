@@ -46,7 +46,7 @@ def check_points(
     for one in points.actuators:
         wanted += _actuator_points(one.key, one.actuator, inputs)
         key = f"{one.key}.heat" if several else "measurements.heat"
-        wanted += [_Wanted(key, name, measured, _POWER) for name in one.heat]
+        wanted += [_Wanted(key, name, measured, unit) for name, unit in one.heat.units.items()]
     for zone, name in zip(points.zones, points.layout.names.zones, strict=True):
         key = f"zones.{name}.temperature" if several else "measurements.zone_temperature"
         of = f"zones.{name}" if several else "forecast"
@@ -67,12 +67,23 @@ def check_points(
         heating = machine.heating_price or {}
         wanted += [_Wanted(f"{of}.heating_price.{key}", point, forecast) for key, point in heating.items()]
         wanted.append(_Wanted(f"{of}.emission", machine.emission, forecast))
+        if machine.running:
+            wanted.append(_Wanted(f"{of}.running", f"{machine.running}_u", inputs))
+        for held in machine.held:
+            wanted += [_Wanted(f"{of}.held.{held}", f"{held}_{end}", inputs) for end in ("u", "activate")]
     wrong = [problem for item in wanted if (problem := _problem(item, plant))]
-    for one in points.actuators:
-        for key, name, value in _actuator_values(one.actuator):
-            point = inputs.get(f"{name}_u")
-            if point is not None:
-                wrong += _clipped(f"{one.key}.{key}", value, point, plant)
+    values = [
+        (f"{one.key}.{key}", name, value)
+        for one in points.actuators
+        for key, name, value in _actuator_values(one.actuator)
+    ]
+    for machine, name in zip(points.machines, points.layout.names.machines, strict=True):
+        for group, at in (("held", machine.held), ("idle", machine.idle)):
+            values += [(f"machines.{name}.{group}.{held}", held, value) for held, value in at.items()]
+    for key, name, value in values:
+        known = inputs.get(f"{name}_u")
+        if known is not None:
+            wrong += _clipped(key, value, known, plant)
     if wrong:
         raise ConfigError(f"test case '{testcase.name}' does not fit {plant}:\n  " + "\n  ".join(wrong))
 
