@@ -30,6 +30,7 @@ class Assembly:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s = model.cards, model.operator.step_s
         layout, each = self._layout, actuators.each
+        self._weights = [share or 1.0 for share in layout.shares]
         # A machine that feeds several is switched with them: its power is that of full level for a share of the step.
         self.power = tuple(
             _measured(power).at_lowest_level(each[fed[0]].lowest_level if len(fed) == 1 else 1.0)
@@ -76,11 +77,10 @@ class Assembly:
         T_out = boundary.T_out_C[:-1]
         parts = [power.parts(T_out, self._return_water_C(m, context, history)) for m, power in enumerate(self.power)]
         fixed_W = np.stack([np.broadcast_to(fixed, T_out.shape) for fixed, _ in parts])
-        weights = [share or 1.0 for share in layout.shares]
         per_u_W = np.stack(
             [
                 weight * np.broadcast_to(parts[m][1], T_out.shape)
-                for weight, m in zip(weights, layout.machine_of, strict=True)
+                for weight, m in zip(self._weights, layout.machine_of, strict=True)
             ]
         )
         lower_C, upper_C = self._bounds_C(operator, context)
@@ -153,9 +153,9 @@ class Assembly:
             return None
         full = np.ones(boundary.n_steps)
         per_u_W = []
-        for lowest, m in zip(self._layout.lowest, self._layout.machine_of, strict=True):
+        for lowest, m, weight in zip(self._layout.lowest, self._layout.machine_of, self._weights, strict=True):
             load = self.power[m].cooling if lowest < 0.0 else None
-            per_u_W.append(0.0 * full if load is None else load(full, boundary.T_out_C[:-1]))
+            per_u_W.append(0.0 * full if load is None else weight * load(full, boundary.T_out_C[:-1]))
         return Cooling(price[list(self._layout.machine_of)], np.stack(per_u_W))
 
     def _return_water_C(self, m: int, context: PredictionContext, history: Record) -> Array | float:
@@ -185,8 +185,7 @@ class Assembly:
             return value
         for a, (z, m) in enumerate(zip(self._layout.home, self._layout.machine_of, strict=True)):
             pair = operator.of_actuator(a)
-            weight = self._layout.shares[a] or 1.0
-            cost_per_kW_h = float(price[m, -1] * (weight * fixed_W[m, -1] + per_u_W[a, -1]))
+            cost_per_kW_h = float(price[m, -1] * (self._weights[a] * fixed_W[m, -1] + per_u_W[a, -1]))
             drive = float(pair.drive(np.array([self._actuators.each[a].highest]), features[z][None])[0])
             per_step = cost_per_kW_h / 1000.0 * self._step_s / HOUR_S
             value[z, a, -1] = self._config.objective.terminal_value * per_step / (pair.gains[-1] * drive)

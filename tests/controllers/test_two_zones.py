@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
-from two_houses import TWO, TwoHouses, reordered, two_model, two_observation
+from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.own_record import own_record
@@ -21,6 +21,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -392,3 +393,28 @@ def test_the_gain_in_a_zone_without_a_reading_sees_the_mean_of_the_others():
             states.append(predictor._estimator.update(state, history).forced_K)
         np.testing.assert_allclose(states[1], states[0], atol=1e-12)
         assert np.abs(states[0]).max() > 1.0
+
+
+def test_cooling_of_a_zone_costs_its_share_of_the_machine():
+    both = two_model(shared=True)
+    operator = both.operator.map_actuators(lambda _, pair: replace(pair, heat_input=HeatInput(lowest=-1.0)))
+    law = replace(both.power[0].load, coefficients=(0.0, 0.0, 6000.0, 0.0))
+    power = replace(both.power[0], load=law, cooling=replace(law, coefficients=(0.0, 0.0, 2000.0, 10.0)))
+    model = replace(both, operator=operator, power=(power,), shares=(0.75, 0.25))
+    seen, warm = two_observation(), TwoHouses(shared=True)
+    warm.reset(10 * DAY_S, 2 * DAY_S)
+    history = replace(
+        seen.history,
+        T_zone_C=seen.history.T_zone_C + np.array([[9.0], [7.0]]),
+        power_W=seen.history.power_W[:1],
+        T_return_C=seen.history.T_return_C[:1],
+        names=SHARED,
+    )
+    rooms = {"mode": "room_setpoints", "block_s": 60.0}
+    plan = mpc(model, actuation=rooms).plan(Observation(history, warm.forecast(24 * HOUR_S, HOUR_S)))
+    assert plan.status is PlanStatus.SOLVED
+    assert (plan.u.min(axis=1) < -0.1).all()
+    level = np.array([0.75, 0.25]) @ np.maximum(-plan.u, 0.0)
+    heating_W = 6000.0 * np.array([0.75, 0.25]) @ np.maximum(plan.u, 0.0)
+    T_out_C = warm.forecast(24 * HOUR_S, HOUR_S).T_out_C[:-1]
+    np.testing.assert_allclose(plan.power_W[0], heating_W + level * (2000.0 + 10.0 * T_out_C), rtol=1e-6, atol=0.1)

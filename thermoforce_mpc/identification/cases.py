@@ -14,7 +14,7 @@ from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, spli
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
-from thermoforce_mpc.model.machine.power import PowerModel, fit_power, fit_signed_power
+from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power, fit_signed_power
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -85,6 +85,20 @@ def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:
         f"heat at full level is extrapolated from levels up to {highest:.2g} and the prior of a {fit.kind}: "
         f"± {100 * fit.full_sd:.0f} %; probe at full level"
     ]
+
+
+def power_of_machine(
+    histories: Sequence[Record], config: IdentificationConfig, layout: Layout, machine: int
+) -> PowerModel | None:
+    """Return the power model of a machine over its own level; None if measured in less than half of the steps."""
+    fed, records = layout.fed_by(machine), [machine_record(h, layout, machine) for h in histories]
+    signed = any(layout.lowest[a] < 0.0 for a in fed)
+    measured = np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() >= _MEASURED
+    if not (signed and measured and len(fed) > 1):
+        return power_model(records, config, signed=signed)
+    weights = np.array([layout.shares[a] or 1.0 for a in fed])
+    u = np.concatenate([h.u[fed] for h in histories], axis=1)
+    return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
 
 
 def power_model(

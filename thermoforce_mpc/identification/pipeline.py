@@ -15,7 +15,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import identified_heat_input, machine_record, named, power_model
+from thermoforce_mpc.identification.cases import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.couplings import assembled, other_actuator
 from thermoforce_mpc.identification.joint import JointFit
@@ -103,10 +103,11 @@ def identify(
         heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a])
         heat_inputs.append(heat_input)
         notes.append([*gaps, *pair_gaps, *told])
-    power = [
-        power_model([machine_record(h, layout, m) for h in histories], config, signed=_signed(layout, m))
-        for m in range(len(layout.names.machines))
-    ]
+    power = [power_of_machine(histories, config, layout, m) for m in range(len(layout.names.machines))]
+    for a, m in enumerate(layout.machine_of):
+        law = power[m]
+        if law is not None and law.cooling is not None and len(layout.fed_by(m)) > 1:
+            notes[a].append(f"power of {layout.names.machines[m]}: {law.source}")
     zones: list[ZoneModel] = []
     fits: list[JointFit | None] = []
     for a, home in enumerate(layout.home):
@@ -133,10 +134,6 @@ def identify(
         zones.append(zone)
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
-
-
-def _signed(layout: Layout, machine: int) -> bool:
-    return any(layout.lowest[a] < 0.0 for a in layout.fed_by(machine))
 
 
 def _check_names(layout: Layout, records: Sequence[Record]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from machine_history import machine_history
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.power import fit_load, fit_power
+from thermoforce_mpc.model.machine.power import fit_both_directions, fit_load, fit_power
 from thermoforce_mpc.model.machine.return_water import ReturnWater
 
 
@@ -132,3 +132,25 @@ def test_real_machine_within_one_percent_with_its_return_water(shared):
     blind = (model.load(march.u[0], march.T_out_C[:-1]) - march.power_W[0])[on]
     assert np.sqrt(np.mean(missed**2)) < 0.01 * march.power_W[0, on].mean()
     assert np.sqrt(np.mean(missed**2)) < 0.5 * np.sqrt(np.mean(blind**2))
+
+
+def test_a_machine_that_heats_one_zone_and_cools_another_has_a_law_for_each():
+    rng = np.random.default_rng(6)
+    heating, cooling, T = rng.uniform(0, 1, 200), rng.uniform(0, 2, 200), rng.uniform(-5, 20, 200)
+    power = heating * 9000.0 + cooling * (3000.0 + 40.0 * T)
+    power[3] = np.nan
+    model = fit_both_directions([machine_history(heating, T, power_W=power)], heating, cooling)
+    at = np.array([0.5, -1.5])
+    np.testing.assert_allclose(model(at, 10.0), [4500.0, 1.5 * 3400.0], rtol=0.02)
+    assert "taken" not in model.source
+
+
+def test_a_direction_that_was_never_used_costs_what_the_other_does_and_the_source_says_so():
+    rng = np.random.default_rng(7)
+    heating, T = rng.uniform(0, 1, 100), rng.uniform(-5, 5, 100)
+    history = machine_history(heating, T, power_W=9000.0 * heating)
+    model = fit_both_directions([history], heating, np.zeros(100))
+    np.testing.assert_allclose(model(np.array([1.0, -1.0]), 0.0), [9000.0, 9000.0], rtol=0.01)
+    assert "of heating; the other direction was hardly used" in model.source
+    with pytest.raises(DataError, match="power of heating: the actuator was on in 0"):
+        fit_both_directions([history], np.zeros(100), np.zeros(100))

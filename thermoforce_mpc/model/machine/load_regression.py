@@ -22,7 +22,7 @@ LEVEL_EDGE = 0.02
 LEAST_W = 1e-3
 # Least number of intermediate samples to separate the fixed and the proportional part.
 _MIN_LEVELS = 3
-_MIN_STEPS, _MIN_RUNNING = 10, 5
+_MIN_STEPS, LEAST_RUNNING = 10, 5
 # Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
 RESIDUAL_SCALE = 0.02
 # Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
@@ -48,9 +48,9 @@ def usable_steps(u: Array, T_out_C: Array, load_W: Array, what: str) -> Steps:
         raise DataError(f"{what}: only {int(kept.sum())} of {u.size} steps were measured, need at least {_MIN_STEPS}")
     u, T, y = u[kept], T[kept], y[kept]
     running = u > LEVEL_EDGE
-    if running.sum() < _MIN_RUNNING or np.mean(y[running]) <= 0:
+    if running.sum() < LEAST_RUNNING or np.mean(y[running]) <= 0:
         raise DataError(
-            f"{what}: the actuator was on in {int(running.sum())} measured steps, need at least {_MIN_RUNNING}"
+            f"{what}: the actuator was on in {int(running.sum())} measured steps, need at least {LEAST_RUNNING}"
         )
     return Steps(u, T, y, running, kept)
 

@@ -7,16 +7,20 @@ part load; on a machine with speed-independent losses that costs a controller 25
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import (
+    LEAST_RUNNING,
     LEAST_W,
+    LEVEL_EDGE,
     RESIDUAL_SCALE,
     EndValues,
     Quality,
@@ -146,6 +150,47 @@ def fit_signed_power(histories: Sequence[Record]) -> PowerModel:
     quality = heating.quality
     source = f"fitted to {quality.n_samples} and {cooling.quality.n_samples} steps"
     return PowerModel(heating.load, quality.rmse_W, quality.r2, source, cooling=cooling.load)
+
+
+def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Array) -> PowerModel:
+    """Fit the power of a machine that may heat one zone while it cools another, each proportional to its level.
+
+    A direction that the records hardly have takes the law of the other, which `source` says: a few winter days do not
+    show cooling, and a plan for them hardly needs it.
+
+    Args:
+        histories: records with the machine's power, n steps in all.
+        heating: level of heating, the sum over its actuators, shape (n,), at least 0.
+        cooling: level of cooling, as `heating`.
+
+    Raises:
+        DataError: neither direction was on in enough measured steps.
+    """
+    T_out, power = (
+        np.concatenate([values(h) for h in histories]) for values in (lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
+    )
+    known = np.isfinite(heating) & np.isfinite(cooling) & np.isfinite(T_out) & np.isfinite(power)
+    sides = {"heating": np.where(known, heating, math.nan), "cooling": np.where(known, cooling, math.nan)}
+    seen = [name for name, level in sides.items() if np.sum(level > LEVEL_EDGE) >= LEAST_RUNNING]
+    steps = {name: usable_steps(sides[name], T_out, power, f"power of {name}") for name in seen or sides}
+    ends = {name: EndValues.around(of) for name, of in steps.items()}
+    design = np.hstack([of.u[:, None] * ends[name].weights(of.T_out_C) for name, of in steps.items()])
+    load_W = power[known]
+    full = float(np.max(load_W))
+    prior = [one.sloping(POWER_SLOPE.mean_per_K) / (POWER_SLOPE.sd_per_K * full) for one in ends.values()]
+    rows = np.vstack([design / (RESIDUAL_SCALE * full), block_diag(*prior)])
+    values = np.concatenate([load_W / (RESIDUAL_SCALE * full), np.zeros(len(ends))])
+    solution = lsq_linear(rows, values, bounds=(LEAST_W, np.inf)).x
+    loads = {name: one.load(solution[2 * i : 2 * i + 2], 1.0) for i, (name, one) in enumerate(ends.items())}
+    both = (heating + cooling)[known]
+    quality = Quality.of(design @ solution, Steps(both, T_out[known], load_W, both > LEVEL_EDGE, known))
+    source = f"fitted to {quality.n_samples} steps"
+    if len(loads) == 1:
+        source += f" of {seen[0]}; the other direction was hardly used and is taken to cost as much"
+    first = next(iter(loads.values()))
+    return PowerModel(
+        loads.get("heating", first), quality.rmse_W, quality.r2, source, cooling=loads.get("cooling", first)
+    )
 
 
 def fit_load(
