@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from multizone_points import MULTIZONE
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
@@ -48,3 +49,31 @@ def test_a_missing_point_is_named_by_its_key():
         check_points(
             load_testcase("twozone_apartment_hydronic"), points["Inputs"], points["Measurements"], points["Forecast"]
         )
+
+
+@pytest.mark.parametrize("name", MULTIZONE)
+def test_every_point_of_the_sources_is_there_in_its_unit(name):
+    points = MULTIZONE[name]
+    check_points(load_testcase(name), points.inputs, points.measurements, points.forecast)
+
+
+def test_a_release_whose_boiler_does_not_follow_the_thermostat_is_refused_by_key():
+    points = MULTIZONE["multizone_residential_hydronic"]
+    older = {name.replace("oveTSetPumBoi", "oveTSetPum"): point for name, point in points.inputs.items()}
+    with pytest.raises(ConfigError, match=r"machines\.boiler\.held\.oveTSetPumBoi: .*'oveTSetPumBoi_u'"):
+        check_points(load_testcase("multizone_residential_hydronic"), older, points.measurements, points.forecast)
+
+
+def test_a_value_that_would_be_clipped_and_a_wrong_unit_are_named():
+    name = "multizone_residential_hydronic"
+    points, testcase = MULTIZONE[name], load_testcase(name)
+    narrow = dict(points.inputs) | {"oveTSetPumBoi_u": Point("oveTSetPumBoi_u", "K", "", 285.15, 300.15)}
+    with pytest.raises(
+        ConfigError, match=r"(?s)held\.oveTSetPumBoi: 303\.15 lies outside.*idle\.oveTSetPumBoi: 283\.15"
+    ):
+        check_points(testcase, narrow, points.measurements, points.forecast)
+    office = MULTIZONE["multizone_office_simple_air"]
+    wrong = dict(office.measurements)
+    wrong["hvac_reaZonEas_V_flow_y"] = Point("hvac_reaZonEas_V_flow_y", "kg/s", "", None, None)
+    with pytest.raises(ConfigError, match=r"actuators\.eas_box\.heat: .* is in kg/s .*, expected m3/s"):
+        check_points(load_testcase("multizone_office_simple_air"), office.inputs, wrong, office.forecast)

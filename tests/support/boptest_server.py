@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +93,8 @@ class Service:
     """State of the service: its tests, its faults, and what it was asked."""
 
     url: str = ""
-    tests: dict[str, EmbeddedPlant] = field(default_factory=dict)
+    offers: tuple[str, ...] = (NAME,)
+    tests: dict[str, Any] = field(default_factory=dict)
     steps: dict[str, float] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
     scenarios: dict[str, dict] = field(default_factory=dict)
@@ -110,12 +112,12 @@ class Service:
         if path == "version":
             return {"version": "0.9.0-test"}
         if path == "testcases":
-            raise Bare(200, [{"testcaseid": NAME}, {"testcaseid": "bestest_air"}])
+            raise Bare(200, [{"testcaseid": name} for name in (*self.offers, "bestest_air")])
         if match := re.fullmatch(r"testcases/(\w+)/select", path):
-            if match[1] != NAME:
+            if match[1] not in self.offers:
                 raise Bare(404, "Not Found")
             testid = str(uuid.uuid4())
-            self.tests[testid], self.steps[testid] = new_house(), 3600.0
+            self.tests[testid], self.steps[testid] = self._new(match[1]), 3600.0
             self.ends[testid] = np.inf
             raise Bare(200, {"testid": testid})
         verb, _, testid = path.partition("/")
@@ -123,6 +125,9 @@ class Service:
             raise Bare(400, {"errors": [{"msg": f"Invalid testid: {testid}", "param": "testid"}]})
         plant = self.tests[testid]
         return getattr(self, f"_{verb}")(testid, plant, body)
+
+    def _new(self, name):
+        return new_house()
 
     def _status(self, testid, plant, body):
         if self.queued_polls > 0:
@@ -243,10 +248,11 @@ class Service:
 
 
 @contextmanager
-def running_service() -> Iterator[Service]:
-    """A service on a free loopback port, until the block ends."""
-    template()
-    service = Service()
+def running_service(service: Service | None = None) -> Iterator[Any]:
+    """A service on a free loopback port, until the block ends; by default one with the embedded plant inside."""
+    if service is None:
+        template()
+        service = Service()
     lock = threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
