@@ -105,7 +105,11 @@ def test_a_radiator_is_a_machine_whose_heat_follows_the_level():
         ("bestest_hydronic_heat_pump", {"rising": False}, r"(?s)x\.yaml.*actuator\.rising: False.*`embedded`"),
         ("bestest_hydronic_heat_pump", {"maximum": 0.8}, r"(?s)x\.yaml.*actuator\.maximum: 0\.8.*compressor speed"),
         ("bestest_hydronic_heat_pump", {"held": {"ovePum": 1.0}}, r"(?s)x\.yaml.*actuator\.held.*would ignore it"),
-        ("energyplus_heating_chicago", {"map": "radiator", "unit": "K"}, r"actuator\.map: radiator.*`energyplus`"),
+        (
+            "energyplus_heating_chicago",
+            {"map": "radiator", "unit": "K", "minimum": 300.0, "maximum": 340.0},
+            r"actuator\.map: radiator.*`energyplus`",
+        ),
         ("energyplus_heating_chicago", {"minimum": 400.0}, r"actuator\.minimum: 400\.0.*the level as heat"),
     ],
 )

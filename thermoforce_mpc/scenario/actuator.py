@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.scenario.actuator_map import FanCoilMap, LinearMap, MapName, RadiatorMap
-from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
 
 _KELVIN = 273.15
 
@@ -24,7 +24,7 @@ class Actuator(StrictModel):
     room's temperature in °C.
     """
 
-    point: str = Field(description="overwrite point of the test case, without the `_u` ending")
+    point: PointName = Field(description="overwrite point of the test case, without the `_u` ending")
     minimum: float = Field(0.0, description="lowest value, in `unit`; the value at u = 0 if `rising`")
     maximum: float = Field(1.0, description="highest value, in `unit`; the value at u = 1 if `rising`")
     rising: bool = Field(True, description="whether the value rises with u; false for the set-point of a cooled room")
@@ -41,7 +41,7 @@ class Actuator(StrictModel):
     reference_zone_C: float = Field(
         20.0, ge=0, le=40, description="radiator, fan_coil: room temperature for which u = 1 is the value at its end"
     )
-    held: dict[str, float] = Field(
+    held: dict[PointName, float] = Field(
         default_factory=dict,
         description="other overwrite points held at a value (unit of the interface) while u acts; native otherwise",
     )
@@ -54,6 +54,8 @@ class Actuator(StrictModel):
     def _ordered(self) -> Actuator:
         if not self.minimum < self.maximum:
             raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        if self.unit == "K":
+            check_kelvin(minimum=self.minimum, maximum=self.maximum)
         if self.point in self.held:
             raise ValueError(f"held: '{self.point}' is the actuator itself")
         for key, name in (("switch", self.switch), ("supply", self.supply)):

@@ -13,7 +13,7 @@ from thermoforce_mpc.data import Layout
 from thermoforce_mpc.scenario.actuator import Actuator
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel
 
 Price = Literal["constant", "dynamic", "highly_dynamic"]
 PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
@@ -27,42 +27,42 @@ ELECTRICITY: dict[Price, str] = {
 class Zone(StrictModel):
     """A zone: its sensor, its floor area and the forecast points of its comfort band."""
 
-    temperature: str = Field(description="measured zone temperature, K")
+    temperature: PointName = Field(description="measured zone temperature, K")
     floor_area_m2: float = Field(gt=0, description="floor area, m²")
-    occupancy: str = Field(description="forecast point of the number of persons")
-    lower: str = Field(description="forecast point of the lower comfort bound, K")
-    upper: str = Field(description="forecast point of the upper comfort bound, K")
+    occupancy: PointName = Field(description="forecast point of the number of persons")
+    lower: PointName = Field(description="forecast point of the lower comfort bound, K")
+    upper: PointName = Field(description="forecast point of the upper comfort bound, K")
     thermostat_C: float | None = Field(None, description="set-point of the baseline on/off thermostat, °C")
 
 
 class Machine(StrictModel):
     """A machine: the power that is billed, at the price of its carrier, and what it needs to feed its actuators."""
 
-    power: tuple[str, ...] | dict[str, float] = Field(
+    power: tuple[PointName, ...] | dict[PointName, float] = Field(
         min_length=1,
         description="points whose sum is the power billed, W. With a factor each where a part of it, such as a pump, "
         "is billed at another price: that price over the machine's own",
     )
-    held: dict[str, float] = Field(
+    held: dict[PointName, float] = Field(
         default_factory=dict,
         description="overwrite points held at a value (unit of the interface) while an actuator of the machine acts "
         "(u is not 0), such as what starts its pump; native otherwise",
     )
-    idle: dict[str, float] = Field(
+    idle: dict[PointName, float] = Field(
         default_factory=dict, description="values of points of `held` while all its actuators are held at u = 0"
     )
-    running: str | None = Field(
+    running: PointName | None = Field(
         None,
         description="overwrite point whose applied value is above 0 while the machine feeds its actuators, such as the "
         "signal of its pump: their level is 0 otherwise, whatever native control does to them",
     )
-    return_water: str | None = Field(None, description="return water temperature of the emitters, K")
-    price: dict[Price, str] = Field(ELECTRICITY, description="forecast points of the price, per tariff")
-    heating_price: dict[Price, str] | None = Field(
+    return_water: PointName | None = Field(None, description="return water temperature of the emitters, K")
+    price: dict[Price, PointName] = Field(ELECTRICITY, description="forecast points of the price, per tariff")
+    heating_price: dict[Price, PointName] | None = Field(
         None,
         description="price of the carrier of heating where a machine that also cools has one of its own, such as gas",
     )
-    emission: str = Field("EmissionsElectricPower", description="forecast point of the emissions, kg CO2/kWh")
+    emission: PointName = Field("EmissionsElectricPower", description="forecast point of the emissions, kg CO2/kWh")
 
     @model_validator(mode="after")
     def _idle_is_held(self) -> Machine:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.strict_model import Factor, PointName, StrictModel
 
 # Dry air at 20 °C: 1.2 kg/m³ · 1006 J/kgK.
 AIR_J_M3K = 1207.0
@@ -29,9 +29,9 @@ class SupplyAir(StrictModel):
     `least_flow` or, where it is less, the flow.
     """
 
-    flow: str = Field(description="measured flow of the supply air, m³/s")
-    temperature: str = Field(description="measured temperature of the supply air where it enters the zone, K")
-    before: str | None = Field(None, description="measured temperature of the air before the zone's reheat, K")
+    flow: PointName = Field(description="measured flow of the supply air, m³/s")
+    temperature: PointName = Field(description="measured temperature of the supply air where it enters the zone, K")
+    before: PointName | None = Field(None, description="measured temperature of the air before the zone's reheat, K")
     least_flow: float = Field(0.0, ge=0, description="least flow while the fan runs, m³/s")
 
     @model_validator(mode="after")
@@ -63,8 +63,8 @@ def _form(value: object) -> str:
 
 
 Heat = Annotated[
-    Annotated[tuple[str, ...], Tag("meters")]
-    | Annotated[dict[str, float], Tag("factors")]
+    Annotated[tuple[PointName, ...], Tag("meters")]
+    | Annotated[dict[PointName, Factor], Tag("factors")]
     | Annotated[SupplyAir, Tag("air")],
     Discriminator(_form),
 ]

@@ -12,24 +12,24 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
 
 
 class RoomSetpoints(StrictModel):
     """Room set-points for heating and cooling as an actuator."""
 
     kind: Literal["room_setpoints"]
-    heating: str = Field(description="overwrite point of the heating set-point, without the `_u` ending")
-    cooling: str = Field(description="overwrite point of the cooling set-point, without the `_u` ending")
+    heating: PointName = Field(description="overwrite point of the heating set-point, without the `_u` ending")
+    cooling: PointName = Field(description="overwrite point of the cooling set-point, without the `_u` ending")
     minimum: float = Field(description="lowest set-point, in `unit`")
     maximum: float = Field(description="highest set-point, in `unit`")
     unit: Literal["K"] = Field("K", description="unit of the set-points at the plant's interface")
     heating_W: float = Field(gt=0, description="largest heat to the room, W: u = 1")
     cooling_W: float = Field(gt=0, description="largest heat from the room, W: the lowest u, times −heating_W")
-    heating_held: dict[str, float] = Field(
+    heating_held: dict[PointName, float] = Field(
         default_factory=dict, description="other overwrite points held at a value while heating is planned"
     )
-    cooling_held: dict[str, float] = Field(
+    cooling_held: dict[PointName, float] = Field(
         default_factory=dict, description="other overwrite points held at a value while cooling is planned"
     )
 
@@ -37,6 +37,7 @@ class RoomSetpoints(StrictModel):
     def _ordered(self) -> RoomSetpoints:
         if not self.minimum < self.maximum:
             raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        check_kelvin(minimum=self.minimum, maximum=self.maximum)
         if self.heating == self.cooling:
             raise ValueError(f"heating and cooling are the same point '{self.heating}'")
         return self

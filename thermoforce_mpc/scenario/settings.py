@@ -4,39 +4,31 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.strict_model import StrictModel
+from thermoforce_mpc.scenario.yaml_file import MOST_DEPTH, YamlDocument, parse_value, read_yaml
+
+__all__ = [
+    "StrictModel", "configs_folder", "find_config", "merge", "named_configs", "parse_overrides", "read_yaml",
+    "suggestion", "validate",
+]  # fmt: skip
 
 Model = TypeVar("Model", bound=BaseModel)
+_MOST_LISTED = 20
+_BRIEF = reprlib.Repr()
+_BRIEF.maxstring = _BRIEF.maxother = 160
+_BRIEF.maxdict = _BRIEF.maxlist = _BRIEF.maxtuple = 12
 
 
 UNION_TAGS = ("direct", "room", "one_zone", "weather_only", "meters", "factors", "air")
 """Tags of the alternatives of a key, which pydantic puts into the place of an error; no key has these names."""
-
-
-class StrictModel(BaseModel):
-    """Base class of all configuration models: unknown keys are refused, values are immutable."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """Safe YAML loader that refuses duplicate keys, of which PyYAML would silently keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key '{key}' appears twice", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
 
 
 def configs_folder() -> Path:
@@ -57,7 +49,11 @@ def find_config(kind: str, name: str) -> Path:
     """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file."""
     path = Path(name)
     if path.suffix in {".yaml", ".yml"}:
-        if not path.is_file():
+        try:
+            there = path.is_file()
+        except OSError as error:
+            raise ConfigError(f"{name[:120]}: not the name of a file ({error.strerror or error})") from error
+        if not there:
             raise ConfigError(f"{path}: no such file")
         return path
     known = named_configs(kind)
@@ -72,27 +68,15 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f", did you mean '{close[0]}'?" if close else ""
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read one YAML mapping; raises `ConfigError` naming file, line and reason."""
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
-    if document is None:
-        return {}
-    if not isinstance(document, dict):
-        raise ConfigError(f"{path}: expected keys and values at the top, found {type(document).__name__}")
-    return document
-
-
 def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
-    """Build `model` from `data`; raises `ConfigError` listing every invalid key, its value and what is allowed."""
+    """Build `model` from `data`; raises `ConfigError` listing invalid keys, their lines, values and what is allowed."""
     try:
         return model.model_validate(dict(data))
     except ValidationError as error:
-        lines = [_explain(model, item) for item in error.errors()]
+        items = error.errors()
+        lines = [_line(data, item) + _explain(model, item) for item in items[:_MOST_LISTED]]
+        if len(items) > _MOST_LISTED:
+            lines.append(f"and {len(items) - _MOST_LISTED} more")
         raise ConfigError(f"{source}:\n" + "\n".join(f"  {line}" for line in lines)) from error
 
 
@@ -102,7 +86,21 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in over.items():
         below = out.get(key)
         out[key] = merge(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    if isinstance(base, YamlDocument):
+        replaced = list(_replaced(base, over))
+        lines = {path: line for path, line in base.lines.items() if not any(path[: len(r)] == r for r in replaced)}
+        return YamlDocument(out, lines | dict.fromkeys(replaced, 0))
     return out
+
+
+def _replaced(base: Any, over: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterable[tuple[str, ...]]:
+    """Yield the paths of the values of `base` that `merge` replaces."""
+    for key, value in over.items():
+        below = base.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            yield from _replaced(below, value, (*path, key))
+        else:
+            yield (*path, key)
 
 
 def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
@@ -115,12 +113,9 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
     for word in assignments:
         key, separator, text = word.partition("=")
         parts = [part.strip() for part in key.split(".")]
-        if not separator or not all(parts):
-            raise ConfigError(f"--set {word}: expected key=value, for example controller.horizon_h=36")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ConfigError(f"--set {word}: the value is not valid YAML") from error
+        if not separator or not all(parts) or len(parts) > MOST_DEPTH:
+            raise ConfigError(f"--set {word:.200}: expected key=value, for example controller.horizon_h=36")
+        value = parse_value(text, f"--set {word:.200}")
         if isinstance(value, float) and math.isnan(value):
             raise ConfigError(f"--set {word}: not a number")
         nested: Any = value
@@ -140,7 +135,23 @@ def _explain(model: type[BaseModel], item: Any) -> str:
     if item["type"] == "missing":
         return f"{key}: missing"
     reason = item["msg"].removeprefix("Value error, ")
-    return f"{key}: {reason}" + (f" (got {item['input']!r})" if path else "")  # not the whole file
+    # At the top the value is the whole file.
+    return f"{key}: {reason:.500}" + (f" (got {_shown(item['input'])})" if path else "")
+
+
+def _line(data: Mapping[str, Any], item: Any) -> str:
+    """Return "line N: " for an error in a file, else an empty string."""
+    if not isinstance(data, YamlDocument):
+        return ""
+    line = data.line(tuple(part for part in item["loc"] if part not in UNION_TAGS))
+    return "" if line is None else f"line {line}: "
+
+
+def _shown(value: Any) -> str:
+    try:
+        return _BRIEF.repr(value)
+    except ValueError:  # Python prints no integer of more than 4300 digits
+        return "a number of thousands of digits"
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:

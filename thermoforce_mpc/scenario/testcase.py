@@ -24,7 +24,7 @@ from thermoforce_mpc.scenario.building import (
 )
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel
 
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
 
@@ -32,21 +32,23 @@ __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "Tes
 class Weather(StrictModel):
     """Measured weather. At the plant's interface temperatures are in K, irradiance in W/m²."""
 
-    outdoor_temperature: str
-    solar: str = Field(description="global horizontal irradiance")
+    outdoor_temperature: PointName
+    solar: PointName = Field(description="global horizontal irradiance")
 
 
 class Measurements(StrictModel):
     """Measured points. At the plant's interface temperatures are in K, powers in W, irradiance in W/m²."""
 
-    zone_temperature: str
-    outdoor_temperature: str
-    solar: str = Field(description="global horizontal irradiance")
-    electric_power: tuple[str, ...] = Field(
+    zone_temperature: PointName
+    outdoor_temperature: PointName
+    solar: PointName = Field(description="global horizontal irradiance")
+    electric_power: tuple[PointName, ...] = Field(
         min_length=1, description="points whose sum is the power billed at `forecast.price`: electric, or gas"
     )
     heat: Heat = Field((), description=HEAT_IS)
-    return_water: str | None = Field(None, description="return water temperature of the emitters, for the power model")
+    return_water: PointName | None = Field(
+        None, description="return water temperature of the emitters, for the power model"
+    )
 
 
 def _which(measurements: object) -> str:
@@ -60,16 +62,16 @@ def _which(measurements: object) -> str:
 class ForecastPoints(StrictModel):
     """Forecast points. Temperatures are in K at the plant's interface."""
 
-    outdoor_temperature: str = "TDryBul"
-    solar: str = "HGloHor"
-    occupancy: str = "Occupancy[1]"
-    lower: str = "LowerSetp[1]"
-    upper: str = "UpperSetp[1]"
-    heating_price: dict[Price, str] | None = Field(
+    outdoor_temperature: PointName = "TDryBul"
+    solar: PointName = "HGloHor"
+    occupancy: PointName = "Occupancy[1]"
+    lower: PointName = "LowerSetp[1]"
+    upper: PointName = "UpperSetp[1]"
+    heating_price: dict[Price, PointName] | None = Field(
         None, description="price of the carrier of heating where it has one of its own, such as gas; `price` otherwise"
     )
-    price: dict[Price, str] = Field(ELECTRICITY)
-    emission: str = "EmissionsElectricPower"
+    price: dict[Price, PointName] = Field(ELECTRICITY)
+    emission: PointName = "EmissionsElectricPower"
 
 
 class EnergyPlusZone(StrictModel):
@@ -83,7 +85,9 @@ class EnergyPlusZone(StrictModel):
     native_margin_K: float = Field(
         0.3, ge=0, description="distance of the native thermostat's set-point inside the comfort bound, K"
     )
-    periods: dict[str, int] = Field(default_factory=dict, description="named windows: first day of the year, from 0")
+    periods: dict[str, Annotated[int, Field(ge=0, lt=365)]] = Field(
+        default_factory=dict, description="named windows: first day of the year, from 0"
+    )
 
 
 class Defaults(StrictModel):
