@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 import socket
 import threading
 import time
@@ -81,6 +82,8 @@ class Transport:
         for scheme in ("http://", "https://"):
             self._session.mount(scheme, self._adapter)
         self._session.headers["User-Agent"] = user_agent
+        if token := os.environ.get("BOPTEST_TOKEN", "").strip():
+            self._session.auth = _Bearer(token)
 
     def call(self, method: Method, path: str, body: dict[str, Any] | None = None, *, repeatable: bool) -> Answer:
         """Send one request and return the answer.
@@ -159,6 +162,17 @@ class Transport:
         if _never_connected(error):
             return ConnectError(endpoint, f"cannot be reached ({root}); is the service running there?")
         return ConnectionLost(endpoint, f"the connection broke ({root})")
+
+
+class _Bearer(requests.auth.AuthBase):
+    """Sends a token with every request, whatever a `.netrc` file says about the host."""
+
+    def __init__(self, token: str) -> None:
+        self._header = f"Bearer {token}"
+
+    def __call__(self, request: requests.PreparedRequest) -> requests.PreparedRequest:
+        request.headers["Authorization"] = self._header
+        return request
 
 
 class _CuttableAdapter(HTTPAdapter):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 
 import click
@@ -27,13 +26,53 @@ from thermoforce_mpc.errors import ConfigError
     show_default=True,
     help="Seconds after which an idle test is dropped.",
 )
-def command(host: str, port: int, weather: str, prices: Path | None, tests: int, idle: float) -> None:
+@click.option(
+    "--lifetime",
+    type=click.FloatRange(1.0),
+    default=7 * 86400.0,
+    show_default=True,
+    help="Seconds after which any test is dropped.",
+)
+@click.option(
+    "--request-bytes",
+    type=click.IntRange(1000, 100_000_000),
+    default=1_000_000,
+    show_default=True,
+    help="Longest request body, bytes; longer ones get status 413.",
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(1.0),
+    default=500.0,
+    show_default=True,
+    help="Requests a second from one address; more get status 429.",
+)
+@click.option(
+    "--token",
+    envvar="BOPTEST_TOKEN",
+    show_envvar=True,
+    help="Every request must send it as 'Authorization: Bearer TOKEN'. As an option it shows in the process list.",
+)
+def command(
+    host: str,
+    port: int,
+    weather: str,
+    prices: Path | None,
+    tests: int,
+    idle: float,
+    lifetime: float,
+    request_bytes: int,
+    rate: float,
+    token: str | None,
+) -> None:
     """Serve the embedded plant over BOPTEST's REST protocol, as test case bestest_hydronic_heat_pump.
 
-    A test takes up to about 150 MB of memory for a simulated year. There is no authentication: keep the loopback
-    address unless every machine that can reach this one may use the service. Stop with Ctrl-C.
+    A test takes up to about 150 MB of memory for a simulated year. An address that other machines can reach needs a
+    token: set BOPTEST_TOKEN here and where the client runs. Traffic is not encrypted. /openapi.json describes the
+    protocol. Stop with Ctrl-C.
     """
     try:
+        from thermoforce_mpc.service.access import check_token, is_loopback
         from thermoforce_mpc.service.server import serve
     except ModuleNotFoundError as error:
         if error.name not in ("flask", "waitress", "werkzeug"):
@@ -46,17 +85,28 @@ def command(host: str, port: int, weather: str, prices: Path | None, tests: int,
 
     year = synthetic_weather() if weather == "synthetic" else load_weather(Path(weather))
     tariff = tariff_from_file(prices) if prices else None
-    if not _is_loopback(host):
-        click.echo(f"Warning: {host} can be reached from other machines; the service has no authentication.", err=True)
+    check_token(host, token or None)
+    if not is_loopback(host):
+        click.echo(
+            f"Warning: {host} can be reached from other machines. Every request needs the token; the traffic is not "
+            "encrypted: outside a network that you trust, put a proxy with TLS in front.",
+            err=True,
+        )
 
     def ready(url: str) -> None:
-        click.echo(f"Serving bestest_hydronic_heat_pump ({year.name}) at {url}. Stop with Ctrl-C.")
+        needed = " Requests need the token." if token else ""
+        click.echo(f"Serving bestest_hydronic_heat_pump ({year.name}) at {url}.{needed} Stop with Ctrl-C.")
 
-    serve(year, host=host, port=port, highly_dynamic=tariff, most_tests=tests, idle_s=idle, on_ready=ready)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    serve(
+        year,
+        host=host,
+        port=port,
+        highly_dynamic=tariff,
+        token=token or None,
+        most_tests=tests,
+        idle_s=idle,
+        lifetime_s=lifetime,
+        most_bytes=request_bytes,
+        per_second=rate,
+        on_ready=ready,
+    )

@@ -5,57 +5,81 @@ from __future__ import annotations
 import io
 import json
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import IO, Any
 
 from flask import Flask, Request, Response, request
-from werkzeug.exceptions import HTTPException
+from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
 
 from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.service.access import Rate, Token
+from thermoforce_mpc.service.endpoints import ENDPOINTS, TESTCASE, Endpoint
+from thermoforce_mpc.service.openapi import NAMESPACE, document
 from thermoforce_mpc.service.refusal import Refusal
-from thermoforce_mpc.service.session import Reply, Session
+from thermoforce_mpc.service.session import Session
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 from thermoforce_mpc.version import VERSION
 
-TESTCASE = "bestest_hydronic_heat_pump"
-# Namespace of BOPTEST's own test cases.
-NAMESPACE = "ibpsa"
-
 _FORMS = ("multipart/form-data", "application/x-www-form-urlencoded")
-_Endpoint = Callable[[Session, Mapping[str, Any]], Reply]
-_ENDPOINTS: dict[tuple[str, str], _Endpoint] = {
-    ("GET", "name"): lambda s, _: Reply("The name of the test case.", {"name": TESTCASE}),
-    ("GET", "inputs"): lambda s, _: s.inputs(),
-    ("GET", "measurements"): lambda s, _: s.measurements(),
-    ("GET", "forecast_points"): lambda s, _: s.forecast_points(),
-    ("GET", "step"): lambda s, _: s.step(),
-    ("PUT", "step"): Session.set_step,
-    ("GET", "scenario"): lambda s, _: s.scenario(),
-    ("PUT", "scenario"): Session.set_scenario,
-    ("PUT", "initialize"): Session.initialize,
-    ("POST", "advance"): Session.advance,
-    ("PUT", "forecast"): Session.forecast,
-    ("PUT", "results"): Session.results,
-    ("GET", "kpi"): lambda s, _: s.kpi(),
-}
+# Deepest nesting of a JSON body: the deepest that is allowed anywhere is a list in an object.
+_MOST_DEPTH = 8
+_MOST_SAID = 500
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of the service.
+
+    Attributes:
+        most_tests: largest number of tests at a time.
+        idle_s: time without requests after which a test is dropped, s.
+        lifetime_s: time after which a test is dropped in any case, s.
+        most_bytes: longest request body, bytes.
+        per_second: requests a second from one address; twice as many in a burst.
+    """
+
+    most_tests: int = 8
+    idle_s: float = 900.0
+    lifetime_s: float = 7 * 86400.0
+    most_bytes: int = 1_000_000
+    per_second: float = 500.0
 
 
 def create_app(
-    make_plant: Callable[[], EmbeddedPlant], *, most_tests: int = 8, idle_s: float = 900.0, most_bytes: int = 1_000_000
+    make_plant: Callable[[], EmbeddedPlant], limits: Limits | None = None, *, token: str | None = None
 ) -> Flask:
     """WSGI application of the service.
 
     Args:
         make_plant: builds the plant of a new test.
-        most_tests: largest number of tests at a time.
-        idle_s: time without requests after which a test is dropped, s.
-        most_bytes: longest request body, bytes.
+        limits: bounds; default: `Limits()`.
+        token: token that every request needs; None: none.
     """
+    limits = limits or Limits()
     windows = _Windows(make_plant)
-    sessions = Sessions(lambda: Session(make_plant(), windows.period), most=most_tests, idle_s=idle_s)
-    app = Flask(__name__)
-    app.config["MAX_CONTENT_LENGTH"] = most_bytes
+    sessions = Sessions(
+        lambda: Session(make_plant(), windows.period),
+        most=limits.most_tests,
+        idle_s=limits.idle_s,
+        lifetime_s=limits.lifetime_s,
+    )
+    app = Flask(__name__, static_folder=None)
+    app.config["MAX_CONTENT_LENGTH"] = limits.most_bytes
+    app.url_map.merge_slashes = False
+    rate, key = Rate(limits.per_second), Token(token) if token else None
+    described = document(token=token is not None)
+
+    @app.before_request
+    def admit() -> None:
+        rate.admit(request.remote_addr or "")
+        if key:
+            key.check(request.headers.get("Authorization"))
+
+    @app.get("/openapi.json")
+    def openapi() -> Response:
+        return _json(200, described)
 
     @app.get("/version")
     def version() -> Response:
@@ -72,7 +96,7 @@ def create_app(
     @app.post(f"/testcases/{NAMESPACE}/<name>/select-async")
     def select(name: str) -> Response:
         if name != TESTCASE:
-            return _envelope(404, f"No test case {name!r}; this service offers {TESTCASE}.", None)
+            return _envelope(404, f"No test case {name[:80]!r}; this service offers {TESTCASE}.", None)
         return _json(200, {"testid": sessions.select()})
 
     @app.get("/status/<testid>")
@@ -85,38 +109,52 @@ def create_app(
         sessions.stop(testid)
         return Response("OK", 200, mimetype="text/plain")
 
-    @app.route("/<verb>", methods=["GET", "PUT", "POST"])
-    @app.route("/<verb>/<testid>", methods=["GET", "PUT", "POST"])
-    def endpoint(verb: str, testid: str | None = None) -> Response:
-        answer = _ENDPOINTS.get((request.method, verb))
-        if answer is None:
-            methods = [method for method, known in _ENDPOINTS if known == verb]
-            reason = f"use {' or '.join(methods)}" if methods else "no such endpoint"
-            return _envelope(405 if methods else 404, f"{request.method} /{verb}: {reason}.", None)
-        body = _body(request)
-        # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
-        with sessions.using(sessions.lone() if testid is None else testid) as session:
-            reply = answer(session, body)
-        return _envelope(200, reply.message, reply.payload)
+    def add(one: Endpoint) -> None:
+        def answer(testid: str | None = None) -> Response:
+            body = _body(request) if one.body is not None else {}
+            # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
+            with sessions.using(sessions.lone() if testid is None else testid) as session:
+                reply = one.answer(session, body)
+            return _envelope(200, reply.message, reply.payload)
+
+        for path in (f"/{one.verb}", f"/{one.verb}/<testid>"):
+            app.add_url_rule(path, f"{one.method} {path}", answer, methods=[one.method])
+
+    for one in ENDPOINTS:
+        add(one)
 
     @app.errorhandler(Refusal)
     def refused(error: Refusal) -> Response:
-        return _envelope(error.status, error.message, None)
+        answer = _envelope(error.status, error.message, None)
+        if error.status == 429:
+            answer.headers["Retry-After"] = "1"
+        if error.status == 401:
+            answer.headers["WWW-Authenticate"] = "Bearer"
+        return answer
 
     @app.errorhandler(UnknownTestid)
     def unknown(error: UnknownTestid) -> Response:
-        testid = str(error)
+        testid = str(error)[:80]
         item = {"value": testid, "msg": f"Invalid testid: {testid}", "param": "testid", "location": "params"}
         return _json(400, {"errors": [item]})
 
     @app.errorhandler(HTTPException)
     def http_error(error: HTTPException) -> Response:
+        asked = f"{request.method} {request.path[:80]}"
+        if isinstance(error, NotFound):
+            return _envelope(404, f"{asked}: no such endpoint; /openapi.json lists all.", None)
+        if isinstance(error, MethodNotAllowed):
+            methods = [name for name in error.valid_methods or () if name not in ("HEAD", "OPTIONS")]
+            answer = _envelope(405, f"{asked}: use {' or '.join(sorted(methods))}.", None)
+            answer.headers["Allow"] = ", ".join(error.valid_methods or ())
+            return answer
         return _envelope(error.code or 500, error.description or error.name, None)
 
     @app.errorhandler(Exception)
     def internal(error: Exception) -> Response:
         app.logger.exception("%s %s failed", request.method, request.path)
-        return _envelope(500, f"Internal error: {type(error).__name__}: {error}", None)
+        # What happened is in the log: an error's text may show more of this machine than a client should see.
+        return _envelope(500, f"Internal error ({type(error).__name__}); the service's log has more.", None)
 
     return app
 
@@ -149,7 +187,15 @@ def _body(request: Request) -> dict[str, Any]:
         raise Refusal(400, f"The body is not JSON: {error}.") from error
     if not isinstance(body, dict):
         raise Refusal(400, f"The body is a JSON {type(body).__name__}; expected an object.")
+    if _deeper(body, _MOST_DEPTH):
+        raise Refusal(400, f"The body nests deeper than {_MOST_DEPTH} levels; expected values and lists.")
     return body
+
+
+def _deeper(value: Any, levels: int) -> bool:
+    """Whether `value` nests deeper than `levels`."""
+    below = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels < 0 or any(_deeper(one, levels - 1) for one in below if isinstance(one, dict | list))
 
 
 def _form(request: Request, text: bytes) -> dict[str, Any]:
@@ -170,6 +216,9 @@ def _no_file(*_: Any, **__: Any) -> IO[bytes]:
 
 
 def _envelope(status: int, message: str, payload: Any) -> Response:
+    if status != 200 and len(message) > _MOST_SAID:
+        # What was wrong in a request is repeated to its sender, but not all of it.
+        message = f"{message[:_MOST_SAID]} …"
     return _json(status, {"status": status, "message": message, "payload": payload})
 
 

@@ -13,6 +13,8 @@ from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
 MOST_CONNECTIONS = 200
 # Idle time after which a connection is closed, s.
 _SILENT_S = 60
+_MOST_HEADER = 65_536
+_MOST_REPLY = 2**31
 
 
 class Server(TcpWSGIServer):
@@ -31,6 +33,12 @@ class Server(TcpWSGIServer):
             min(silent, key=lambda channel: channel.last_activity).will_close = True
         super().handle_accept()
 
+    def close(self) -> None:
+        """End `run`, also where a connection is open whose request is just being finished."""
+        for channel in list(self.active_channels.values()):
+            channel.will_close = True
+        super().close()
+
 
 def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int, most_bytes: int) -> Server:
     """Server of `app` on a bound socket, answering up to `threads` requests at a time.
@@ -41,6 +49,9 @@ def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int,
     adjustments = Adjustments(
         threads=threads,
         max_request_body_size=most_bytes,
+        max_request_header_size=_MOST_HEADER,
+        # A reply that its client does not read waits in a file, not in a thread.
+        outbuf_high_watermark=_MOST_REPLY,
         ident=None,
         channel_timeout=_SILENT_S,
         cleanup_interval=5,

@@ -7,6 +7,7 @@ import logging
 import os
 import socket
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.app import create_app
+from thermoforce_mpc.service.access import check_token
+from thermoforce_mpc.service.app import Limits, create_app
 from thermoforce_mpc.service.connections import Server, serve_on
 from thermoforce_mpc.service.sessions import MOST_ASKING
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
-_MOST_BYTES = 1_000_000
 _FREE_THREADS = 4
 
 
@@ -30,27 +31,30 @@ def build_server(
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
     highly_dynamic: Tariff | None = None,
-    most_tests: int = 8,
-    idle_s: float = 900.0,
+    token: str | None = None,
+    **limits: Any,
 ) -> Server:
     """Bind the service; `run()` of the returned server serves until `close()`.
 
     Args:
         weather: weather year of every test.
-        host: address to listen on; other than loopback, other machines have access without authentication.
+        host: address to listen on; one that other machines can reach needs a token.
         port: port, or 0 for a free one (see `effective_port`).
         highly_dynamic: tariff of that name; default: a synthetic one.
-        most_tests: largest number of tests at a time.
-        idle_s: time without requests after which a test is dropped, s.
+        token: token that every request must send as `Authorization: Bearer TOKEN`.
+        limits: fields of `Limits`.
 
     Raises:
-        ConfigError: `port`, `most_tests` or `idle_s` is out of range.
+        ConfigError: `port`, a limit or the token is out of range, or the token is missing.
         PlantError: the address cannot be bound.
     """
     if not 0 <= port <= 65535:
         raise ConfigError(f"port {port}: expected 0 to 65535")
-    if most_tests < 1 or not idle_s > 0:
-        raise ConfigError("most_tests and idle_s must be positive")
+    for name, value in limits.items():
+        if not value > 0:
+            raise ConfigError(f"{name} is {value}: expected a positive number")
+    bounds = Limits(**limits)
+    check_token(host, token)
     # Bound here, since waitress leaves its own socket open when binding fails.
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
@@ -59,10 +63,11 @@ def build_server(
         # Without the address that Python appends to the system's message.
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
         raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose another address or port") from error
-    app = create_app(_plants(weather, highly_dynamic), most_tests=most_tests, idle_s=idle_s, most_bytes=_MOST_BYTES)
+    app = create_app(plants(weather, highly_dynamic), bounds, token=token)
     # One thread per admitted request, plus free ones: long simulations do not block other requests.
-    threads = most_tests * MOST_ASKING + _FREE_THREADS
-    return serve_on(listening, app, threads=threads, most_bytes=_MOST_BYTES)
+    threads = bounds.most_tests * MOST_ASKING + _FREE_THREADS
+    # Twice as long, so that what is moderately too long gets an answer in the service's own form.
+    return serve_on(listening, app, threads=threads, most_bytes=2 * bounds.most_bytes)
 
 
 def serve(
@@ -70,18 +75,15 @@ def serve(
     *,
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
-    highly_dynamic: Tariff | None = None,
-    most_tests: int = 8,
-    idle_s: float = 900.0,
     on_ready: Callable[[str], None] | None = None,
+    **options: Any,
 ) -> None:
-    """Serve until interrupted; `on_ready` is called with the base URL. Arguments and errors as for `build_server`."""
-    server = build_server(
-        weather, host=host, port=port, highly_dynamic=highly_dynamic, most_tests=most_tests, idle_s=idle_s
-    )
+    """Serve until interrupted; `on_ready` is called with the base URL. Options and errors as for `build_server`."""
+    server = build_server(weather, host=host, port=port, **options)
     logging.getLogger("waitress").setLevel(logging.WARNING)
     if on_ready:
-        on_ready(f"http://{host}:{effective_port(server)}")
+        shown = f"[{host}]" if ":" in host else host
+        on_ready(f"http://{shown}:{effective_port(server)}")
     try:
         server.run()
     finally:
@@ -93,7 +95,7 @@ def effective_port(server: Server) -> int:
     return int(server.effective_port)
 
 
-def _plants(weather: Weather, highly_dynamic: Tariff | None) -> Callable[[], EmbeddedPlant]:
+def plants(weather: Weather, highly_dynamic: Tariff | None = None) -> Callable[[], EmbeddedPlant]:
     """Builder of plants that share constant data, such as the precomputed irradiance on each surface."""
     first = EmbeddedPlant(weather, highly_dynamic=highly_dynamic)
     # The first wet bulb temperature compiles psychrolib, which takes seconds: done here, not in a request.

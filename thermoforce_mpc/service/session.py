@@ -31,11 +31,14 @@ from thermoforce_mpc.service.points import (
 from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.scenario import forecast_error, level
 
+__all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "PERIODS", "Reply", "Session"]
+
 DEFAULT_STEP_S = 3600.0
+MOST_STEP_S = 364 * 86400.0
 # Limits that bound memory: values per reply, samples per test.
 MOST_VALUES = 5_000_000
 _MOST_SAMPLES = 400 * 2880
-_PERIODS = ("peak_heat_day", "typical_heat_day")
+PERIODS = ("peak_heat_day", "typical_heat_day")
 
 
 class Reply(NamedTuple):
@@ -90,7 +93,7 @@ class Session:
 
     def set_step(self, body: Mapping[str, Any]) -> Reply:
         """Set the control step, s: from 1 ms to 364 days."""
-        step_s = _number(body, "step", low=LEAST_STEP_S, high=364 * 86400.0)
+        step_s = _number(body, "step", low=LEAST_STEP_S, high=MOST_STEP_S)
         self._step_s = step_s
         return Reply("The control step was set.", {"step": step_s})
 
@@ -116,8 +119,8 @@ class Session:
                 400, f"Invalid electricity_price {price!r}; expected one of {', '.join(self._plant.tariff_names)}."
             )
         period = body.get("time_period")
-        if period and period not in _PERIODS:
-            raise Refusal(400, f"Invalid time_period {period!r}; expected one of {', '.join(_PERIODS)}.")
+        if period and period not in PERIODS:
+            raise Refusal(400, f"Invalid time_period {period!r}; expected one of {', '.join(PERIODS)}.")
         changed: dict[str, Any] = {
             name: level(name, body.get(name)) for name in ("temperature_uncertainty", "solar_uncertainty")
         }
@@ -185,7 +188,7 @@ class Session:
         final_s = _number(body, "final_time", finite=False)
         if start_s > self._plant.now_s or final_s < self._plant.begin_s:
             raise Refusal(
-                500,
+                400,
                 f"Nothing is recorded between {start_s:g} s and {final_s:g} s: "
                 f"the record of this test goes from {self._plant.begin_s:g} s to {self._plant.now_s:g} s.",
             )
@@ -324,7 +327,8 @@ def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list
     names = [name for name in names if name != "time"]
     wrong = [name for name in names if name not in known]
     if wrong:
-        raise Refusal(400, f"Invalid point name(s) {', '.join(wrong)}: not among the {what} of this test case.")
+        said = ", ".join(wrong[:5]) + (", ..." if len(wrong) > 5 else "")
+        raise Refusal(400, f"Invalid point name(s) {said}: not among the {what} of this test case.")
     return list(dict.fromkeys(names))
 
 

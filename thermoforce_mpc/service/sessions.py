@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import uuid
@@ -24,23 +25,27 @@ class UnknownTestid(Exception):
 @dataclass
 class _Entry:
     session: Session
+    born_s: float
     used_s: float
     asking: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Sessions:
-    """At most `most` tests at a time; one without requests for `idle_s`, s, is dropped. Thread-safe."""
+    """At most `most` tests at a time. Thread-safe.
 
-    def __init__(self, make: Callable[[], Session], *, most: int, idle_s: float) -> None:
-        self._make, self._most, self._idle_s = make, most, idle_s
+    One without requests for `idle_s`, s, is dropped, and any that is `lifetime_s`, s, old.
+    """
+
+    def __init__(self, make: Callable[[], Session], *, most: int, idle_s: float, lifetime_s: float = math.inf) -> None:
+        self._make, self._most, self._idle_s, self._lifetime_s = make, most, idle_s, lifetime_s
         self._entries: dict[str, _Entry] = {}
         # Stopped tests that are still simulating, which cannot be interrupted.
         self._ending: list[_Entry] = []
         self._lock = threading.Lock()
 
     def select(self) -> str:
-        """Start a test; returns its id. Raises `Refusal` (503) when `most` tests are running."""
+        """Start a test; returns its id. Raises `Refusal` (429) when `most` tests are running."""
         with self._lock:
             self._drop_idle()
             testid = str(uuid.uuid4())
@@ -48,9 +53,9 @@ class Sessions:
             return testid
 
     def lone(self) -> str:
-        """Id of the test of clients without test ids: started on the first request, never dropped when idle.
+        """Id of the test of clients without test ids: started on the first request, never dropped.
 
-        Such a client could not detect that its test was replaced. Raises `Refusal` (503) when `most` tests are running.
+        Such a client could not detect that its test was replaced. Raises `Refusal` (429) when `most` tests are running.
         """
         with self._lock:
             self._drop_idle()
@@ -71,11 +76,11 @@ class Sessions:
 
     @contextmanager
     def using(self, testid: str) -> Iterator[Session]:
-        """The test, locked for one request. Raises `UnknownTestid`, or `Refusal` (503) when too many requests wait."""
+        """The test, locked for one request. Raises `UnknownTestid`, or `Refusal` (429) when too many requests wait."""
         with self._lock:
             entry = self._entry(testid)
             if entry.asking >= MOST_ASKING:
-                raise Refusal(503, "This test is busy: an earlier request is still being answered; ask again later.")
+                raise Refusal(429, "This test is busy: an earlier request is still being answered; ask again later.")
             # Not idle from here on, though the request may still wait for another one.
             entry.asking += 1
         try:
@@ -95,11 +100,13 @@ class Sessions:
     def _new_entry(self) -> _Entry:
         self._ending = [entry for entry in self._ending if entry.asking]
         if len(self._entries) + len(self._ending) >= self._most:
-            raise Refusal(503, f"All {self._most} tests of this service are in use; stop one, or try again later.")
-        return _Entry(self._make(), time.monotonic())
+            raise Refusal(429, f"All {self._most} tests of this service are in use; stop one, or try again later.")
+        now_s = time.monotonic()
+        return _Entry(self._make(), now_s, now_s)
 
     def _drop_idle(self) -> None:
-        until_s = time.monotonic() - self._idle_s
+        now_s = time.monotonic()
         for testid, entry in list(self._entries.items()):
-            if testid != _LONE and entry.used_s < until_s and not entry.asking:
+            over = entry.used_s < now_s - self._idle_s or entry.born_s < now_s - self._lifetime_s
+            if testid != _LONE and over and not entry.asking:
                 del self._entries[testid]

@@ -1,0 +1,77 @@
+"""Who may ask, and how often: a token for all requests, and a rate for each address."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import threading
+import time
+from collections import OrderedDict
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.service.refusal import Refusal
+
+LEAST_TOKEN = 16
+# Addresses remembered; the one that asked longest ago is forgotten first.
+_MOST_ADDRESSES = 10_000
+_SCHEME = "bearer"
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach `host`."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def check_token(host: str, token: str | None) -> None:
+    """Check that a service on `host` may start with `token`.
+
+    Raises:
+        ConfigError: the token is missing though other machines can reach `host`, or it is too short or has characters
+            that a header cannot carry.
+    """
+    advice = "set BOPTEST_TOKEN to the output of: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
+    if token is None:
+        if not is_loopback(host):
+            raise ConfigError(f"{host} can be reached from other machines, so the service needs a token: {advice}")
+    elif len(token) < LEAST_TOKEN or not token.isascii() or not token.isprintable() or " " in token:
+        raise ConfigError(f"the token needs {LEAST_TOKEN} or more printable ASCII characters without spaces; {advice}")
+
+
+class Token:
+    """Checks the header `Authorization: Bearer TOKEN`."""
+
+    def __init__(self, token: str) -> None:
+        self._token = token.encode("ascii")
+
+    def check(self, header: str | None) -> None:
+        """Raise `Refusal` (401) unless `header` holds the token; takes as long for any wrong token of its length."""
+        scheme, _, given = (header or "").partition(" ")
+        # Compared in any case, so that the time taken does not depend on the scheme.
+        same = hmac.compare_digest(given.strip().encode("utf-8", "replace"), self._token)
+        if scheme.lower() != _SCHEME or not same:
+            raise Refusal(401, "This service needs the header 'Authorization: Bearer TOKEN' with its token.")
+
+
+class Rate:
+    """At most `per_second` requests a second from one address, after a burst of twice as many. Thread-safe."""
+
+    def __init__(self, per_second: float) -> None:
+        self._per_second, self._burst = per_second, 2.0 * per_second
+        # Requests left and when that was counted, s, of each address.
+        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def admit(self, address: str) -> None:
+        """Count a request; raises `Refusal` (429) if it comes too soon."""
+        now_s = time.monotonic()
+        with self._lock:
+            left, counted_s = self._left.pop(address, (self._burst, now_s))
+            left = min(self._burst, left + (now_s - counted_s) * self._per_second)
+            self._left[address] = (max(left - 1.0, 0.0) if left >= 1.0 else left, now_s)
+            if len(self._left) > _MOST_ADDRESSES:
+                self._left.popitem(last=False)
+        if left < 1.0:
+            raise Refusal(429, f"More than {self._per_second:g} requests a second from {address}; ask again later.")
