@@ -8,6 +8,10 @@ from pathlib import Path
 from thermoforce_mpc.errors import InputError
 
 
+class DoubtfulInput(UserWarning):
+    """Input that is possible, but more often a mistake; the message names the file and the reason."""
+
+
 def read_bounded(path: Path, most_bytes: int, error: type[InputError]) -> bytes:
     """Return the content of a regular file of at most `most_bytes`; raises `error` naming the file and the reason."""
     try:

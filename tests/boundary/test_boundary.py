@@ -11,6 +11,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.reading import DoubtfulInput
 
 
 def test_the_dynamic_tariff_is_dear_from_seven_to_the_sample_of_twenty_two():
@@ -45,6 +46,10 @@ def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
         ("time,price\n0,1\n", "only one price"),
         ("time,price\n3600,1\n7200,1\n", "start at 0"),
         ("time,price\n0,1\n0,2\n", "must rise"),
+        ("time,price\n-1e308,1\n1e308,2\n", "a year ends at"),
+        ("time,price\n0,1\n60,1e308\n", "a price of 1e\\+308 per kWh"),
+        ("time,price\n0,1\n60," + "9" * 200_000 + "\n", "line 3: not CSV"),
+        ("time,price\n" + "0,1\n" * 600_100, "more than 600,000 prices"),
         ("", "columns 'time'"),
     ],
 )
@@ -52,6 +57,22 @@ def test_a_tariff_file_that_cannot_be_used_is_refused(tmp_path, text, message):
     path = tmp_path / "prices.csv"
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
+        tariffs.tariff_from_file(path)
+
+
+def test_a_packed_file_of_any_length_is_read_no_further_than_its_bound(tmp_path):
+    path = tmp_path / "prices.csv.gz"
+    with gzip.open(path, "wb") as file:
+        for _ in range(40):
+            file.write(b"\n" * 1_000_000)
+    with pytest.raises(ConfigError, match="more than 20,000,000 bytes when unpacked"):
+        tariffs.tariff_from_file(path)
+
+
+def test_prices_per_MWh_are_doubted(tmp_path):
+    path = tmp_path / "prices.csv"
+    path.write_text("time,price\n0,250\n3600,260\n")
+    with pytest.warns(DoubtfulInput, match=r"prices\.csv: prices of 255 per kWh on average; are they per MWh\?"):
         tariffs.tariff_from_file(path)
 
 

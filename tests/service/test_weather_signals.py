@@ -37,9 +37,12 @@ def test_every_recorded_point_of_the_real_test_case_is_met(shared):
 
 def test_cover_humidity_infrared_and_ceiling_are_the_files(tmp_path):
     cells = ["0"] * 30
-    cells[1], cells[2], cells[3], cells[4], cells[7] = "9.0", "4.0", "70", "99000", "301"
+    cells[2], cells[3], cells[4], cells[7] = "4.0", "70", "99000", "301"
     cells[17], cells[18], cells[20] = "8", "3", "1500"
-    rows = ["\t".join([str(hour * 3600.0), *cells[1:]]) for hour in range(8760)]
+    rows = []
+    for hour in range(8760):
+        cells[0], cells[1], cells[8] = str(hour * 3600.0), str(9.0 + hour % 2), str(100 * (hour % 24 == 12))
+        rows.append("\t".join(cells))
     path = tmp_path / "w.mos"
     path.write_text("\n".join(["#1", "double tab1(8760,30)", "#LOCATION,T,-,B,I,0,50.90,4.53,1.0,58.0", *rows]))
     weather = load_weather(path)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import math
+import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +15,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.reading import DoubtfulInput, read_bounded
 
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
@@ -20,6 +23,11 @@ DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
 # Gas in Belgium, as in BOPTEST's `bestest_hydronic`: the same price in all three tariffs.
 GAS, GAS_EMISSION_KG_PER_KWH = 0.07, 0.181
 _YEAR_S = 365 * DAY_S
+# A price for each minute of a year has 10 MB.
+_MOST_BYTES = 20_000_000
+_MOST_PRICES = 600_000
+# Per kWh in any currency; a mean beyond the second is a sum of money in few of them, or a price per MWh.
+_MOST_PRICE, _USUAL_PRICE = 1e5, 5.0
 _PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
 
 Tariff = Callable[[Array], Array]
@@ -70,23 +78,23 @@ def tariff_from_file(path: Path) -> Tariff:
         ConfigError: the file is missing or damaged, has other columns, a value that is not a number, or times that do
             not increase.
     """
-    try:
-        opened = gzip.open if path.suffix == ".gz" else open
-        with opened(path, "rt", newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:  # EOFError, zlib.error: truncated .gz
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    column = next((name for name in _PRICE_COLUMNS if rows and name in rows[0]), None)
-    if column is None or "time" not in rows[0]:
-        raise ConfigError(
-            f"{path}: expected a CSV file with columns 'time' (s since 1 January) and {' or '.join(_PRICE_COLUMNS)} "
-            "(per kWh)"
-        )
-    time_s, price = (_numbers(path, rows, name) for name in ("time", column))
+    time_s, price = _read_prices(path, _text(path))
     if time_s.size < 2:
         raise ConfigError(f"{path}: only one price; give at least two, whose distance says how long the last one holds")
+    if time_s.min() < -_YEAR_S or time_s.max() > 2 * _YEAR_S:
+        raise ConfigError(f"{path}: times from {time_s.min():g} to {time_s.max():g} s; a year ends at {_YEAR_S:g} s")
     if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{path}: times must rise and start at 0 s or before (first is {time_s[0]:g} s)")
+    if np.abs(price).max() > _MOST_PRICE:
+        raise ConfigError(
+            f"{path}: a price of {price[np.abs(price).argmax()]:g} per kWh; at most {_MOST_PRICE:g} is read"
+        )
+    if np.abs(price).mean() > _USUAL_PRICE:
+        warnings.warn(
+            f"{path}: prices of {np.abs(price).mean():g} per kWh on average; are they per MWh?",
+            DoubtfulInput,
+            stacklevel=2,
+        )
     return held_prices(time_s, price, str(path))
 
 
@@ -110,18 +118,54 @@ def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:
     return tariff
 
 
-def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> Array:
-    """Return one column (n,); raises `ConfigError` naming the line of an invalid value."""
-    values = np.empty(len(rows))
-    for i, row in enumerate(rows):
-        text = row[column]
-        try:
-            values[i] = float(text)
-        except (TypeError, ValueError):
-            values[i] = math.nan
-        if not math.isfinite(values[i]):
-            raise ConfigError(f"{path}: line {i + 2}, column '{column}': {text!r} is not a finite number")
-    return values
+def _text(path: Path) -> str:
+    """Content of a CSV file or .csv.gz; raises `ConfigError` if it is not text or too long."""
+    content = read_bounded(path, _MOST_BYTES, ConfigError)
+    try:
+        if path.suffix == ".gz":
+            with gzip.open(io.BytesIO(content)) as file:
+                content = file.read(_MOST_BYTES + 1)
+            if len(content) > _MOST_BYTES:
+                raise ConfigError(f"{path}: more than {_MOST_BYTES:,} bytes when unpacked, the most that is read here")
+        return content.decode("utf-8-sig")
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:  # EOFError, zlib.error: truncated .gz
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+
+
+def _read_prices(path: Path, text: str) -> tuple[Array, Array]:
+    """Return times, s, and prices, (n,) each; raises `ConfigError` naming the line of an invalid value."""
+    reader = csv.reader(io.StringIO(text, newline=""))
+    rows: list[tuple[float, float]] = []
+    try:
+        header = next(reader, [])
+        name = next((name for name in _PRICE_COLUMNS if name in header), None)
+        if name is None or "time" not in header:
+            raise ConfigError(
+                f"{path}: expected a CSV file with columns 'time' (s since 1 January) and "
+                f"{' or '.join(_PRICE_COLUMNS)} (per kWh)"
+            )
+        columns = (header.index("time"), header.index(name))
+        for row in reader:
+            if len(rows) > _MOST_PRICES:
+                raise ConfigError(f"{path}: more than {_MOST_PRICES:,} prices, one for each minute of a year")
+            if row:
+                time_s, price = (_number(path, reader.line_num, row, header, column) for column in columns)
+                rows.append((time_s, price))
+    except csv.Error as error:
+        raise ConfigError(f"{path}: line {reader.line_num}: not CSV ({error})") from error
+    table = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _number(path: Path, line: int, row: list[str], header: list[str], column: int) -> float:
+    text = row[column] if column < len(row) else None
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{path}: line {line}, column '{header[column]}': {text!r:.60} is not a finite number")
+    return value
 
 
 def _autoregressive(rng: np.random.Generator, n: int, memory: float) -> Array:

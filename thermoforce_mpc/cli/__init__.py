@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import importlib
 import sys
+import warnings
+from typing import Any
 
 import click
 
 from thermoforce_mpc.errors import InputError, PlantError
+from thermoforce_mpc.reading import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
 # name: (module, one line for the overview)
@@ -61,8 +64,20 @@ def cli() -> None:
     """
 
 
+_show_otherwise = warnings.showwarning
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **further: Any) -> None:
+    """Doubtful input in one line, without the place in our source; other warnings as usual."""
+    if issubclass(category, DoubtfulInput):
+        click.echo(f"Warning: {message}", err=True)
+    else:
+        _show_otherwise(message, category, *place, **further)
+
+
 def main() -> None:
     """Entry point: prints an error of this package as one message and exits with its code."""
+    warnings.showwarning = _show_warning
     try:
         code = cli.main(standalone_mode=False)
         if isinstance(code, int):  # a command that exits with a code of its own

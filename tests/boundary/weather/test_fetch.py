@@ -14,9 +14,11 @@ from thermoforce_mpc.errors import WeatherError
 
 
 def weather_file(T: float) -> bytes:
-    row = f"{{}} {T} 1 0 101300 0 0 0 0 0 0 0 0 0 0 200 4 0 5 10 22000"
+    row = "{} {} 1 0 101300 0 0 0 {} 0 0 0 0 0 0 200 4 0 5 10 22000"
     header = ["#1", "double tab1(8760,30)", "#LOCATION,TOWN,-,BEL,IWEC,064510,50.90,4.53,1.0,58.0"]
-    return "\n".join([*header, *(row.format(h * 3600.0) for h in range(8760))]).encode()
+    return "\n".join(
+        [*header, *(row.format(h * 3600.0, T + h % 2, 100 * (h % 24 == 12)) for h in range(8760))]
+    ).encode()
 
 
 @pytest.fixture

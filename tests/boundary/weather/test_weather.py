@@ -13,6 +13,7 @@ COLUMNS = 30
 def mos_row(hour: int, T: float = 5.0) -> str:
     cells = ["0"] * COLUMNS
     cells[0], cells[1], cells[2], cells[4] = str(hour * 3600.0), str(T), "1.0", "101300"
+    cells[8] = "100" if hour % 24 == 12 else "0"
     cells[15], cells[16], cells[18] = "200", "4.0", "5"
     return "\t".join(cells)
 
@@ -29,6 +30,7 @@ def epw_row(hour: int, T: float) -> str:
     cells = ["0"] * 35
     cells[0:5] = [*str(date).split("-"), str(hour % 24 + 1), "0"]
     cells[5], cells[6], cells[7], cells[9] = "?9", str(T), "1", "101300"
+    cells[13] = "100" if hour % 24 == 12 else "0"
     cells[20], cells[21], cells[23] = "200", "4", "5"
     return ",".join(cells)
 

@@ -18,7 +18,10 @@ TESTCASE = "bestest_hydronic_heat_pump"
 
 def weather_file(T: list[float | str]) -> str:
     header = ["#1", "double tab1(8760,30)", "#LOCATION,TOWN,-,BEL,IWEC,064510,50.90,4.53,1.0,58.0"]
-    rows = [f"{h * 3600.0} {value} 1 0 101300 0 0 0 0 0 0 0 0 0 0 200 4 0 5 10 22000" for h, value in enumerate(T)]
+    rows = [
+        f"{h * 3600.0} {value} 1 0 101300 0 0 0 {100 * (h % 24 == 12)} 0 0 0 0 0 0 200 4 0 5 10 22000"
+        for h, value in enumerate(T)
+    ]
     return "\n".join([*header, *rows]) + "\n"
 
 
@@ -51,7 +54,7 @@ def test_without_a_network_it_says_what_to_do_and_leaves_nothing(tmp_path, monke
 
 
 def test_another_file_of_that_name_in_the_cache_is_refused(tmp_path):
-    (tmp_path / FILE_NAME).write_text(weather_file([5.0] * 8760))
+    (tmp_path / FILE_NAME).write_text(weather_file([5.0, 6.0] * 4380))
     with pytest.raises(WeatherError, match="is not the Brussels year"):
         CliRunner().invoke(command, ["fetch", "--out", str(tmp_path)], catch_exceptions=False, standalone_mode=False)
 

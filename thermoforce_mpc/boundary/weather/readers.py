@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import itertools
 from pathlib import Path
 
 import numpy as np
 
+from thermoforce_mpc.boundary.weather.plausible import check_plausible
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import WeatherError
+from thermoforce_mpc.reading import read_bounded
 
 _HOURS = 8760
+# A year of EPW has 1.6 MB.
+_MOST_BYTES = 10_000_000
+_MOST_LINES = 20_000
+_MOST_CELLS = 40
+_EPW_HEADER = 8
 
 # Column positions, from 0.
 _MOS_COLUMNS = {
@@ -54,20 +62,25 @@ _EPW_COLUMNS = {
 def load_weather(path: Path) -> Weather:
     """Read a weather year from a `.mos` or `.epw` file.
 
+    `DoubtfulInput` warns of a year that is possible but improbable.
+
     Raises:
-        WeatherError: the file is missing, of another type, truncated, not hourly, or has values out of physical
-            range; the message names the file and what to do.
+        WeatherError: the file is missing, of another type, truncated, not hourly, or has values or a place that cannot
+            be; the message names the file and what to do.
     """
     path = Path(path)
     readers = {".mos": _read_mos, ".epw": _read_epw}
     if path.suffix.lower() not in readers:
         raise WeatherError(f"{path}: weather files end in .mos (Modelica TMY3) or .epw (EnergyPlus)")
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise WeatherError(f"{path}: cannot be read ({error.strerror or error})") from error
+    raw = read_bounded(path, _MOST_BYTES, WeatherError)
     name = f"{path.name} (sha256 {hashlib.sha256(raw).hexdigest()[:12]})"
-    return readers[path.suffix.lower()](path, name, raw.decode("latin-1").splitlines())
+    if (count := raw.count(b"\n") + raw.count(b"\r")) > 2 * _MOST_LINES:
+        raise WeatherError(f"{path}: {count} lines, a year has {_HOURS} hours; this reader needs hourly rows")
+    # Split as bytes: as text, a place name in Latin-1 could hold what Unicode takes for the end of a line.
+    lines = [line.decode("latin-1") for line in raw.splitlines()]
+    weather = readers[path.suffix.lower()](path, name, lines)
+    check_plausible(weather, path)
+    return weather
 
 
 def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
@@ -75,9 +88,9 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
     location = next((line for line in lines if line.upper().startswith("#LOCATION")), None)
     if location is None:
         raise WeatherError(f"{path}: no '#LOCATION' line, so latitude and longitude are unknown")
-    rows = [line.split() for line in lines if line[:1].isdigit() or line[:1] == "-"]
+    rows = (line.split(None, _MOST_CELLS) for line in lines if line[:1].isdigit() or line[:1] == "-")
     # Some files repeat midnight of the next 1 January as a last row.
-    columns = _columns(path, rows[: _HOURS + 1], _MOS_COLUMNS)
+    columns = _columns(path, list(itertools.islice(rows, _HOURS + 1)), _MOS_COLUMNS)
     columns = {key: values[:_HOURS] for key, values in columns.items()}
     time_s, hourly = columns.pop("time_s"), np.arange(_HOURS) * HOUR_S
     wrong = np.flatnonzero(~np.isclose(time_s, hourly))
@@ -96,9 +109,11 @@ def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
     pvlib's `read_epw` is not used: it accepts truncated files, short rows and text in cells without an error, refuses
     rows that end in a comma and Latin-1 place names, and names neither file nor row.
     """
-    if len(lines) < 9 or not lines[0].upper().startswith("LOCATION"):
+    if len(lines) <= _EPW_HEADER or not lines[0].upper().startswith("LOCATION"):
         raise WeatherError(f"{path}: does not start with a LOCATION line, so it is not an EPW file")
-    columns = _columns(path, [line.split(",") for line in lines[8:] if line.strip()], _EPW_COLUMNS)
+    columns = _columns(
+        path, [line.split(",", _MOST_CELLS) for line in lines[_EPW_HEADER:] if line.strip()], _EPW_COLUMNS
+    )
     # 29 February is dropped: the plant's year has 365 days.
     kept = (columns["month"] != 2) | (columns["day"] != 29)
     columns = {key: values[kept] for key, values in columns.items()}
@@ -130,7 +145,7 @@ def _columns(path: Path, rows: list[list[str]], columns: dict[str, int]) -> dict
         try:
             table[i] = [float(row[index]) for index in columns.values()]
         except ValueError as error:
-            raise WeatherError(f"{path}: hourly row {i + 1}: a cell is not a number ({error})") from error
+            raise WeatherError(f"{path}: hourly row {i + 1}: a cell is not a number ({error!s:.100})") from error
     return dict(zip(columns, table.T.copy(), strict=True))
 
 

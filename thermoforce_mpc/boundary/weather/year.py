@@ -31,6 +31,7 @@ _LIMITS = {
     "opaque_cover": (0.0, 1.0),
     "pressure_Pa": (50_000.0, 110_000.0),
 }
+_PLACE = {"latitude_deg": (-90.0, 90.0), "longitude_deg": (-180.0, 180.0), "timezone_h": (-12.0, 14.0)}
 # Columns that no building model uses; only reported. They are clipped as in the test case's reader, so that missing
 # values (a ceiling of 99999 m, a cover of 99) do not make a file unusable.
 _REPORTED = {
@@ -50,7 +51,8 @@ class Weather:
     Only reported: `relative_humidity` and `total_cover` 0 to 1, horizontal `infrared_W_m2`, cloud `ceiling_m`.
 
     Raises:
-        WeatherError: a column has the wrong length, a value that is not finite, or one outside its physical range.
+        WeatherError: a column has the wrong length, a value that is not finite, or one outside its physical range;
+            the place is not on Earth.
     """
 
     name: str
@@ -73,6 +75,9 @@ class Weather:
     _splines: dict[str, Akima1DInterpolator] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        for key, (least, most) in _PLACE.items():
+            if not least <= getattr(self, key) <= most:
+                raise WeatherError(f"{self.name}: {key} is {getattr(self, key):g}, expected {least:g} to {most:g}")
         for item in fields(self):
             if item.name not in _LIMITS and item.name not in _REPORTED:
                 continue
