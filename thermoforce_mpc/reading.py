@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 import stat
 from pathlib import Path
+from typing import Any, NoReturn
 
 from thermoforce_mpc.errors import InputError
 
@@ -25,3 +28,23 @@ def read_bounded(path: Path, most_bytes: int, error: type[InputError]) -> bytes:
     if len(content) > most_bytes:
         raise error(f"{path}: more than {most_bytes:,} bytes, the most that is read here; is it the right file?")
     return content
+
+
+def parse_json(content: bytes, where: str, error: type[InputError]) -> dict[str, Any]:
+    """Return the object of a JSON document of finite numbers; raises `error` naming `where` and the reason."""
+    try:
+        document = json.loads(content, parse_constant=_not_finite, parse_float=_finite)
+    except (ValueError, RecursionError) as problem:  # ValueError: also of the encoding, and integers of 5,000 digits
+        raise error(f"{where}: not valid JSON ({problem!s:.200})") from problem
+    if not isinstance(document, dict):
+        raise error(f"{where}: holds a {type(document).__name__}, expected an object")
+    return document
+
+
+def _not_finite(text: str) -> NoReturn:
+    raise ValueError(f"{text:.40} is not a finite number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _not_finite(text)

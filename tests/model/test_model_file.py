@@ -12,7 +12,7 @@ from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME
+from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME, content_sha256
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
@@ -96,6 +96,7 @@ def _edit(folder, **changes):
     path = folder / JSON_NAME
     document = json.loads(path.read_text())
     document.update(changes)
+    document["sha256"] = content_sha256(document)
     path.write_text(json.dumps(document))
 
 

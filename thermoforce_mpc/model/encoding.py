@@ -16,6 +16,7 @@ from thermoforce_mpc.model.machine.return_water import ReturnWater
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.stored_values import keyed, listed, number, number_or_nan, text, truth, whole
 
 _OPERATOR_ARRAYS = (
     "poles",
@@ -93,52 +94,59 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
     Raises:
         KeyError, TypeError, ValueError, AttributeError, DataError: the content was damaged or edited.
     """
-    zones, actuators, machines = content["zones"], content["actuators"], content["machines"]
+    zones, actuators, machines = (listed(content[key]) for key in ("zones", "actuators", "machines"))
     pairs: list[list[OperatorParameters | None]] = [[None] * len(actuators) for _ in zones]
-    for one in content["pairs"]:
-        z, a = int(one["zone"]), int(one["actuator"])
+    for one in listed(content["pairs"]):
+        z, a = whole(one["zone"], 0, len(zones) - 1), whole(one["actuator"], 0, len(actuators) - 1)
         pairs[z][a] = _operator(one, arrays, f"pair.{z}.{a}.")
     operator = BuildingOperator(
-        tuple(str(zone["name"]) for zone in zones),
-        tuple(str(actuator["name"]) for actuator in actuators),
+        tuple(text(zone["name"]) for zone in zones),
+        tuple(text(actuator["name"]) for actuator in actuators),
         tuple(tuple(row) for row in pairs),
-        tuple(int(actuator["home"]) for actuator in actuators),
+        tuple(whole(actuator["home"], 0, len(zones) - 1) for actuator in actuators),
     )
     return {
         "operator": operator,
         "power": tuple(_power(machine["power"]) for machine in machines),
         "free": tuple(_free(zone["free"], arrays, f"zone.{z}.") for z, zone in enumerate(zones)),
         "cards": tuple(_card(actuator["card"]) for actuator in actuators),
-        "machines": tuple(str(machine["name"]) for machine in machines),
-        "machine_of": tuple(int(actuator["machine"]) for actuator in actuators),
-        "shares": tuple(float(actuator["share"]) for actuator in actuators),
+        "machines": tuple(text(machine["name"]) for machine in machines),
+        "machine_of": tuple(whole(actuator["machine"], 0, len(machines) - 1) for actuator in actuators),
+        "shares": tuple(number(actuator["share"]) for actuator in actuators),
     }
 
 
 def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str) -> OperatorParameters:
     heat = data["heat_input"]["heat"]
     return OperatorParameters(
-        **{name: arrays[prefix + name] for name in _OPERATOR_ARRAYS},
-        output_bias=float(data["output_bias"]),
-        gamma=float(data["gamma"]),
-        sign=int(data["sign"]),
-        step_s=float(data["step_s"]),
-        feedback=data["feedback"],
+        **{name: _array(arrays, prefix + name) for name in _OPERATOR_ARRAYS},
+        output_bias=number(data["output_bias"]),
+        gamma=number(data["gamma"]),
+        sign=whole(data["sign"], -1, 1),
+        step_s=number(data["step_s"]),
+        feedback=truth(data["feedback"]),
         heat_input=HeatInput(
             heat=None if heat is None else _load(heat),
-            reference_C=float(data["heat_input"]["reference_C"]),
-            lowest=float(data["heat_input"].get("lowest", 0.0)),
+            reference_C=number(data["heat_input"]["reference_C"]),
+            lowest=number(data["heat_input"].get("lowest", 0.0)),
         ),
     )
+
+
+def _array(arrays: Mapping[str, Array], name: str) -> Array:
+    found = arrays[name]
+    if found.dtype.kind != "f":
+        raise TypeError(f"array {name} holds {found.dtype}, expected numbers")
+    return found
 
 
 def _free(data: Mapping[str, Any] | None, arrays: Mapping[str, Array], prefix: str) -> RcParameters | None:
     if data is None:
         return None
     return RcParameters(
-        **{name: arrays[prefix + name] for name in _FREE_ARRAYS},
-        step_s=float(data["step_s"]),
-        sensor_sd_K=float(data["sensor_sd_K"]),
+        **{name: _array(arrays, prefix + name) for name in _FREE_ARRAYS},
+        step_s=number(data["step_s"]),
+        sensor_sd_K=number(data["sensor_sd_K"]),
     )
 
 
@@ -146,21 +154,21 @@ def _power(data: Mapping[str, Any] | None) -> PowerModel | None:
     if data is None:
         return None
     return PowerModel(
-        _load(data["load"]), _number(data["rmse_W"]), _number(data["r2"]), str(data["source"]), _water(data["water"]),
-        None if data.get("cooling") is None else _load(data["cooling"]),
+        _load(data["load"]), number_or_nan(data["rmse_W"]), number_or_nan(data["r2"]), text(data["source"]),
+        _water(data["water"]), None if data.get("cooling") is None else _load(data["cooling"]),
     )  # fmt: skip
 
 
 def _card(data: Mapping[str, Any]) -> ModelCard:
     return ModelCard(
-        source=data["source"],
-        data=data["data"],
-        ranges={key: (_number(low), _number(high)) for key, (low, high) in data["ranges"].items()},
-        scores={key: _number(value) for key, value in data["scores"].items()},
-        uncertainty={key: _number(value) for key, value in data["uncertainty"].items()},
-        config=data["config"],
-        notes=tuple(data["notes"]),
-        competence=_competence(data.get("competence")),  # files before the verdict was introduced do not have it
+        source=text(data["source"]),
+        data={key: text(value) for key, value in keyed(data["data"]).items()},
+        ranges={key: (number_or_nan(low), number_or_nan(high)) for key, (low, high) in keyed(data["ranges"]).items()},
+        scores={key: number_or_nan(value) for key, value in keyed(data["scores"]).items()},
+        uncertainty={key: number_or_nan(value) for key, value in keyed(data["uncertainty"]).items()},
+        config=keyed(data["config"]),
+        notes=tuple(text(note) for note in listed(data["notes"])),
+        competence=_competence(data["competence"]),
     )
 
 
@@ -168,29 +176,27 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
     if data is None:
         return None
     return Competence(
-        competent=bool(data["competent"]),
-        reasons=tuple(data["reasons"]),
-        advice=tuple(data["advice"]),
+        competent=truth(data["competent"]),
+        reasons=tuple(text(reason) for reason in listed(data["reasons"])),
+        advice=tuple(text(advice) for advice in listed(data["advice"])),
         horizons=tuple(
-            HorizonScore(blocks=int(one["blocks"]), **{key: _number(one.get(key)) for key in _HORIZON_NUMBERS})
-            for one in data["horizons"]
+            HorizonScore(
+                blocks=whole(one["blocks"], 0, 10**9), **{key: number_or_nan(one.get(key)) for key in _HORIZON_NUMBERS}
+            )
+            for one in listed(data["horizons"])
         ),
-        **{key: _number(data[key]) for key in _COMPETENCE_NUMBERS},
+        **{key: number_or_nan(data[key]) for key in _COMPETENCE_NUMBERS},
     )
 
 
-def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)
-
-
 def _load(data: Mapping[str, Any]) -> MachineLoad:
-    c0, c1, c2, c3 = (float(c) for c in data["coefficients"])
-    low, high = (float(T) for T in data["T_out_range_C"])
-    return MachineLoad((c0, c1, c2, c3), (low, high), float(data["lowest_level"]), bool(data["levels_seen"]))
+    c0, c1, c2, c3 = (number(c) for c in data["coefficients"])
+    low, high = (number(T) for T in data["T_out_range_C"])
+    return MachineLoad((c0, c1, c2, c3), (low, high), number(data["lowest_level"]), truth(data["levels_seen"]))
 
 
 def _water(data: Mapping[str, Any] | None) -> ReturnWater | None:
     if data is None:
         return None
-    low, high = (float(T) for T in data["range_C"])
-    return ReturnWater(float(data["per_K"]), float(data["reference_C"]), (low, high), float(data["above_zone_K"]))
+    low, high = (number(T) for T in data["range_C"])
+    return ReturnWater(number(data["per_K"]), number(data["reference_C"]), (low, high), number(data["above_zone_K"]))

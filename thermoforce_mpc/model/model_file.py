@@ -1,7 +1,8 @@
 """File format of a model: a folder with `model.json` and `arrays.safetensors`, without pickle.
 
-The JSON contains the format's name and version and the SHA-256 of the arrays. A folder is written to a temporary place
-and then moved, so that it is either complete or absent.
+The JSON contains the format's name and version, the SHA-256 of the arrays and that of its own content, so that a file
+that was damaged or edited is refused. A folder is written to a temporary place and then moved, so that it is either
+complete or absent.
 """
 
 from __future__ import annotations
@@ -23,13 +24,16 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.reading import parse_json, read_bounded
 from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
+# Thirty rooms with all pairs coupled: 0.8 MB of JSON, 2.1 MB of arrays.
+_MOST_JSON_BYTES, _MOST_ARRAYS_BYTES = 20_000_000, 100_000_000
 
 
 def check_target(folder: Path, *, overwrite: bool) -> None:
@@ -59,7 +63,8 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
         "code_version": VERSION,
         "arrays_sha256": hashlib.sha256(raw).hexdigest(),
     }
-    text = json.dumps(_plain(head | dict(content)), indent=2, allow_nan=False) + "\n"
+    document = _plain(head | dict(content) | head)
+    text = json.dumps(document | {"sha256": content_sha256(document)}, indent=2, allow_nan=False) + "\n"
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -86,33 +91,33 @@ def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; `tf-mpc identify` makes one")
     content = _read_json(json_path)
-    try:
-        raw = arrays_path.read_bytes()
-    except OSError as error:
-        raise ArtifactError(f"{arrays_path}: cannot be read ({error.strerror or error})") from error
+    raw = read_bounded(arrays_path, _MOST_ARRAYS_BYTES, ArtifactError)
     found = hashlib.sha256(raw).hexdigest()
     if found != content.get("arrays_sha256"):
         raise ArtifactError(f"{arrays_path}: damaged or swapped, its sha256 is not the one in {JSON_NAME}")
     try:
         return content, load_tensors(raw)
-    except (SafetensorError, ValueError) as error:
+    except (SafetensorError, ValueError, TypeError, KeyError) as error:  # the last two: a type that numpy lacks
         raise ArtifactError(f"{arrays_path}: not a readable safetensors file ({error})") from error
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise ArtifactError(f"{path}: not valid JSON ({error})") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
+    document = parse_json(read_bounded(path, _MOST_JSON_BYTES, ArtifactError), str(path), ArtifactError)
+    if document.get("format") != FORMAT:
         raise ArtifactError(f"{path}: not a model of thermoforce-mpc (its 'format' is not '{FORMAT}')")
     if document.get("version") != FORMAT_VERSION:
         raise ArtifactError(
             f"{path}: format version {document.get('version')!r}, this release reads {FORMAT_VERSION}; identify again"
         )
+    if content_sha256(document) != document.get("sha256"):
+        raise ArtifactError(f"{path}: damaged or edited, its content has another sha256 than it says; identify again")
     return document
+
+
+def content_sha256(document: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a model's JSON document, layout and the entry `sha256` left aside."""
+    content = {key: value for key, value in document.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -227,7 +227,7 @@ def load_model(folder: Path | str) -> ThermalModel:
     except KeyError as error:
         raise ArtifactError(f"{path}: key {error} is missing; the file is damaged or was edited") from error
     except (DataError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(f"{path}: {error}") from error
+        raise ArtifactError(f"{path}: {error!s:.500}") from error
     _check_proofs(model.operator.certificates(), f"{path}: ")
     return model
 

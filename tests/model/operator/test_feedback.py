@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.model.model_file import content_sha256
 from thermoforce_mpc.model.operator import (
     IDENTITY,
     certificate,
@@ -191,7 +193,7 @@ def test_artifact_keeps_the_choice_and_refuses_what_is_not_proven(tmp_path):
         ThermalModel.single(_turns_around()).save(tmp_path / "turns")
     # The same weights edited in from outside.
     free = ThermalModel.single(replace(_turns_around(), feedback=False)).save(tmp_path / "edited")
-    text = (free / "model.json").read_text()
-    (free / "model.json").write_text(text.replace('"feedback": false', '"feedback": true', 1))
+    document = json.loads((free / "model.json").read_text().replace('"feedback": false', '"feedback": true', 1))
+    (free / "model.json").write_text(json.dumps(document | {"sha256": content_sha256(document)}))
     with pytest.raises(ArtifactError, match="fails its certificate"):
         load_model(free)
