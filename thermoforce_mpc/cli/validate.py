@@ -17,10 +17,11 @@ from thermoforce_mpc.simulation.checks import validate_scenario
 def command(file: Path) -> None:
     """Check FILE, a scenario or a test case; an error names file, key and allowed values.
 
-    A file with the key `actuator` is read as a test case, any other as a scenario. Exit code 2 when it is invalid.
+    A file with one of the keys `actuator`, `zones` and `measurements` is read as a test case, any other as a scenario.
+    Exit code 2 when it is invalid.
     """
     data = read_yaml(file)
-    if "actuator" in data:
+    if data.keys() & {"actuator", "zones", "measurements"}:
         testcase = validate(TestCase, data, str(file))
         click.echo(f"{file}: valid test case '{testcase.name}'")
         return
