@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import stat
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 from thermoforce_mpc.errors import InputError
+
+_PIECE = 1 << 20
 
 
 class DoubtfulInput(UserWarning):
@@ -22,12 +25,24 @@ def read_bounded(path: Path, most_bytes: int, error: type[InputError]) -> bytes:
         if not stat.S_ISREG(path.stat().st_mode):
             raise error(f"{path}: not a file")
         with path.open("rb") as file:
-            content = file.read(most_bytes + 1)
+            content = read_pieces(file, most_bytes)
     except (OSError, ValueError) as problem:  # ValueError: a NUL in the name
         raise error(f"{path}: cannot be read ({getattr(problem, 'strerror', None) or problem})") from problem
     if len(content) > most_bytes:
         raise error(f"{path}: more than {most_bytes:,} bytes, the most that is read here; is it the right file?")
     return content
+
+
+def read_pieces(file: IO[bytes] | io.BufferedIOBase, most_bytes: int) -> bytes:
+    """Return what `file` holds, or a little more than `most_bytes` of it.
+
+    In pieces: one `read(n)` of a file takes n bytes of memory, and one of a packed member as much as it unpacks to,
+    whatever size it states.
+    """
+    found = io.BytesIO()
+    while found.tell() <= most_bytes and (piece := file.read(_PIECE)):
+        found.write(piece)
+    return found.getvalue()
 
 
 def parse_json(content: bytes, where: str, error: type[InputError]) -> dict[str, Any]:

@@ -221,10 +221,25 @@ def test_a_description_that_does_not_fit(file, tmp_path, describe, message):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"resources/kpis.json": "{"}, r"kpis\.json is not JSON"),
+        ({"resources/kpis.json": "{"}, r"kpis\.json: not valid JSON"),
         ({"resources/kpis.json": json.dumps(KPIS | {"GasPower": ["reaPGas_y"]})}, "does not have: reaPGas_y"),
         ({"resources/kpis.json": json.dumps(KPIS | {"ElectricPower": "reaPFan_y"})}, "expected a list of outputs"),
         ({"resources/days.json": '{"peak_heat_day": 400}'}, "expected a day from 0 to 364"),
+        ({"resources/days.json": '{"peak_heat_day": true}'}, "is True, expected a day from 0 to 364"),
+        ({"resources/days.json": "[" * 100_000}, r"days\.json: not valid JSON"),
+        ({"resources/config.json": json.dumps(CONFIG | {"area": True})}, "expected square metres"),
+        ({"resources/config.json": json.dumps(CONFIG | {"area": 1e308})}, "expected square metres"),
+        ({"resources/config.json": json.dumps(CONFIG | {"resource_file_exclusion": 3})}, "expected a list of files"),
+        (
+            {"resources/emissions.csv": "time,EmissionsElectricPower\n0,0.1,1\n900,0.1,1\n"},
+            "more cells than its header",
+        ),
+        (
+            {"resources/emissions.csv": "time,EmissionsElectricPower\n0,1e300\n900,0.1\n"},
+            "data row 1: '1e\\+300' is no",
+        ),
+        ({"resources/emissions.csv": 'time,EmissionsElectricPower\n0,"0.1\n900,0.1\n'}, "line 2: a quotation mark"),
+        ({"resources/emissions.csv": "time," * 5000 + "\n0,0.1\n900,0.1\n"}, "line 1 has more than 20,000 bytes"),
         ({"resources/config.json": json.dumps(CONFIG | {"area": 48.0})}, "another building"),
         ({"resources/emissions.csv": None}, "forecast.emission: the FMU .* has no point"),
         ({"resources/emissions.csv": "time,EmissionsElectricPower\n0,0.1\n900,\n"}, r"data row 2: 'nan' is no number"),

@@ -15,7 +15,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.reading import DoubtfulInput, read_bounded
+from thermoforce_mpc.reading import DoubtfulInput, read_bounded, read_pieces
 
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
@@ -124,7 +124,7 @@ def _text(path: Path) -> str:
     try:
         if path.suffix == ".gz":
             with gzip.open(io.BytesIO(content)) as file:
-                content = file.read(_MOST_BYTES + 1)
+                content = read_pieces(file, _MOST_BYTES)
             if len(content) > _MOST_BYTES:
                 raise ConfigError(f"{path}: more than {_MOST_BYTES:,} bytes when unpacked, the most that is read here")
         return content.decode("utf-8-sig")

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
-import xml.etree.ElementTree as ElementTree
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,18 +9,15 @@ from typing import Any
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.fmu.boundary_data import BoundaryData, read_table
+from thermoforce_mpc.plants.fmu.boundary_data import MOST_BYTES, BoundaryData, read_table
+from thermoforce_mpc.plants.fmu.description import Signal, finite, read_description, read_signals
+from thermoforce_mpc.plants.fmu.members import Members
+from thermoforce_mpc.reading import parse_json
 
 _RESOURCES = "resources/"
-
-
-@dataclass(frozen=True)
-class Signal:
-    """Input or output of the FMU: value reference, FMI type ('Real', 'Integer', 'Boolean'), and description."""
-
-    reference: int
-    kind: str
-    point: Point
+_MOST_JSON_BYTES = 1_000_000
+_MOST_TABLES_BYTES = 400_000_000
+_MOST_AREA_M2 = 1e7
 
 
 @dataclass(frozen=True)
@@ -61,132 +53,92 @@ def read_archive(path: Path) -> FmuArchive:
 
     Raises:
         ConfigError: the file is missing, not an FMU, of another FMI version or kind, has no binaries for this machine,
-            or its resources are missing or damaged; the message says which.
+            or its members or resources are damaged or too large; the message says which.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as file:
-            description = _describe(path, file)
-            _check_binaries(path, file, description.coSimulation.modelIdentifier)
-            kpis, days, config = (_json(path, file, name) for name in ("kpis.json", "days.json", "config.json"))
-            tables = _tables(path, file, config.get("resource_file_exclusion", []))
-    except zipfile.BadZipFile as error:
-        raise ConfigError(f"{path}: not an FMU ({error}); an FMU is a zip file, BOPTEST's is wrapped.fmu") from error
+    members = Members(path)
+    description = read_description(path, members)
+    identifier = str(description.coSimulation.modelIdentifier)
+    _check_binaries(path, members, identifier)
+    kpis, days, config = (_json(path, members, name) for name in ("kpis.json", "days.json", "config.json"))
     tolerance = getattr(description.defaultExperiment, "tolerance", None)
     return FmuArchive(
         path=path,
         name=str(config.get("name") or description.modelName),
         tool=str(description.generationTool or "unknown tool"),
-        sha256=hashlib.sha256(content).hexdigest(),
+        sha256=members.sha256,
         guid=str(description.guid),
-        model_identifier=str(description.coSimulation.modelIdentifier),
-        tolerance=None if tolerance is None else float(tolerance),
-        inputs=_signals(description, "input"),
-        outputs=_signals(description, "output"),
+        model_identifier=identifier,
+        tolerance=None if tolerance is None else finite(tolerance, f"{path}: tolerance"),
+        inputs=read_signals(path, description, "input"),
+        outputs=read_signals(path, description, "output"),
         kpi_signals=_kpi_signals(path, kpis),
         days=_days(path, days),
         area_m2=_area(path, config),
-        boundary=tables,
+        boundary=_tables(path, members, _excluded(path, config)),
     )
 
 
-def _describe(path: Path, file: zipfile.ZipFile) -> Any:
-    """Return FMPy's model description of a co-simulation FMU of FMI 2.0; raises `ConfigError`."""
-    try:
-        from fmpy import read_model_description
-    except ImportError as error:
-        raise ConfigError("an FMU needs FMPy: pip install 'thermoforce-mpc[fmu]'") from error
-    if "modelDescription.xml" not in file.namelist():
-        raise ConfigError(f"{path}: not an FMU (the zip file holds no modelDescription.xml)")
-    try:
-        with file.open("modelDescription.xml") as xml:
-            _, root = next(ElementTree.iterparse(xml, events=("start",)))
-        version = root.get("fmiVersion")
-    except (ElementTree.ParseError, StopIteration) as error:
-        raise ConfigError(f"{path}: modelDescription.xml cannot be read ({error})") from error
-    if version != "2.0":
-        raise ConfigError(f"{path}: FMI version {version}; BOPTEST's test cases are FMI 2.0")
-    try:
-        # No schema validation: tools differ in details that are irrelevant here.
-        description = read_model_description(io.BytesIO(_content(file)), validate=False)
-    except Exception as error:  # the parser raises exceptions of several libraries
-        raise ConfigError(f"{path}: modelDescription.xml cannot be used ({error})") from error
-    if description.coSimulation is None:
-        raise ConfigError(f"{path}: a model-exchange FMU; co-simulation is needed (BOPTEST compiles with target='cs')")
-    return description
+def unpack(archive: FmuArchive, folder: Path) -> None:
+    """Unpack an FMU below `folder`; raises `ConfigError` if its file is no longer the one that was read."""
+    members = Members(archive.path)
+    if members.sha256 != archive.sha256:
+        raise ConfigError(f"{archive.path}: was changed while it was read; try again")
+    members.unpack(folder)
 
 
-def _content(file: zipfile.ZipFile) -> bytes:
-    """Return a zip file with only the model description, so that FMPy does not read the whole FMU again."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as small:
-        small.writestr("modelDescription.xml", file.read("modelDescription.xml"))
-    return buffer.getvalue()
-
-
-def _check_binaries(path: Path, file: zipfile.ZipFile, identifier: str) -> None:
+def _check_binaries(path: Path, members: Members, identifier: str) -> None:
     from fmpy import platform, sharedLibraryExtension
 
     wanted = f"binaries/{platform}/{identifier}{sharedLibraryExtension}"
-    if wanted not in file.namelist():
-        offered = sorted(
-            {name.split("/")[1] for name in file.namelist() if name.count("/") > 1 and "binaries/" in name}
-        )
+    if wanted not in members.names:
+        offered = sorted({name.split("/")[1] for name in members.names if name.count("/") > 1 and "binaries/" in name})
         raise ConfigError(
-            f"{path}: no binaries for this machine ({wanted} is missing); the FMU runs on: "
-            f"{', '.join(offered) or 'no platform'}"
+            f"{path}: no binaries for this machine ({wanted:.200} is missing); the FMU runs on: "
+            f"{', '.join(offered)[:200] or 'no platform'}"
         )
 
 
-def _json(path: Path, file: zipfile.ZipFile, name: str) -> dict[str, Any]:
+def _json(path: Path, members: Members, name: str) -> dict[str, Any]:
     """Return one JSON object of the resources, {} if the FMU does not have it; raises `ConfigError`."""
-    if _RESOURCES + name not in file.namelist():
+    if _RESOURCES + name not in members.names:
         return {}
-    try:
-        data = json.loads(file.read(_RESOURCES + name))
-    except ValueError as error:
-        raise ConfigError(f"{path}: {_RESOURCES}{name} is not JSON ({error})") from error
-    if not isinstance(data, dict):
-        raise ConfigError(f"{path}: {_RESOURCES}{name} holds a {type(data).__name__}, expected an object")
-    return data
+    return parse_json(members.read(_RESOURCES + name, _MOST_JSON_BYTES), f"{path}: {_RESOURCES}{name}", ConfigError)
 
 
-def _tables(path: Path, file: zipfile.ZipFile, excluded: list[str]) -> BoundaryData:
-    data = BoundaryData({})
-    for name in sorted(file.namelist()):
+def _tables(path: Path, members: Members, excluded: list[str]) -> BoundaryData:
+    data, left = BoundaryData({}), _MOST_TABLES_BYTES
+    for name in sorted(members.names):
         if name.startswith(_RESOURCES) and name.endswith(".csv") and name.rsplit("/", 1)[1] not in excluded:
-            data = data.with_table(read_table(file.read(name), f"{path}: {name}"), f"{path}: {name}")
+            content = members.read(name, min(MOST_BYTES, left))
+            left -= len(content)
+            data = data.with_table(read_table(content, f"{path}: {name}"), f"{path}: {name}")
     return data
 
 
-def _signals(description: Any, causality: str) -> dict[str, Signal]:
-    signals = {}
-    for variable in description.modelVariables:
-        if str(variable.causality) != causality or variable.type not in ("Real", "Integer", "Boolean"):
-            continue
-        declared = variable.declaredType
-        unit = variable.unit or getattr(declared, "unit", None)
-        limits = [variable.min or getattr(declared, "min", None), variable.max or getattr(declared, "max", None)]
-        low, high = (None if limit is None else float(limit) for limit in limits)
-        point = Point(variable.name, unit, variable.description or "", low, high)
-        signals[variable.name] = Signal(int(variable.valueReference), str(variable.type), point)
-    return signals
+def _excluded(path: Path, config: Mapping[str, Any]) -> list[str]:
+    names = config.get("resource_file_exclusion", [])
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise ConfigError(
+            f"{path}: {_RESOURCES}config.json: resource_file_exclusion is {names!r:.100}, expected a list of files"
+        )
+    return names
 
 
 def _kpi_signals(path: Path, kpis: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     for category, names in kpis.items():
         if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
-            raise ConfigError(f"{path}: {_RESOURCES}kpis.json: '{category}' is {names!r}, expected a list of outputs")
+            raise ConfigError(
+                f"{path}: {_RESOURCES}kpis.json: '{category:.100}' is {names!r:.100}, expected a list of outputs"
+            )
     return {category: tuple(names) for category, names in kpis.items()}
 
 
 def _days(path: Path, days: Mapping[str, Any]) -> dict[str, int]:
     for name, day in days.items():
-        if not (isinstance(day, int) and 0 <= day < 365):
-            raise ConfigError(f"{path}: {_RESOURCES}days.json: '{name}' is {day!r}, expected a day from 0 to 364")
+        if not (isinstance(day, int) and not isinstance(day, bool) and 0 <= day < 365):
+            raise ConfigError(
+                f"{path}: {_RESOURCES}days.json: '{name:.100}' is {day!r:.100}, expected a day from 0 to 364"
+            )
     return dict(days)
 
 
@@ -194,6 +146,6 @@ def _area(path: Path, config: Mapping[str, Any]) -> float | None:
     area = config.get("area")
     if area is None:
         return None
-    if not (isinstance(area, int | float) and area > 0):
-        raise ConfigError(f"{path}: {_RESOURCES}config.json: area is {area!r}, expected square metres")
+    if isinstance(area, bool) or not isinstance(area, int | float) or not 0 < area <= _MOST_AREA_M2:
+        raise ConfigError(f"{path}: {_RESOURCES}config.json: area is {area!r:.60}, expected square metres")
     return float(area)

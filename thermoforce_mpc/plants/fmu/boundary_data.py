@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -41,6 +42,12 @@ _WEATHER = frozenset(
     ]
 )
 YEAR_S = 365 * DAY_S
+# A year of weather every 15 minutes has 12 MB.
+MOST_BYTES = 100_000_000
+_MOST_ROWS = 2 * 365 * 1440 + 2
+_MOST_LINE_BYTES = 20_000
+_PART_ROWS = 20_000
+_LARGEST = 1e12
 _UNITS = {"TDryBul": "K", "TDewPoi": "K", "TWetBul": "K", "TBlaSky": "K", "HGloHor": "W/m2", "HDirNor": "W/m2"}
 _UNITS |= {"HDifHor": "W/m2", "HHorIR": "W/m2"}
 
@@ -112,23 +119,55 @@ def read_table(content: bytes, source: str) -> dict[str, Series]:
         ConfigError: the file is truncated or malformed, a cell is not a finite number, or time does not increase;
             names file, column and row.
     """
+    _check_lines(content, source)
+    columns: dict[str, list[Array]] = {}
     try:
-        frame = pd.read_csv(io.BytesIO(content), comment="#")
-    except (ValueError, UnicodeDecodeError) as error:  # pandas' parser errors are ValueErrors
-        raise ConfigError(f"{source}: not a CSV file ({error})") from error
-    if "time" not in frame:
-        return {}
-    columns = {}
-    for name in frame.columns:
-        values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=np.float64)
-        if not np.isfinite(values).all():
-            row = int(np.argmin(np.isfinite(values)))
-            raise ConfigError(f"{source}: column '{name}', data row {row + 1}: '{frame[name].iloc[row]}' is no number")
-        columns[name] = values
-    time_s = columns.pop("time")
+        # In parts, so that a cell of text costs memory for a part only.
+        with (
+            warnings.catch_warnings(),
+            pd.read_csv(
+                io.BytesIO(content), comment="#", index_col=False, chunksize=_PART_ROWS, low_memory=False
+            ) as parts,
+        ):
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            for part in parts:
+                if "time" not in part:
+                    return {}
+                for name in part.columns:
+                    columns.setdefault(str(name), []).append(_numbers(part[name], source))
+    except pd.errors.ParserWarning as error:
+        raise ConfigError(f"{source}: its rows have more cells than its header") from error
+    except (ValueError, OverflowError) as error:  # pandas' parser errors are ValueErrors
+        raise ConfigError(f"{source}: not a CSV file ({error!s:.200})") from error
+    found = {name: np.concatenate(values) for name, values in columns.items()}
+    time_s = found.pop("time")
     if time_s.size < 2 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{source}: column 'time' must rise over at least two rows")
-    return {str(name): Series(time_s, values, source) for name, values in columns.items()}
+    return {name: Series(time_s, values, source) for name, values in found.items()}
+
+
+def _numbers(column: pd.Series, source: str) -> Array:
+    """Return the numbers of a column; raises `ConfigError` naming the first cell that is none."""
+    values: Array = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
+    usable = np.abs(values) <= _LARGEST
+    if not usable.all():
+        at = int(np.argmin(usable))
+        what = f"column '{column.name!s:.100}', data row {column.index[at] + 1}: '{column.iloc[at]!s:.60}'"
+        raise ConfigError(f"{source}: {what} is no number, or beyond ±{_LARGEST:g}")
+    return values
+
+
+def _check_lines(content: bytes, source: str) -> None:
+    """Raise `ConfigError` for what no table of numbers has: lines without end, many of them, quotes over several."""
+    if content.count(b"\n") > _MOST_ROWS:
+        raise ConfigError(f"{source}: more than {_MOST_ROWS:,} rows, two years of minutes")
+    characters = np.frombuffer(content, dtype=np.uint8)
+    ends = np.concatenate([[-1], np.flatnonzero(characters == ord("\n")), [characters.size]])
+    if np.diff(ends).max() > _MOST_LINE_BYTES:
+        raise ConfigError(f"{source}: line {int(np.diff(ends).argmax()) + 1} has more than {_MOST_LINE_BYTES:,} bytes")
+    quotes = np.bincount(np.searchsorted(ends, np.flatnonzero(characters == ord('"'))), minlength=1)
+    if (quotes % 2).any():
+        raise ConfigError(f"{source}: line {int((quotes % 2).argmax())}: a quotation mark is not closed")
 
 
 def _covered_until(series: Series) -> float:

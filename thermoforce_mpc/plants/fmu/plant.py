@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +23,7 @@ from thermoforce_mpc.plants.checks import (
     day_period,
     forecast_times,
 )
-from thermoforce_mpc.plants.fmu.archive import read_archive
+from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
@@ -85,8 +84,8 @@ class FmuPlant:
         self._T_zone_C: Array = np.full(len(p.zones), math.nan)
         self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
         try:
-            with zipfile.ZipFile(path) as file:
-                file.extractall(Path(self._folder.name) / "fmu")
+            (Path(self._folder.name) / "fmu").mkdir()
+            unpack(archive, Path(self._folder.name) / "fmu")
             (Path(self._folder.name) / "work").mkdir()
         except BaseException:
             self._folder.cleanup()
