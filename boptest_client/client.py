@@ -133,7 +133,7 @@ class BoptestClient:
         answer = self._get("step")
         try:
             return float(answer)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ProtocolError(self._at("step"), f"not a number: {answer!r:.120}") from error
 
     def set_step(self, step_s: float) -> None:
@@ -311,8 +311,8 @@ class BoptestClient:
                 key: math.nan if value is None else float(value)
                 for key, value in self._mapping(self._at(what), answer).items()
             }
-        except (TypeError, ValueError) as error:
-            raise ProtocolError(self._at(what), f"a value is not a number ({error})") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ProtocolError(self._at(what), f"a value is not a number ({error!s:.200})") from error
 
     def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
         """Values of `names` at the instants 'time', which never fall; none where nothing is told."""
@@ -323,8 +323,8 @@ class BoptestClient:
             raise ProtocolError(endpoint, f"no values for {', '.join(missing)}")
         try:
             series = {name: [math.nan if v is None else float(v) for v in mapping[name]] for name in names}
-        except (TypeError, ValueError) as error:
-            raise ProtocolError(endpoint, f"a value is not a number ({error})") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ProtocolError(endpoint, f"a value is not a number ({error!s:.200})") from error
         if any(len(values) != len(series["time"]) for values in series.values()):
             raise ProtocolError(endpoint, "series differ in length")
         clock = series["time"]

@@ -32,6 +32,8 @@ from boptest_client.errors import (
 )
 
 Method = Literal["GET", "PUT", "POST"]
+# A year of fifty points every half minute, unpacked, has 1 GB; no request of ours asks for a tenth of it.
+_MOST_BYTES = 200_000_000
 
 
 @dataclass(frozen=True)
@@ -181,6 +183,22 @@ class _CuttableAdapter(HTTPAdapter):
     def __init__(self) -> None:
         self._sockets: weakref.WeakSet[socket.socket] = weakref.WeakSet()
         super().__init__()
+
+    def build_response(self, req: requests.PreparedRequest, resp: Any) -> requests.Response:
+        """The answer, which raises `ProtocolError` when it is read beyond `_MOST_BYTES`."""
+        stream = resp.stream
+
+        def bounded(*args: Any, **kwargs: Any) -> Iterator[bytes]:
+            size = 0
+            for piece in stream(*args, **kwargs):
+                size += len(piece)
+                if size > _MOST_BYTES:
+                    resp.close()
+                    raise ProtocolError(f"{req.method} {req.url}", f"the answer is longer than {_MOST_BYTES:,} bytes")
+                yield piece
+
+        resp.stream = bounded
+        return super().build_response(req, resp)
 
     def get_connection_with_tls_context(self, *args: Any, **kwargs: Any) -> Any:
         pool: Any = super().get_connection_with_tls_context(*args, **kwargs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,8 +13,8 @@ def number(value: Any) -> float:
     """Return a number; raises `TypeError` or `ValueError` for anything else, and beyond ±1e12."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r:.60} where a number is expected")
-    if not (math.isfinite(value) and abs(value) <= _LARGEST):
-        raise ValueError(f"{value:g} where a number within ±{_LARGEST:g} is expected")
+    if not abs(value) <= _LARGEST:
+        raise ValueError(f"{value!r:.60} where a number within ±{_LARGEST:g} is expected")
     return float(value)
 
 
