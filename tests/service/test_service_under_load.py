@@ -93,7 +93,11 @@ def test_a_whole_multipart_form_is_understood(url, testid):
     assert answer.json()["payload"]["oveHeaPumY_u"] == 0.5
 
 
-@pytest.mark.parametrize("sent", [b"", b"POST /advance HTTP/1.1\r\nContent-Le"], ids=["nothing", "half a request"])
+@pytest.mark.parametrize(
+    "sent",
+    [b"", b"POST /advance HTTP/1.1\r\nContent-Le", b'PUT /step HTTP/1.1\r\nContent-Length: 99\r\n\r\n{"step":'],
+    ids=["nothing", "half a request", "half a body"],
+)
 def test_connections_that_say_nothing_keep_no_one_out(url, sent):
     host, port = url.removeprefix("http://").split(":")
     silent = []
