@@ -1,0 +1,150 @@
+"""Filling of gaps in the forecast of the boundary conditions, so that a plan never rests on a value nobody gave.
+
+| signal | filled, in this order |
+|---|---|
+| weather | interpolation up to 6 h between two values; the last whole forecast; the day before; the mean of that hour |
+| prices, bounds, occupancy, emissions | the last whole forecast; the day before; the value before, or the first known |
+
+The day before is in the record or a forecast, the mean of the hour of the day in the record.
+
+A weather value that cannot be (`limits`) is none. Every filling is said in words.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.model.gaps import WEATHER
+from thermoforce_mpc.model.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
+
+_RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
+# Instants nearer than this are the same, s.
+_SAME_S = 1.0
+_DAYS_BEFORE = 7
+
+
+def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
+    """`boundary`, at steps of `step_s` s, with at least `n_steps` steps; those not given have no values (NaN)."""
+    missing = n_steps - boundary.n_steps
+    if missing <= 0:
+        return boundary
+    later = boundary.time_s[-1] + step_s * np.arange(1, missing + 1)
+    values: dict[str, Any] = {"time_s": np.append(boundary.time_s, later)}
+    for name in CONDITIONS[1:]:
+        given = getattr(boundary, name)
+        values[name] = np.concatenate([given, np.full((*given.shape[:-1], missing), np.nan)], axis=-1)
+    return replace(boundary, **values)
+
+
+def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tuple[Boundary, str]:
+    """`boundary` with its gaps filled, and what was filled with what, in words ('' without gaps).
+
+    What cannot be filled from anything stays NaN. Occupancy and emissions count as gaps only where part of them is
+    known: they need not be given.
+
+    Args:
+        boundary: forecast with NaN for missing values.
+        history: record until now, for the weather of the days before.
+        last: the last forecast of this run that was whole.
+    """
+    filled: dict[str, Any] = {}
+    notes: list[str] = []
+    for name in CONDITIONS[1:]:
+        rows = np.atleast_2d(getattr(boundary, name))
+        if name in WEATHER:
+            low, high = _RANGES[name]
+            with np.errstate(invalid="ignore"):
+                rows = np.where((rows < low) | (rows > high), np.nan, rows)
+        missing = ~np.isfinite(rows)
+        if not missing.any():
+            continue
+        out = np.where(missing, np.nan, rows)
+        for row in range(len(out)):
+            if not missing[row].any():
+                continue
+            found, how = _row(name, row, out[row], boundary, history, last)
+            if how:
+                out[row] = found
+                label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
+                notes.append(f"{label} at {missing[row].sum()} of {missing[row].size} instants by {how}")
+        filled[name] = out.reshape(np.shape(getattr(boundary, name)))
+    if not filled:
+        return boundary, ""
+    return replace(boundary, **filled), f"forecast: {', '.join(notes)}" if notes else ""
+
+
+def whole(boundary: Boundary) -> bool:
+    """Whether weather, bounds and prices are known at every instant."""
+    return all(np.isfinite(getattr(boundary, name)).all() for name in (*WEATHER, "lower_C", "upper_C", "price_per_kWh"))
+
+
+def _row(
+    name: str, row: int, values: Array, boundary: Boundary, history: Record, last: Boundary | None
+) -> tuple[Array, str]:
+    """One row (N + 1,) of a signal without gaps, and the means by which they were filled."""
+    out, time_s, how = values.copy(), boundary.time_s, []
+
+    def fill(found: Array, by: str) -> None:
+        new = np.isnan(out) & np.isfinite(found)
+        if new.any():
+            out[new] = found[new]
+            how.append(by)
+
+    weather = name in WEATHER
+    if weather:
+        fill(_between(time_s, out), "interpolation")
+    if last is not None:
+        given = np.atleast_2d(getattr(last, name))[row]
+        hours = (time_s[0] - last.time_s[0]) / HOUR_S
+        fill(_at(time_s, last.time_s, given), f"the last forecast ({hours:g} h old)")
+    # Of the record only the weather is known; of the other signals, what forecasts say of the day before.
+    sources = [(time_s, out)]
+    if last is not None:
+        sources.append((last.time_s, np.atleast_2d(getattr(last, name))[row]))
+    if weather:
+        sources.append((history.time_s, getattr(history, name)))
+    for day in range(1, _DAYS_BEFORE + 1):
+        for source_s, known in sources:
+            if np.isnan(out).any():
+                fill(_at(time_s - day * DAY_S, source_s, known.copy()), "the day before" if day == 1 else "days before")
+    if weather and np.isnan(out).any():
+        fill(_mean_of_hour(time_s, history, name), "the mean of the record at that hour")
+    known_at = np.flatnonzero(np.isfinite(out))
+    if known_at.size and np.isnan(out).any() and name not in ("occupancy", "emission_kg_per_kWh"):
+        before = np.maximum(np.searchsorted(known_at, np.arange(out.size), side="right") - 1, 0)
+        fill(out[known_at[before]], "the value before")
+    return out, " and ".join(dict.fromkeys(how))
+
+
+def _between(time_s: Array, values: Array) -> Array:
+    """Values (n,) with gaps of up to 6 h between two known ones filled by a straight line."""
+    known = np.flatnonzero(np.isfinite(values))
+    if known.size < 2:
+        return values
+    after = np.searchsorted(time_s[known], time_s)
+    inside = (after > 0) & (after < known.size)
+    after = np.clip(after, 1, known.size - 1)
+    gap_s = time_s[known[after]] - time_s[known[after - 1]]
+    line = np.interp(time_s, time_s[known], values[known])
+    return np.where(inside & (gap_s <= BRIDGED_GAP_H * HOUR_S), line, values)
+
+
+def _at(time_s: Array, known_s: Array, known: Array) -> Array:
+    """Values of `known` (k,) at `known_s` at the instants `time_s` (n,); NaN where there is none at that instant."""
+    index = np.clip(np.searchsorted(known_s, time_s - _SAME_S), 0, known_s.size - 1)
+    return np.where(np.abs(known_s[index] - time_s) <= _SAME_S, known[index], np.nan)
+
+
+def _mean_of_hour(time_s: Array, history: Record, name: str) -> Array:
+    """Mean of the record at the hour of the day of each instant (n,); NaN where it was never measured then."""
+    values = getattr(history, name)
+    known = np.isfinite(values)
+    hour = (history.time_s % DAY_S // HOUR_S).astype(int)
+    total = np.bincount(hour[known], weights=values[known], minlength=24)
+    count = np.bincount(hour[known], minlength=24)
+    means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return np.asarray(means[(time_s % DAY_S // HOUR_S).astype(int)])
