@@ -623,19 +623,23 @@ class Observation:
 class FreeForecast:
     """A free response over `N` steps, of one zone as a method gives it, or of all Z zones (`stacked`).
 
-    `quantiles_C` °C has shape (Q, N) or (Q, Z, N) for the increasing `levels` (Q,); `note` says what made it.
+    `quantiles_C` °C has shape (Q, N) or (Q, Z, N) for the increasing `levels` (Q,); `note` says what made it, and
+    `doubt` why it was not the method asked for; empty where it was.
     """
 
     levels: Array
     quantiles_C: Array
     note: str = ""
+    doubt: str = ""
 
     @classmethod
     def stacked(cls, zones: Sequence[FreeForecast]) -> FreeForecast:
         """The forecasts of all zones as one; levels that not all zones have are interpolated."""
         levels = np.asarray(zones[0].levels, dtype=np.float64)
         rows = [np.stack([zone.quantile_C(float(level)) for level in levels]) for zone in zones]
-        return cls(levels, np.stack(rows, axis=1), "; ".join(dict.fromkeys(zone.note for zone in zones)))
+        note = "; ".join(dict.fromkeys(zone.note for zone in zones))
+        doubt = "; ".join(dict.fromkeys(zone.doubt for zone in zones if zone.doubt))
+        return cls(levels, np.stack(rows, axis=1), note, doubt)
 
     @property
     def median_C(self) -> Array:
