@@ -1,4 +1,4 @@
-"""Fallback policy after a failed forecast or solve: previous plan, then an on/off rule, then native control."""
+"""Fallback policy of one actuator after a failed forecast or solve: previous plan, on/off rule, native control."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import HOUR_S, Array, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
+# Set-points of the on/off rule stay within this, whatever the bounds say, °C.
+_RULE_C = (5.0, 35.0)
 # A plan is followed while its error is within this many half-widths of its 80 % band, or within this, K.
 _TRUSTED_BANDS, _LEAST_TRUST_K = 3.0, 0.1
 
@@ -37,6 +39,22 @@ class FallbackConfig(StrictModel):
     look_ahead_h: float = Field(
         3.0, ge=0, description="on/off rule: window ahead over which the tightest bound is taken, h"
     )
+    safe_C: tuple[float, float] = Field(
+        (20.0, 25.0),
+        description="on/off rule: set-points of heating and of cooling where comfort bounds are missing, °C",
+    )
+    cold_after: int = Field(
+        3, ge=1, description="failures on end after which forecasts and solves begin anew, without what they kept"
+    )
+
+    @model_validator(mode="after")
+    def _safe(self) -> FallbackConfig:
+        low, high = self.safe_C
+        if not _RULE_C[0] <= low < high <= _RULE_C[1]:
+            raise ValueError(
+                f"safe_C is {low:g} and {high:g}: expected {_RULE_C[0]:g} ≤ heating < cooling ≤ {_RULE_C[1]:g} °C"
+            )
+        return self
 
 
 @dataclass(frozen=True)
@@ -86,30 +104,32 @@ class FallbackPolicy:
             return None
         return min(max(float(good.u[actuator, age]), 0.0), self.level)
 
-    def standing_back(self, observation: Observation) -> tuple[float | None, str]:
+    def standing_back(self, observation: Observation, T_zone_C: Array | None = None) -> tuple[float | None, str]:
         """Level, or None for native control, while the model must not act (`stand_back`), and who acts, as text."""
-        return (None, "native control") if self.config.stand_back == "native" else self.rule(observation)
+        return (None, "native control") if self.config.stand_back == "native" else self.rule(observation, T_zone_C)
 
-    def rule(self, observation: Observation) -> tuple[float | None, str]:
+    def rule(self, observation: Observation, T_zone_C: Array | None = None) -> tuple[float | None, str]:
         """Level of an on/off rule on the tightest comfort bound of the next hours, and the reason as text.
 
-        The level is None (native control) while the zone temperature or the bounds are missing.
+        `T_zone_C` (Z,), °C: temperatures to act on where they are not those of the observation. The level is None
+        (native control) while the zone temperature is unknown. Where no bound is known, `safe_C` takes their place.
         """
         if self.mode == "both":
             return None, "native control"
-        ahead = observation.boundary.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
-        if self.mode == "heating":
-            setpoint = (
-                float(np.max(observation.boundary.lower_C[self.zone, ahead])) + self.config.setpoint_above_bound_K
-            )
+        T = float((observation.T_zone_C if T_zone_C is None else T_zone_C)[self.zone])
+        if not math.isfinite(T):
+            return None, "zone temperature unknown: native control"
+        heating, bounds = self.mode == "heating", observation.boundary
+        ahead = bounds.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
+        known = (bounds.lower_C if heating else bounds.upper_C)[self.zone, ahead]
+        known = known[np.isfinite(known)]
+        inside_K = self.config.setpoint_above_bound_K
+        if not known.size:
+            setpoint = self.config.safe_C[0 if heating else 1]
         else:
-            setpoint = (
-                float(np.min(observation.boundary.upper_C[self.zone, ahead])) - self.config.setpoint_above_bound_K
-            )
-        T_zone_C = float(observation.T_zone_C[self.zone])
-        if not (math.isfinite(setpoint) and math.isfinite(T_zone_C)):
-            return None, "zone temperature or bounds missing: native control"
-        need_K = (setpoint - T_zone_C) * (1.0 if self.mode == "heating" else -1.0)
-        on = need_K > 0
-        why = f"{T_zone_C:.2f} °C against {setpoint:.2f} °C: {'on' if on else 'off'}"
+            setpoint = float(known.max()) + inside_K if heating else float(known.min()) - inside_K
+        setpoint = min(max(setpoint, _RULE_C[0]), _RULE_C[1])
+        on = setpoint > T if heating else setpoint < T
+        of = "" if known.size else " (no bounds)"
+        why = f"{T:.2f} °C against {setpoint:.2f} °C{of}: {'on' if on else 'off'}"
         return self.level if on else 0.0, why

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from controllers.errors import ControllerConfigError
+from controllers.iterate import checked_iterate
 from controllers.machinery import Machinery
 from controllers.problem import (
     POWER_UNIT_W,
@@ -27,8 +29,8 @@ from thermoforce_mpc.model.operator.casadi_export import step_function
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Statuses with which Ipopt reports an optimum; any other is a failed solve.
-_ACCEPTED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
+# Statuses with which Ipopt reports an optimum, to its tolerance or to a looser one; any other is a failed solve.
+_OPTIMAL, _ACCEPTED = "Solve_Succeeded", {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
 
 
 class IpoptConfig(StrictModel):
@@ -36,7 +38,9 @@ class IpoptConfig(StrictModel):
 
     max_iterations: int = Field(200, ge=1, description="iterations before a solve counts as failed")
     tolerance: float = Field(1e-8, gt=0, description="Ipopt's overall tolerance")
-    max_seconds: float = Field(20.0, gt=0, description="wall time before a solve counts as failed, s")
+    max_seconds: float = Field(
+        20.0, gt=0, description="wall time before a solve counts as failed, s; after it no other start is tried"
+    )
 
 
 class IpoptSolver:
@@ -144,7 +148,7 @@ class IpoptSolver:
             "g": ca.veccat(*dynamics, *constraints),
         }
         self._solver = ca.nlpsol("thermoforce_mpc", "ipopt", nlp, options)
-        self._order, self._pairs = list(given), pairs
+        self._order, self._pairs, self._max_seconds = list(given), pairs, config.max_seconds
         zeros, free = np.zeros, np.full(len(pairs) * r * n, np.inf)
         others = [part.numel() for part in (slack, peak, over, runs)]
         self._lbx = np.concatenate([zeros(A * m + S.size * m), -free, zeros(sum(others))])
@@ -163,19 +167,34 @@ class IpoptSolver:
         self._relaxed = None if linear else IpoptSolver(on_off, straight, config)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance from `guess` (A, N). On failure `ok` is False and `problem` has the reason."""
+        """Solve one instance from `guess` (A, N). On failure `ok` is False and `problem` has the reason.
+
+        Where a start from `guess` fails, it is thrown away, and the solver starts cold.
+        """
+        began = time.monotonic()
         highest = self.shape.machinery.u_max[:, None]
-        guesses = [np.broadcast_to(0.3 * highest, problem.power_per_u_W.shape) if guess is None else guess]
+        cold = np.broadcast_to(0.3 * highest, problem.power_per_u_W.shape)
+        guesses = [cold if guess is None else guess]
         if self._relaxed:
             relaxed = self._relaxed.solve(straightened(problem), guess)
             guesses += [relaxed.u] if relaxed.ok else []
-        solutions = [self._solve_from(problem, guess) for guess in guesses]
+        if guess is not None:
+            guesses.append(cold)
+        solutions: list[Solution] = []
+        for number, start in enumerate(guesses):
+            late = time.monotonic() - began > self._max_seconds
+            solved = any(solution.ok and solution.optimal for solution in solutions)
+            if solutions and (late or (solved and guess is not None and number == len(guesses) - 1)):
+                break
+            solutions.append(self._solve_from(problem, start, guess))
         good = [solution for solution in solutions if solution.ok]
         if not good:
             return solutions[0]
-        return min(good, key=lambda solution: float(problem.cost(self.operator, solution.u)))
+        optimal = [solution for solution in good if solution.optimal]
+        return min(optimal or good, key=lambda solution: float(problem.cost(self.operator, solution.u)))
 
-    def _solve_from(self, problem: MPCProblem, u_guess: Array) -> Solution:
+    def _solve_from(self, problem: MPCProblem, u_guess: Array, previous: Array | None) -> Solution:
+        """Solve from one guess (A, N); `previous`: the plan of the step before, which an iterate must not exceed."""
         p = problem
         if not p.finite():
             return failed("not started", 0, "the problem holds numbers that are not finite")
@@ -208,14 +227,16 @@ class IpoptSolver:
         )
         stats = self._solver.stats()
         status, iterations = str(stats["return_status"]), int(stats["iter_count"])
-        if status not in _ACCEPTED:
-            return failed(status, iterations, f"Ipopt ended with {status}")
+        modes_of = partial(p.modes_K, self.operator)
         x, machinery = np.asarray(result["x"], dtype=np.float64).ravel(), self.shape.machinery
         (A, _), S, m = machinery.shape, machinery.signed, self.shape.n_moves
         moves = x[: A * m].reshape(m, A).T.copy()
         moves[S] -= x[A * m : (A + S.size) * m].reshape(m, S.size).T
         u = moves[:, self.shape.move_of_step]
-        return checked_solution(p, partial(p.modes_K, self.operator), u, float(result["f"]), status, iterations)
+        if status not in _ACCEPTED:
+            return checked_iterate(p, modes_of, u, previous, failed(status, iterations, f"Ipopt ended with {status}"))
+        solution = checked_solution(p, modes_of, u, float(result["f"]), status, iterations)
+        return solution if status == _OPTIMAL else replace(solution, optimal=False, problem=f"Ipopt: {status}")
 
     def _of_pairs(self, values: Array) -> Array:
         """Values (Z, A, ...) of the pairs with an effect one after another."""

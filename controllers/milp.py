@@ -47,12 +47,16 @@ class MilpConfig(StrictModel):
 
 @dataclass(frozen=True)
 class ChoiceResult:
-    """Result of the mixed-integer solver; `x` is empty without a plan; `bound`: lower bound of the linear objective."""
+    """Result of the mixed-integer solver; `x` is empty without a plan; `bound`: lower bound of the linear objective.
+
+    `optimal`: whether the solver reached its gap before its time limit.
+    """
 
     x: Array
     status: str
     nodes: int
     bound: float
+    optimal: bool = True
 
 
 class Highs:
@@ -97,7 +101,8 @@ class Highs:
         if status not in stopped or info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
             return ChoiceResult(np.empty(0), word, int(info.mip_node_count), -np.inf)
         x = np.array(solver.getSolution().col_value, dtype=np.float64)
-        return ChoiceResult(x, word, int(info.mip_node_count), float(info.mip_dual_bound))
+        optimal = status == highspy.HighsModelStatus.kOptimal
+        return ChoiceResult(x, word, int(info.mip_node_count), float(info.mip_dual_bound), optimal)
 
 
 class MilpSolver:
@@ -152,7 +157,9 @@ class MilpSolver:
         if not off_K <= _SAME_K:
             why = f"highs: levels of later steps bring another heat than planned ({off_K:.2g} K)"
             return failed(status, answer.nodes, why)
-        return replace(solution, u=held, gap=gap, status=f"{status}, gap {gap:.2g}")
+        why = "" if answer.optimal else f"highs: time limit, at most {gap:.1%} above the optimum"
+        status = f"{status}, gap {gap:.2g}"
+        return replace(solution, u=held, gap=gap, status=status, problem=why, optimal=answer.optimal)
 
     def _start(self, programme: QPData) -> Array | None:
         """The relaxation's levels with their choices rounded: what HiGHS improves on; None where it fails."""

@@ -4,32 +4,37 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from controllers.acting import Acting
+from controllers.actuation import ActuationState
 from controllers.actuation_choice import choose_actuation
-from controllers.actuators import Demand
 from controllers.assembly import Assembly
+from controllers.bounded import BoundedCalls, Overdue
 from controllers.errors import ControllerConfigError, said
 from controllers.fallback import GoodPlan
+from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
-from controllers.guard import guard_level
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_record
 from controllers.planner import MPCState, Planner
 from controllers.problem import MPCProblem, Solution
 from controllers.reason import reason_of
 from controllers.room import room_blocks, within_C
+from controllers.sensing import Sensing, Zones
+from controllers.sensor import Sensor
+from controllers.sensor_state import SensorState
 from controllers.solvers import build_solver
 from controllers.watch import Watch, WatchState
 from controllers.watched import WatchedPredictions
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
+from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
@@ -41,11 +46,14 @@ from thermoforce_mpc.protocols import FreeResponse
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
 _OFFSET_K = 0.3
 
+# Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
+_SOLVERS_ABANDONED = 3
+
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _PLANNERS_KEPT = 4
 
 
-class ThermoForceMPC(Acting):
+class ThermoForceMPC(FallingBack):
     """Receding-horizon control over the superposition of a free and a forced response (paper eq:compose).
 
     ```python
@@ -111,7 +119,7 @@ class ThermoForceMPC(Acting):
                     "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong "
                     "together"
                 )
-        super().__init__(name, step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback)
+        super().__init__(name, step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback, c.guard)
         self._actuation_why = "; ".join(dict.fromkeys(self._told(a, choice.why) for a, choice in enumerate(choices)))
         self._assembly = Assembly(c, model, self._actuators)
         self._adaptations = tuple(OnlineAdaptation(zone, c.adaptation) for zone in self._zones)
@@ -119,7 +127,16 @@ class ThermoForceMPC(Acting):
             Watch(c.watch, zone, n_steps, partial(self._expected_power_W, a)) for a, zone in enumerate(self._zones)
         ]
         self._watched = WatchedPredictions(watches, self._planner, model)
-        self._free_responses = free_response or [_build_free_response(c.free_response, free) for free in model.free]
+        self._calls = BoundedCalls(len(layout.names.zones) + _SOLVERS_ABANDONED)
+        given = free_response or [_build_free_response(c.free_response, free) for free in model.free]
+        methods = given if isinstance(given, Sequence) else [given] * len(layout.names.zones)
+        self._free_responses = [self._with_substitutes(method) for method in methods]
+        zones = layout.names.zones
+        for unknown in [zone for zone in c.sensors if zone not in zones]:
+            raise ControllerConfigError(
+                f"controller.options.sensors: there is no zone '{unknown}'; the model has {', '.join(zones)}"
+            )
+        self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
         self._base = self._build_planner(model)
         self._adapted: list[tuple[tuple[ZoneModel, ...], Planner]] = []
 
@@ -142,8 +159,8 @@ class ThermoForceMPC(Acting):
         """Plan for the next step.
 
         An exception of forecast, estimator or solver is not raised: the fallback policy decides, and `Plan.why` holds
-        the reason. An actuator whose model is not competent or does not hold is left to native control or the rule
-        alone; the others follow the plan.
+        the reason. An actuator whose model is not competent or does not hold, or whose zone is not known any more, is
+        left to native control or the rule alone; the others follow the plan.
 
         Raises:
             DataError: error of the caller: the observation is of another building, the boundary forecast is too short,
@@ -156,42 +173,54 @@ class ThermoForceMPC(Acting):
             adaptation=(None,) * actuators,
             watch=(WatchState(),) * actuators,
             offset_K=np.zeros(zones),
+            sensors=(SensorState(),) * zones,
         )
+        try:
+            return self._decided(observation, before, actuation)
+        except Exception as error:  # whatever is wrong, the building is not left without control
+            return self._released(before, actuation, f"no decision was made ({said(error)})")
+
+    def _decided(self, observation: Observation, before: MPCState, actuation: tuple[ActuationState, ...]) -> Plan:
+        """The plan after `before`, with the actuators now at `actuation` (A,)."""
+        actuators = len(self._zones)
+        if before.failures >= self.config.fallback.cold_after:  # what it kept may be what fails
+            before = replace(before, predictor=None)
+        closed = [shut(self.config.gate, zone.card.competence) for zone in self._zones]
+        held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
+        history = self._sensing.believed(before.sensors, observation.history)
+        forced_K = None if all(closed) else self._forced_K(before, history)
+        sensors, observation, zones_now = self._sensing.judged(before.sensors, observation, forced_K)
+        boundary, filled = completed(observation.boundary, observation.history, before.boundary)
         now = replace(
             before,
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
             actuation=actuation,
+            sensors=sensors,
+            boundary=boundary if whole(observation.boundary) else before.boundary,
         )
-        closed = [shut(self.config.gate, zone.card.competence) for zone in self._zones]
-        held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
+        observation = replace(observation, boundary=boundary)
         if all(closed):
-            return self._stood_back(observation, now, held)
-        now = self._watched.judged(now, observation.history, self._forced_K(now, observation.history))
-        held = self._silent(observation) | held
+            return self._stood_back(observation, now, held, zones_now.T_C)
+        now = self._watched.judged(now, observation.history, forced_K)
+        held = zones_now.held(self._layout) | held
         for a, watch in enumerate(now.watch):
             if watch.alarm:
                 held[a] = Held(PlanStatus.WATCH, self._watched.reason(watch, observation.time_s))
         if any(watch.alarm for watch in now.watch):
-            now = self._watched.shadowed(self._ahead(observation), now)
+            with self._calls.within(self.config.deadline.forecast_s):
+                now = self._watched.shadowed(self._ahead(observation), now)
         if len(held) == actuators:
-            return self._watched.asked(observation, self._stood_back(observation, now, held))
-        return self._watched.asked(observation, self._planned(observation, now, held))
-
-    def _silent(self, observation: Observation) -> dict[int, Held]:
-        """The actuators of zones that were never measured, where others were."""
-        known = [bool(np.isfinite(row).any()) for row in observation.history.T_zone_C]
-        if not any(known):  # there is no prediction at all
-            return {}
-        return {
-            a: Held(PlanStatus.THERMOSTAT, f"the temperature of {self._layout.names.zones[z]} was never measured")
-            for a, z in enumerate(self._layout.home)
-            if not known[z]
-        }
+            plan = self._stood_back(observation, now, held, zones_now.T_C)
+        else:
+            plan = self._planned(observation, now, held, zones_now, filled)
+        if zones_now.news:
+            plan = replace(plan, why=f"{zones_now.news}; {plan.why}")
+        return self._watched.asked(observation, plan)
 
     def _forced_K(self, now: MPCState, history: Record) -> Array | None:
-        """Forced states of the building until now (Z, A, n + 1, r), K; None where one actuator acts, or if unknown."""
-        if len(self._zones) == 1 or now.predictor is None:
+        """Forced states of the building until now (Z, A, n + 1, r), K; None at the start, or if unknown."""
+        if now.predictor is None:
             return None
         try:
             return self._base.predictor.followed(history, now.predictor).forced_K
@@ -204,9 +233,17 @@ class ThermoForceMPC(Acting):
         levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
         return power(levels, record.T_out_C[:-1], record.T_return_C[0])
 
-    def _planned(self, observation: Observation, now: MPCState, held: Mapping[int, Held]) -> Plan:
+    def _planned(
+        self, observation: Observation, now: MPCState, held: Mapping[int, Held], zones: Zones, filled: str
+    ) -> Plan:
         """Predict, solve and check; the fallback policy acts where one of them fails."""
-        history = observation.history
+        history, limits = observation.history, self.config.deadline
+
+        def fallen_back(reason: str, status: str, seconds: Mapping[str, float]) -> Plan:
+            doubtful = [self._watched.doubtful(now, a) for a in range(len(self._zones))]
+            reasons = "; ".join(filter(None, (reason, zones.bridged, filled)))
+            return self._fall_back(observation, now, held, zones.T_C, doubtful, reasons, status, seconds)
+
         try:
             adaptation = self._adapted_now(now, history)
             planner = self._planner(adaptation)
@@ -216,22 +253,32 @@ class ThermoForceMPC(Acting):
                 for before, after in zip(now.adaptation, adaptation, strict=True)
             ):
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
-            context = planner.predictor.context(self._ahead(observation), predictor)
+            with self._calls.within(limits.forecast_s):
+                context = planner.predictor.context(self._ahead(observation), predictor)
             problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
-            return self._fall_back(observation, now, held, f"no prediction ({said(error)})", "not started", {})
+            return fallen_back(f"no prediction ({said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
+        now = replace(now, sensors=self._sensing.anchored(now.sensors, history, context))
         now = self._watched.put_down(now, context, planner)
         began = time.perf_counter()
         try:
-            solution = planner.solver.solve(problem, self._guess(now.good, observation))
+            solve = partial(planner.solver.solve, problem, self._guess(now.good, observation))
+            with self._calls.within(limits.solve_s):
+                solution = self._calls(planner.solver, solve)
+            refused = solution.problem if not solution.ok else problem.unfit(solution.u)
         except Exception as error:  # likewise for solvers
-            reason = f"the solver failed ({said(error)})"
-            return self._fall_back(observation, now, held, reason, "raised", context.seconds)
+            if isinstance(error, Overdue):
+                self._renew_solver(planner)
+            return fallen_back(f"the solver failed ({said(error)})", "raised", context.seconds)
         seconds = {**context.seconds, "solve": time.perf_counter() - began}
-        if not solution.ok:
-            return self._fall_back(observation, now, held, solution.problem, solution.status, seconds)
-        plan = self._accept(observation, now, held, planner.operator, problem, context, solution, seconds)
+        if refused:
+            return fallen_back(refused, solution.status, seconds)
+        doubts = [zones.bridged, filled, context.free.doubt]
+        now = replace(now, failures=0)
+        plan = self._accept(
+            observation, now, held, zones, planner.operator, problem, context, solution, seconds, doubts
+        )
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
     def _adapted_now(self, now: MPCState, history: Record) -> tuple[AdaptationState, ...]:
@@ -253,6 +300,18 @@ class ThermoForceMPC(Acting):
         planner = self._build_planner(self._base.model.with_actuators(zones))
         self._adapted = [*self._adapted, (zones, planner)][-_PLANNERS_KEPT:]
         return planner
+
+    def _renew_solver(self, planner: Planner) -> None:
+        """Give a planner whose solver has not returned another one; the old one must not be called meanwhile."""
+        renewed = replace(planner, solver=build_solver(self.config, planner.operator, self._assembly.machinery))
+        if planner is self._base:
+            self._base = renewed
+        self._adapted = [(zones, renewed if one is planner else one) for zones, one in self._adapted]
+
+    def _with_substitutes(self, method: FreeResponse) -> FreeResponse:
+        if self.config.free_response.substitutes:
+            return WithSubstitutes(method, self._calls)
+        return WithSubstitutes(method, self._calls, substitutes=())
 
     def _build_planner(self, model: ThermalModel) -> Planner:
         # The operator must match the actuation: below the lowest level the machine switches.
@@ -298,12 +357,15 @@ class ThermoForceMPC(Acting):
         observation: Observation,
         now: MPCState,
         held: Mapping[int, Held],
+        zones: Zones,
         operator: BuildingOperator,
         problem: MPCProblem,
         context: PredictionContext,
         solution: Solution,
         seconds: Mapping[str, float],
+        doubts: Sequence[str],
     ) -> Plan:
+        """The plan of a checked solution; `doubts`: what stands in for what, '' where nothing does."""
         u, forecast = solution.u, context.free
         forced_K = problem.forced_K(operator, u)
         T_zone_C = problem.T_free_C + forced_K
@@ -313,16 +375,20 @@ class ThermoForceMPC(Acting):
         for kept in (good.T_zone_C, good.band_K):
             kept[list(context.unmeasured)] = np.nan
         demands = [
-            self._room_blocks(observation, a, float(u[a, 0]), float(T_zone_C[self._layout.home[a], 0]))
+            self._room_blocks(observation, a, float(u[a, 0]), float(T_zone_C[self._layout.home[a], 0]), zones.T_C)
             if actuation.by_rooms
             else float(u[a, 0])
             for a, actuation in enumerate(self._actuators.each)
         ]
         names = self._layout.names
+        status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
+        if not solution.optimal:
+            status = PlanStatus.ACCEPTABLE
+        reasons = (reason_of(problem, names.zones, T_zone_C, slack_K, forecast), *doubts)
         plan = Plan(
             blocks=(),
-            status=PlanStatus.SOLVED,
-            why=reason_of(problem, names.zones, T_zone_C, slack_K, forecast),
+            status=status,
+            why="; ".join(filter(None, (solution.problem, *reasons))),
             u=u,
             T_free_now_C=problem.features[:, 0, ZONE],
             T_free_C=problem.T_free_C,
@@ -339,58 +405,12 @@ class ThermoForceMPC(Acting):
             names=names,
             state=replace(now, good=good),
         )
-        return self._with_guard(observation, self._acted(observation, plan, demands, held), demands, held, now)
+        acted = self._acted(observation, plan, demands, held, zones.T_C)
+        return self._with_guard(observation, acted, demands, held, now, zones.T_C)
 
-    def _acted(self, observation: Observation, plan: Plan, demands: Sequence[Demand], held: Mapping[int, Held]) -> Plan:
-        """The plan with the blocks of `demands` (A,), of those `held` what native control or the rule does instead."""
-        assert isinstance(plan.state, MPCState)
-        demands, why, status = list(demands), plan.why, plan.status
-        acting = [plan.status] * len(demands)
-        for a, one in held.items():
-            demands[a], who = self._fallbacks[a].standing_back(observation)
-            why = f"{self._told(a, one.why)}: {who}; {why}"
-            acting[a] = status = one.status
-        acted = self._actuators.realise(demands, self.step_s, plan.state.actuation)
-        state = replace(plan.state, actuation=acted.states)
-        return replace(plan, blocks=acted.together(), status=status, acting=tuple(acting), why=why, state=state)
-
-    def _with_guard(
-        self,
-        observation: Observation,
-        plan: Plan,
-        demands: Sequence[Demand],
-        held: Mapping[int, Held],
-        now: MPCState,
-    ) -> Plan:
-        """The plan, with the guard's level for actuators whose zone is far outside the comfort band."""
-        found = {}
-        for a, demand in enumerate(demands):
-            if a in held or not isinstance(demand, float):
-                continue  # the plant's own control acts on the bounds
-            planned = sum((block.u[a] or 0.0) * block.duration_s for block in plan.blocks) / self.step_s
-            level = guard_level(
-                self.config.guard,
-                observation,
-                u=planned,
-                highest=self._actuators.each[a].highest,
-                sign=self._layout.signs[a],
-                zone=self._layout.home[a],
-            )
-            if level is not None:
-                found[a] = level
-        if not found:
-            return plan
-        levels: list[Demand] = [found[a][0] if a in found else demand for a, demand in enumerate(demands)]
-        # The plan is not followed, so it must not be shifted later.
-        begun = replace(plan, why="", state=replace(now, good=now.good))
-        guarded = self._acted(observation, begun, levels, held)
-        if guarded.blocks == plan.blocks:  # minimum on or off time: the machine cannot do more
-            return plan
-        why = "; ".join([*(self._told(a, text) for a, (_, text) in found.items()), plan.why])
-        acting = tuple(PlanStatus.GUARD if a in found else status for a, status in enumerate(plan.acting))
-        return replace(guarded, status=PlanStatus.GUARD, acting=acting, why=why)
-
-    def _room_blocks(self, observation: Observation, a: int, u: float, T_end_C: float) -> tuple[Block, ...]:
+    def _room_blocks(
+        self, observation: Observation, a: int, u: float, T_end_C: float, T_now_C: Array
+    ) -> tuple[Block, ...]:
         """Room set-points of the first step for actuator `a`."""
         z, bounds = self._layout.home[a], observation.boundary
         within = within_C(float(bounds.lower_C[z, 0]), float(bounds.upper_C[z, 0]), self.config.comfort_margin_K)
@@ -398,81 +418,13 @@ class ThermoForceMPC(Acting):
         return room_blocks(
             u,
             T_end_C,
-            T_now_C=float(observation.T_zone_C[z]),
+            T_now_C=float(T_now_C[z]),
             u_last=float(last[0]) if last.size else float("nan"),
             bounds_C=within,
             lowest=self._layout.lowest[a],
             step_s=self.step_s,
             block_s=self._actuators.each[a].config.block_s,
         )
-
-    def _stood_back(self, observation: Observation, now: MPCState, held: Mapping[int, Held]) -> Plan:
-        """A step of native control or of the on/off rule (`fallback.stand_back`) for all; nothing is planned."""
-        demands: list[Demand] = []
-        told, acting = [], []
-        for a, fallback in enumerate(self._fallbacks):
-            demand, who = fallback.standing_back(observation)
-            demands.append(demand)
-            told.append(self._told(a, f"{held[a].why}: {who}"))
-            acting.append(held[a].status)
-        acted = self._actuators.realise(demands, self.step_s, now.actuation)
-        status = PlanStatus.WATCH if PlanStatus.WATCH in acting else acting[0]
-        # The plan before was not followed, so it must not be shifted later.
-        state = replace(now, actuation=acted.states, good=None)
-        return Plan(
-            acted.together(),
-            status,
-            "; ".join(told),
-            acting=tuple(acting),
-            names=self._layout.names,
-            state=state,
-        )
-
-    def _fall_back(
-        self,
-        observation: Observation,
-        now: MPCState,
-        held: Mapping[int, Held],
-        reason: str,
-        solver_status: str,
-        seconds: Mapping[str, float],
-    ) -> Plan:
-        """The last plan one step on, or the on/off rule, actuator by actuator; the guard comes after."""
-        demands: list[Demand] = []
-        acting, told = [], []
-        for a, fallback in enumerate(self._fallbacks):
-            good = None if self._watched.doubtful(now, a) else now.good
-            u = fallback.level_to_follow(good, observation, a)
-            if u is not None:
-                acting.append(PlanStatus.SHIFTED)
-                why = f"following the previous plan (u = {u:.2f})"
-            else:
-                acting.append(PlanStatus.THERMOSTAT)
-                u, why = fallback.rule(observation)
-            demands.append(u)
-            told.append(self._told(a, why))
-        status = PlanStatus.THERMOSTAT if PlanStatus.THERMOSTAT in acting else PlanStatus.SHIFTED
-        plan = Plan(
-            (),
-            status,
-            f"{reason}; {'; '.join(told)}",
-            solver_status=solver_status,
-            seconds=seconds,
-            names=self._layout.names,
-            state=now,
-        )
-        plan = self._acted(observation, plan, demands, held)
-        acting = [held[a].status if a in held else one for a, one in enumerate(acting)]
-        plan = replace(plan, acting=tuple(acting))
-        return self._with_guard(observation, plan, demands, held, now)
-
-
-@dataclass(frozen=True)
-class Held:
-    """Why an actuator is not left to the plan."""
-
-    status: PlanStatus
-    why: str
 
 
 def _build_free_response(config: FreeResponseConfig, free: RcParameters | None) -> FreeResponse:

@@ -14,6 +14,7 @@ from controllers.ipopt import IpoptConfig
 from controllers.milp import MilpConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
+from controllers.sensor_state import SensorConfig
 from controllers.watch import WatchConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
@@ -35,6 +36,10 @@ class FreeResponseConfig(StrictModel):
 
     name: str = Field("residual", description=f"free-response model: one of {', '.join(free_response_options())}")
     options: dict[str, Any] = Field(default_factory=dict, description=f"options of that model. {_options_in_words()}")
+    substitutes: bool = Field(
+        True,
+        description="where the model fails or is absurd, plan with the linear weather model, then with persistence",
+    )
 
     @model_validator(mode="after")
     def _must_be_known(self) -> FreeResponseConfig:
@@ -64,6 +69,13 @@ class ObjectiveConfig(StrictModel):
         description="value of heat stored at the end of the horizon, as a share of its cost in the last step",
     )
     curvature: float = Field(1e-6, ge=0, description="weight on u² per step, currency; makes the optimum unique")
+
+
+class DeadlineConfig(StrictModel):
+    """Wall time after which a step goes on without an answer; the call is left behind."""
+
+    forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
+    solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
 
 
 class MoveBlockingConfig(StrictModel):
@@ -126,6 +138,11 @@ class MPCConfig(StrictModel):
         default_factory=dict, description="actuation of single actuators, by name; `actuation` otherwise"
     )
     fallback: FallbackConfig = FallbackConfig()
+    deadline: DeadlineConfig = DeadlineConfig()
+    sensor: SensorConfig = SensorConfig()
+    sensors: dict[str, SensorConfig] = Field(
+        default_factory=dict, description="sensors of single zones, by name; `sensor` otherwise"
+    )
     gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()
     watch: WatchConfig = WatchConfig()
@@ -137,6 +154,10 @@ class MPCConfig(StrictModel):
     def actuation_of(self, actuator: str) -> ActuationConfig:
         """Actuation of an actuator."""
         return self.actuations.get(actuator, self.actuation)
+
+    def sensor_of(self, zone: str) -> SensorConfig:
+        """Options of a zone's sensor."""
+        return self.sensors.get(zone, self.sensor)
 
     def n_steps(self, step_s: float) -> int:
         """Number of steps of `step_s` seconds in the horizon."""

@@ -8,9 +8,10 @@ import numpy as np
 
 from controllers.actuation import ActuationState
 from controllers.fallback import GoodPlan
+from controllers.sensor_state import SensorState
 from controllers.solvers import Solver
 from controllers.watch import WatchState
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.identification.adaptation import AdaptationState
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import Predictor, PredictorState
@@ -24,7 +25,8 @@ class MPCState:
     `first_s`: time of the first plan, s; `peak_W`: highest mean power of the building over a step since, W; `good`:
     last solved plan; `predictor`: state of the predictor. Of each actuator (A,): `actuation` (state of its machine),
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
-    recent mean error of the zone temperatures planned for the end of a step.
+    recent mean error of the zone temperatures planned for the end of a step. `sensors` (Z,): what is known of the zone
+    sensors. `boundary`: the last forecast of the boundary conditions without gaps. `failures`: failed plans on end.
     """
 
     first_s: float
@@ -35,6 +37,9 @@ class MPCState:
     adaptation: tuple[AdaptationState | None, ...] = (None,)
     watch: tuple[WatchState, ...] = (WatchState(),)
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
+    sensors: tuple[SensorState, ...] = (SensorState(),)
+    boundary: Boundary | None = None
+    failures: int = 0
 
 
 @dataclass(frozen=True)

@@ -335,12 +335,23 @@ class MPCProblem:
             arrays.append(self.power_cap.limit_W)
         return bool(np.isfinite(np.concatenate([array.ravel() for array in arrays])).all())
 
-    def outside(self, u: Array) -> str:
-        """What of levels `u` (A, N) leaves bounds, capacity or exclusion by more than a solver's tolerance, or ''."""
+    def unfit(self, u: Array) -> str:
+        """Why `u` are no levels (A, N) to act on: another shape, not finite, or out of bounds; or ''."""
         m = self.machinery
+        if np.shape(u) != (len(m.actuators), self.n_steps):
+            return f"the solver gave levels of shape {np.shape(u)}, expected {(len(m.actuators), self.n_steps)}"
+        if not np.isfinite(u).all():
+            return "the solver gave levels that are not finite"
         low, high = u.min(axis=-1), u.max(axis=-1)
         for a in np.flatnonzero((low < m.u_min - _BOUND_TOLERANCE) | (high > m.u_max + _BOUND_TOLERANCE)):
             return f"u of {m.actuators[a]} leaves its bounds (from {low[a]:.4g} to {high[a]:.4g})"
+        return ""
+
+    def outside(self, u: Array) -> str:
+        """What of levels `u` (A, N) leaves bounds, capacity or exclusion by more than a solver's tolerance, or ''."""
+        m, unfit = self.machinery, self.unfit(u)
+        if unfit:
+            return unfit
         if m.share.any():
             load = (m.fed_by @ (m.share[:, None] * self._heating(u))).max(axis=-1)
             for number in np.flatnonzero(load > 1.0 + _BOUND_TOLERANCE):
@@ -367,6 +378,8 @@ def straightened(problem: MPCProblem) -> MPCProblem:
 class Solution:
     """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
 
+    `optimal` is False for levels that passed them without being the solver's optimum (`iterate`).
+
     `u` (A, N): levels, empty when not ok; `status`: the solver's own status; `problem`: reason of a failure; `gap`:
     how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
     convex.
@@ -378,6 +391,7 @@ class Solution:
     iterations: int
     problem: str = ""
     gap: float = 0.0
+    optimal: bool = True
 
 
 def failed(status: str, iterations: int, why: str) -> Solution:

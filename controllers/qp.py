@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from controllers.errors import ControllerConfigError
+from controllers.iterate import checked_iterate
 from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
 from controllers.programme import Drive, Programme
 from controllers.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
@@ -38,32 +41,45 @@ class QPSolver:
         }
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has each solver's reason."""
+        """Solve one instance. On failure `ok` is False and `problem` has each solver's reason.
+
+        `guess` starts no solver; where none reached its optimum, their last levels must not cost more than it does.
+        """
         if not problem.finite():
             return failed("not started", 0, "the problem holds numbers that are not finite")
         problem = self._programme.as_solved(problem)
         drive = self._programme.drive(problem)
         qp_data = self._programme.numbers(problem, drive)
         failures: list[str] = []
-        solution = failed("not started", 0, "no solver")
+        solution, iterate = failed("not started", 0, "no solver"), None
         for backend in self.config.backends:
-            solution = self._attempt(backend, qp_data, problem, drive)
-            if solution.ok:
+            solution = self._attempt(backend, qp_data, problem, drive, guess)
+            if solution.ok and solution.optimal:
                 return solution
+            iterate = iterate or (solution if solution.ok else None)
             failures.append(f"{backend}: {solution.problem}")
+        if iterate is not None:
+            return iterate
         return failed(solution.status, solution.iterations, "; ".join(failures))
 
-    def _attempt(self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Drive) -> Solution:
+    def _attempt(
+        self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Drive, guess: Array | None
+    ) -> Solution:
         try:
             answer = self._solve_with[backend](qp_data)
-        except Exception as error:  # on any exception the next solver is tried
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # also a panic of a compiled solver, which is no Exception: the next is tried
             return failed(f"{backend}:raised", 0, f"raised {type(error).__name__}: {error}")
         status = f"{backend}:{answer.status}"
-        if not answer.solved:
-            return failed(status, answer.iterations, f"ended with {answer.status}")
-        u, claimed = self._programme.levels(answer.x), qp_data.objective(answer.x)
 
         def modes_of(u: Array) -> Array:
             return self._programme.modes(problem, drive, u)
 
+        if not answer.solved:
+            ended = failed(status, answer.iterations, f"ended with {answer.status}")
+            if answer.x.size != qp_data.linear.size or not np.isfinite(answer.x).all():
+                return ended
+            return checked_iterate(problem, modes_of, self._programme.levels(answer.x), guess, ended)
+        u, claimed = self._programme.levels(answer.x), qp_data.objective(answer.x)
         return checked_solution(problem, modes_of, u, claimed, status, answer.iterations)

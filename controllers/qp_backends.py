@@ -23,6 +23,7 @@ class QPConfig(StrictModel):
     )
     tolerance: float = Field(1e-7, gt=0, description="absolute and relative tolerance of the solvers")
     max_iterations: int = Field(100, ge=1, description="iterations before a solve counts as failed")
+    max_seconds: float = Field(20.0, gt=0, description="clarabel: wall time before a solve counts as failed, s")
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,7 @@ class Clarabel:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = self._config.max_iterations
+        settings.time_limit = self._config.max_seconds
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._config.tolerance
         found = clarabel.DefaultSolver(q.quadratic, q.linear, A, b, cones, settings).solve()
         status = str(found.status)

@@ -663,12 +663,20 @@ class PlanStatus(StrEnum):
     """Source of an action."""
 
     SOLVED = "solved"  # an optimisation whose status and solution were checked
-    SHIFTED = "shifted"  # first fallback level: the previous plan, one step on
-    THERMOSTAT = "thermostat"  # second level: on/off rule
+    BRIDGED = "bridged"  # as solved, with a substitute for a reading, a weather forecast or the free forecast
+    ACCEPTABLE = "acceptable"  # first fallback level: levels of a solver that did not reach its optimum, checked
+    SHIFTED = "shifted"  # second: the previous plan, one step on
+    THERMOSTAT = "thermostat"  # third: on/off rule
+    NATIVE = "native"  # last: the plant's own control, where nothing is known to act on
     GUARD = "guard"  # the zone was far outside the comfort band: full level or off instead of the plan
     GATE = "gate"  # the model is not competent: native control or the on/off rule acts
     WATCH = "watch"  # the model does not hold at present: native control or the on/off rule acts
     RULE = "rule"  # the controller is a rule; nothing was solved
+
+    @property
+    def fallen_back(self) -> bool:
+        """Whether what acted took the place of an optimal plan; gate and watch are told apart."""
+        return self in (self.ACCEPTABLE, self.SHIFTED, self.THERMOSTAT, self.NATIVE, self.GUARD)
 
 
 @dataclass(frozen=True)

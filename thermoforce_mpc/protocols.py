@@ -44,7 +44,10 @@ class Plant(Protocol):
         ...
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead, every `interval_s` s."""
+        """Return boundary conditions from now to `horizon_s` ahead, every `interval_s` s.
+
+        What is not known is NaN, or left out at the end.
+        """
         ...
 
     def past(self, step_s: float) -> Record:

@@ -14,6 +14,9 @@ from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 
+# The forecast is to be believed although the weather model says otherwise.
+WRONG = {"free_response": {"substitutes": False}}
+
 
 class Offset(OutdoorResponse):
     """A forecast that is finite, confident and wrong by `off_K`."""
@@ -27,7 +30,7 @@ class Offset(OutdoorResponse):
 
 
 def run(off_K: float, **guard: object) -> RunResult:
-    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(**guard), watch={"enabled": False})
+    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(**guard), watch={"enabled": False}, **WRONG)
     mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(off_K))
     house = SimpleHouse()
     return run_closed_loop(house, mpc, house.period("x"))
@@ -63,7 +66,7 @@ def test_a_right_forecast_is_never_overruled():
 def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
     house = SimpleHouse(T_start_C=17.0)
     house.reset(10 * 86400.0, 0.0)
-    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(margin_K=0.5))
+    config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(margin_K=0.5), **WRONG)
     mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(12.0))
     seen = Observation(Record.beginning(house._measure()), house.forecast(86400.0, 3600.0))
     plan = mpc.plan(seen)

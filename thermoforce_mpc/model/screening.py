@@ -173,10 +173,15 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
 
 def _implausible(name: str, values: Array, time_s: Array, allowed: Limits) -> NDArray[np.bool_]:
     """Which values (n,) of one signal are refused."""
-    outside = _outside(values, allowed.range(name))
     if name == "T_zone_C":
-        outside |= _jumps(time_s, np.where(outside, np.nan, values))
-    return outside
+        return implausible_zone(values, time_s, allowed.range(name))
+    return _outside(values, allowed.range(name))
+
+
+def implausible_zone(values: Array, time_s: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
+    """Which temperatures (n,) of one zone are outside the range, °C, or too far from the last one that is not."""
+    outside = _outside(values, allowed)
+    return np.asarray(outside | _jumps(time_s, np.where(outside, np.nan, values)))
 
 
 def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:

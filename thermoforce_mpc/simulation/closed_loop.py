@@ -22,6 +22,7 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
 )
+from thermoforce_mpc.model.forecast_gaps import lengthened
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 
@@ -178,6 +179,8 @@ def run_closed_loop(
     while end_s - now_s > _CLOCK_TOLERANCE_S:
         t0 = time.perf_counter()
         boundary = plant.forecast(controller.horizon_s, controller.step_s)
+        # A forecast that ends early has holes: the controller fills them, and says so.
+        boundary = lengthened(boundary, round(controller.horizon_s / controller.step_s), controller.step_s)
         t1 = time.perf_counter()
         observation = Observation(history, boundary)
         plan = controller.plan(observation, state)

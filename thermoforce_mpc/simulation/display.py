@@ -40,7 +40,7 @@ class LoopDisplay:
         self._live: Live | None = None
         self._so_far = ""
         self._days_done = 0
-        self._fallbacks, self._gated, self._watched = 0, 0, 0
+        self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
 
     def __enter__(self) -> LoopDisplay:
         if not self._quiet and self._console.is_terminal:
@@ -54,9 +54,8 @@ class LoopDisplay:
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
-        self._fallbacks += record.plan.status in (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT, PlanStatus.GUARD) or bool(
-            record.refused
-        )
+        self._fallbacks += record.plan.status.fallen_back or bool(record.refused)
+        self._bridged += record.plan.status is PlanStatus.BRIDGED
         self._gated += record.plan.status is PlanStatus.GATE
         self._watched += record.plan.status is PlanStatus.WATCH
         if self._quiet:
@@ -83,6 +82,7 @@ class LoopDisplay:
         )
         solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
+        line += f"  bridged {self._bridged}" if self._bridged else ""
         line += f"  gate {self._gated}" if self._gated else ""
         line += f"  watch {self._watched}" if self._watched else ""
         return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")

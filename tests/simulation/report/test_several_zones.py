@@ -84,6 +84,28 @@ def test_the_step_log_says_what_acted_at_each_actuator(result):
     assert frame["status[floor]"].tolist() == ["solved", "thermostat"]
 
 
+def test_every_level_of_the_fallback_is_told_with_its_reason_in_report_and_progress(result, tmp_path):
+    levels = [
+        PlanStatus.BRIDGED, PlanStatus.ACCEPTABLE, PlanStatus.SHIFTED, PlanStatus.THERMOSTAT, PlanStatus.NATIVE,
+    ]  # fmt: skip
+    fallen = [
+        replace(step, plan=replace(step.plan, status=status, why=f"because of {status}"))
+        for step, status in zip(result.steps, levels, strict=False)
+    ]
+    broken = replace(result, steps=(*fallen, *result.steps[len(fallen) :]))
+    page = report_of(broken, {}, tmp_path)
+    events = page.split("Plan status and fallbacks")[1].split("Reasons of the plans")[0]
+    for status in levels:
+        assert f"because of {status}" in events
+        assert f"{status}: <b>1</b>" in events
+    assert "as ever" not in events
+    console = Console(width=300, record=True, force_terminal=False)
+    with LoopDisplay(console, "planner", result.period, lambda: {}, "EUR", quiet=False) as display:
+        for step in broken.steps:
+            display.step(step)
+    assert console.export_text().splitlines()[-1].endswith("bridged 1  fallbacks 4")
+
+
 def test_prediction_errors_are_told_zone_by_zone(result):
     rows = forecast_errors(result, horizons_h=(1.0, 6.0))
     assert [(row["zone"], row["hours"]) for row in rows] == [(z, h) for z in TWO.zones for h in (1.0, 6.0)]

@@ -8,7 +8,7 @@ front exceeds what three days have shown, and the linear model is poor in a ligh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,10 +56,17 @@ class WithSubstitutes:
     Args:
         method: the free response asked first.
         bounded: makes its calls with a deadline; by default they have none.
+        substitutes: asked in turn where the method fails; without any, its failures are raised, and what is finite is
+            believed.
     """
 
-    def __init__(self, method: FreeResponse, bounded: Bounded = lambda owner, call: call()) -> None:
-        self.method, self._bounded = method, bounded
+    def __init__(
+        self,
+        method: FreeResponse,
+        bounded: Bounded = lambda owner, call: call(),
+        substitutes: Sequence[FreeResponse] = (LinearWeather(), Persistence()),
+    ) -> None:
+        self.method, self._bounded, self._substitutes = method, bounded, tuple(substitutes)
         if hasattr(method, "weight_hash"):
             self.weight_hash = method.weight_hash
 
@@ -86,7 +93,7 @@ class WithSubstitutes:
         try:
             answer, after = self._bounded(self.method, lambda: follow(self.method, free, history, boundary, inner))
             checked_forecast(answer, boundary.n_steps, self.name)
-            absurd = absurdity(answer, free, history, boundary)
+            absurd = absurdity(answer, free, history, boundary) if self._substitutes else ""
             if absurd:
                 raise DataError(f"free response '{self.name}' {absurd}")
         except Exception as error:  # whatever a forecaster does, the next one is asked
@@ -94,7 +101,7 @@ class WithSubstitutes:
         else:
             return answer, SubstituteState(after)
         failed = SubstituteState(before.inner, before.failures + 1)
-        for substitute in (LinearWeather(), Persistence()):
+        for substitute in self._substitutes:
             if substitute.name == self.name:
                 continue
             try:

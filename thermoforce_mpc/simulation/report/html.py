@@ -11,7 +11,7 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup
 
-from thermoforce_mpc.data import HOUR_S, Layout, Names
+from thermoforce_mpc.data import HOUR_S, Layout, Names, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
@@ -46,7 +46,8 @@ def write_report(
     trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
     others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
-    fallen_back = steps.status.isin(["shifted", "thermostat", "guard"])
+    told = [status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED]
+    fallen_back = steps.status.isin(told)
     events = steps[fallen_back | (steps.refused != "") | (steps.notes != "")]
     names = layout.names
     template = page_environment().get_template("report.html.j2")

@@ -1,0 +1,88 @@
+"""Options of a zone sensor, what is known of it from step to step, and what it says of its zone now."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pydantic import Field, model_validator
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.limits import ZONE_C
+from thermoforce_mpc.scenario.settings import StrictModel
+
+
+class SensorConfig(StrictModel):
+    """Which readings of a zone sensor are believed."""
+
+    enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
+    lowest_C: float = Field(ZONE_C[0], description="readings below are not believed, °C")
+    highest_C: float = Field(ZONE_C[1], description="readings above are not believed, °C")
+    jump_K: float = Field(
+        1.0,
+        gt=0,
+        description="distance from the prediction within which a reading is always believed, K; more where the record "
+        "changes by more than half of it within a step",
+    )
+    frozen_h: float = Field(
+        1.0, gt=0, description="shortest time after which a reading that repeats itself may be a stuck sensor, h"
+    )
+    bridge_h: float = Field(
+        6.0, ge=0, description="time for which the model stands in for readings that are not believed, h"
+    )
+    return_h: float = Field(
+        24.0, gt=0, description="time after which steady readings are believed again, wherever they are, h"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> SensorConfig:
+        if not self.lowest_C < self.highest_C:
+            raise ValueError(f"lowest_C of {self.lowest_C:g} °C is not below highest_C of {self.highest_C:g} °C")
+        return self
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Free forecast from the last reading that was believed and new: `free_C`, half-width of its band `half_K` (N,)."""
+
+    time_s: float
+    free_C: Array
+    half_K: Array
+
+    def at(self, time_s: float, step_s: float) -> tuple[float, float]:
+        """Forecast and half-width for an instant, °C and K; NaN beyond the forecast."""
+        lead = round((time_s - self.time_s) / step_s)
+        if not 1 <= lead <= self.free_C.size:
+            return math.nan, math.nan
+        return float(self.free_C[lead - 1]), float(self.half_K[lead - 1])
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """What is known of one zone's sensor.
+
+    `refused_s`: instants of readings that were not believed. `anchor`: what predicts the next ones. `seen_s`: the last
+    instant judged. `distrust`: why readings are not believed at present, by kind; empty while they are. `since`:
+    readings since then: time s, °C, and their distance from the prediction, K.
+    """
+
+    refused_s: tuple[float, ...] = ()
+    anchor: Anchor | None = None
+    seen_s: float = -math.inf
+    distrust: str = ""
+    kind: str = ""
+    since: tuple[tuple[float, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """A zone now: `T_C` is its reading, or the model's temperature where the reading is not believed (NaN: unknown).
+
+    `why`: why it is not, and since when; empty where it is. `lost`: the model stands in for it no longer. `news`:
+    that readings are believed again.
+    """
+
+    T_C: float
+    why: str = ""
+    lost: bool = False
+    news: str = ""

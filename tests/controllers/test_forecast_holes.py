@@ -1,0 +1,83 @@
+"""A plant whose forecasts end early or have holes: plans go on, marked, and say what stands in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from thermoforce_mpc.data import HOUR_S, Boundary, PlanStatus
+from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+
+FROM_H, TO_H = 20, 26
+
+
+class HalfBlind(SimpleHouse):
+    """`changed(forecast)` from hour 20 to hour 26 of the run."""
+
+    def __init__(self, changed, from_h: float = FROM_H) -> None:
+        super().__init__()
+        self.changed, self.from_h = changed, from_h
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        given, hours = super().forecast(horizon_s, interval_s), (self.now_s - self.start_s) / HOUR_S
+        return self.changed(given) if self.from_h <= hours < TO_H else given
+
+
+def without(*names: str, at=slice(None)):
+    def changed(given: Boundary) -> Boundary:
+        values = {name: getattr(given, name).copy() for name in names}
+        for value in values.values():
+            value[..., at] = np.nan
+        return replace(given, **values)
+
+    return changed
+
+
+def run(house: SimpleHouse) -> RunResult:
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    return run_closed_loop(house, mpc, house.period("x"))
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        (without("T_out_C", "solar_W_m2"), "forecast: T_out_C at 25 of 25 instants by the last forecast (1 h old)"),
+        (without("T_out_C", at=slice(3, 6)), "forecast: T_out_C at 3 of 25 instants by interpolation"),
+        (without("price_per_kWh", "heating_price_per_kWh"), "price_per_kWh at 25 of 25 instants by the last forecast"),
+        (without("lower_C", "upper_C"), "lower_C at 25 of 25 instants by the last forecast"),
+        (lambda given: given.head(3), "T_out_C at 21 of 25 instants by "),
+        (lambda given: given.head(0), "T_out_C at 24 of 25 instants by "),
+    ],
+    ids=["weather", "hole", "prices", "bounds", "3 h", "now only"],
+)
+def test_plans_go_on_with_what_was_known_before(changed, says):
+    healthy, result = run(SimpleHouse()), run(HalfBlind(changed))
+    status = [step.plan.status for step in result.steps]
+    assert status[FROM_H:TO_H] == [PlanStatus.BRIDGED] * (TO_H - FROM_H)
+    assert set(status[:FROM_H] + status[TO_H:]) == {PlanStatus.SOLVED}
+    assert says in result.steps[FROM_H].plan.why
+    assert result.kpis["tdis_tot"] < healthy.kpis["tdis_tot"] + 0.1
+    assert result.kpis["cost_tot"] == pytest.approx(healthy.kpis["cost_tot"], rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["price_per_kWh", "lower_C", "T_out_C"])
+def test_what_was_never_known_is_not_invented(name):
+    names = (name, "upper_C") if name == "lower_C" else (name, "heating_price_per_kWh")[: 1 + name.startswith("price")]
+    result = run(HalfBlind(without(*names), from_h=-1.0))
+    status = [step.plan.status for step in result.steps]
+    # The weather of the record is known, prices and bounds are not: a rule acts, on safe set-points without bounds.
+    expected = PlanStatus.BRIDGED if name == "T_out_C" else PlanStatus.THERMOSTAT
+    assert set(status[:TO_H]) == {expected}
+    assert set(status[TO_H:]) == {PlanStatus.SOLVED}
+    if name == "lower_C":
+        assert "against 20.00 °C (no bounds)" in result.steps[0].plan.why
+        assert min(step.T_zone_C[0] for step in result.steps[:TO_H]) > 19.0
+
+
+def test_the_plans_of_a_run_without_holes_are_not_touched():
+    assert {step.plan.status for step in run(HalfBlind(lambda given: given)).steps} == {PlanStatus.SOLVED}

@@ -1,0 +1,175 @@
+"""Zone sensors that are silent, stuck, out of range or moved, and those that only look so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, outdoor_C, simple_model
+from two_houses import TWO, TwoHouses, two_model
+
+from controllers import ThermoForceMPC
+from controllers.errors import ControllerConfigError
+from controllers.mpc_config import MPCConfig
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, FreeForecast, PlanStatus, Record
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+
+FROM_H = 20
+
+
+class Exact(OutdoorResponse):
+    """The exact free response; where the last readings are not known, from the last one that is."""
+
+    def forecast(self, free_C, history: Record, boundary: Boundary) -> FreeForecast:
+        known = np.flatnonzero(np.isfinite(free_C))
+        T = float(free_C[known[-1]])
+        for T_out in history.T_out_C[known[-1] : -1]:
+            T = 0.99 * T + 0.01 * T_out
+        return super().forecast(np.array([T]), history, boundary)
+
+
+class FaultySensor(SimpleHouse):
+    """`shows(T, number of the faulty reading)` for `hours` from hour 20 of the run."""
+
+    def __init__(self, shows=None, hours: float = 6.0, opens: float = 0.0, resolution_K: float = 0.0) -> None:
+        super().__init__()
+        self.shows, self.hours, self.opens, self.resolution_K = shows, hours, opens, resolution_K
+
+    def reset(self, start_s, warmup_s, price="constant"):
+        self.from_s, self.last, self.running = start_s + FROM_H * HOUR_S, np.nan, False
+        measured = super().reset(start_s, warmup_s, price)
+        self.running = True
+        return measured
+
+    def _faulty(self) -> bool:
+        return self.from_s < self.now_s <= self.from_s + self.hours * HOUR_S
+
+    def _measure(self, u: float = np.nan):
+        measurement, T = super()._measure(u), self.T
+        if self.resolution_K:
+            T = round(T / self.resolution_K) * self.resolution_K
+        if self.shows and self._faulty():
+            T = self.shows(T, self.last)
+        self.last = T
+        return replace(measurement, T_zone_C=T)
+
+    def _advance(self, u, duration_s):
+        if self.opens and self._faulty():
+            self.T += self.opens * duration_s / HOUR_S * (float(outdoor_C(self.now_s)) - self.T)
+        return super()._advance(u, duration_s)
+
+
+def run(house: SimpleHouse, days: float = 3.0, **options) -> RunResult:
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0, **options), free_response=Exact())
+    return run_closed_loop(house, mpc, replace(house.period("x"), scored_s=days * DAY_S))
+
+
+def statuses(result: RunResult) -> list[PlanStatus]:
+    return [step.plan.status for step in result.steps]
+
+
+@pytest.mark.parametrize(
+    ("shows", "says"),
+    [
+        (lambda T, last: np.nan, "was not measured"),
+        (lambda T, last: -273.15, "was not measured"),
+        (lambda T, last: 0.0, "came back at 0.00 °C"),
+        (lambda T, last: 850.0, "was not measured"),
+        (lambda T, last: T + 2.0, "jumped to"),
+        (lambda T, last: T - 2.0, "jumped to"),
+    ],
+    ids=["silent", "0 K", "0 °C", "850 °C", "2 K up", "2 K down"],
+)
+def test_for_hours_the_model_stands_in_and_nobody_feels_it(shows, says):
+    healthy, result = run(FaultySensor()), run(FaultySensor(shows, hours=5.0))
+    assert set(statuses(healthy)) == {PlanStatus.SOLVED}
+    assert statuses(result)[FROM_H + 1 : FROM_H + 6] == [PlanStatus.BRIDGED] * 5
+    assert set(statuses(result)[: FROM_H + 1] + statuses(result)[FROM_H + 7 :]) == {PlanStatus.SOLVED}
+    assert says in result.steps[FROM_H + 2].plan.why
+    assert "the model stands in" in result.steps[FROM_H + 2].plan.why
+    assert any("readings are believed again" in step.plan.why for step in result.steps[FROM_H + 6 :])
+    assert result.kpis["tdis_tot"] < healthy.kpis["tdis_tot"] + 0.3
+    assert result.kpis["cost_tot"] == pytest.approx(healthy.kpis["cost_tot"], rel=0.03)
+
+
+def test_after_its_time_the_building_is_left_to_its_own_control_until_the_sensor_is_back():
+    result = run(FaultySensor(lambda T, last: np.nan, hours=12.0), sensor={"bridge_h": 4.0})
+    found = statuses(result)
+    assert found[FROM_H + 1 : FROM_H + 5] == [PlanStatus.BRIDGED] * 4
+    assert found[FROM_H + 5 : FROM_H + 13] == [PlanStatus.NATIVE] * 8
+    assert set(found[FROM_H + 14 :]) == {PlanStatus.SOLVED}
+    assert "the last reading believed is 5 h old: native control" in result.steps[FROM_H + 5].plan.why
+    assert all(sample.u_applied == (None,) for sample in result.steps[FROM_H + 6].samples)
+
+
+def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wanted():
+    options = {"sensor": {"bridge_h": 1.0}, "fallback": {"stand_back": "rule"}}
+    result = run(FaultySensor(lambda T, last: np.nan, hours=8.0), **options)
+    held = result.steps[FROM_H + 3 : FROM_H + 8]
+    assert {step.plan.status for step in held} == {PlanStatus.THERMOSTAT}
+    assert all("°C against" in step.plan.why for step in held)
+    assert result.kpis["tdis_tot"] < 0.5
+
+
+def test_a_stuck_sensor_is_found_and_its_readings_since_are_not_believed():
+    result = run(FaultySensor(lambda T, last: last, hours=200.0), days=4.0)
+    found = statuses(result)
+    first = next(i for i, status in enumerate(found) if status is not PlanStatus.SOLVED)
+    assert FROM_H < first <= FROM_H + 6
+    assert "in which the model moved away" in result.steps[first].plan.why
+    assert found[-1] is PlanStatus.NATIVE
+    believed = run(FaultySensor(lambda T, last: last, hours=200.0), days=4.0, sensor={"enabled": False})
+    assert result.kpis["tdis_tot"] < 0.5 * believed.kpis["tdis_tot"]
+
+
+@pytest.mark.parametrize("resolution_K", [0.1, 0.5])
+def test_a_coarse_sensor_that_repeats_itself_is_not_stuck(resolution_K):
+    result = run(FaultySensor(resolution_K=resolution_K), days=5.0)
+    assert set(statuses(result)) <= {PlanStatus.SOLVED, PlanStatus.WATCH}
+    assert not any("has been" in step.plan.why for step in result.steps)
+
+
+def test_a_window_that_is_opened_is_the_zone_and_not_the_sensor():
+    result = run(FaultySensor(hours=8.0, opens=0.25), watch={"enabled": False})
+    told = statuses(result)[FROM_H + 1 : FROM_H + 9]
+    assert told.count(PlanStatus.BRIDGED) <= 2
+    assert PlanStatus.NATIVE not in told
+    levels = [step.plan.u[0, 0] for step in result.steps[FROM_H + 4 : FROM_H + 8]]
+    assert min(levels) > 0.9, "it is heated against"
+
+
+def test_a_sensor_that_was_moved_for_good_is_believed_again_after_a_day():
+    result = run(FaultySensor(lambda T, last: T + 2.0, hours=200.0), days=4.0, watch={"enabled": False})
+    found = statuses(result)
+    assert found[FROM_H + 1 : FROM_H + 24].count(PlanStatus.SOLVED) == 0
+    assert set(found[FROM_H + 27 :]) == {PlanStatus.SOLVED}
+
+
+def test_a_silent_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own():
+    class Silent(FaultySensor):
+        pass
+
+    houses = TwoHouses(first=Silent(lambda T, last: np.nan, hours=10.0))
+    options = {"sensors": {TWO.zones[0]: {"bridge_h": 2.0}}}
+    config = MPCConfig(step_s=None, horizon_h=24.0, **options)
+    mpc = ThermoForceMPC(two_model(), config, free_response=Exact())
+    result = run_closed_loop(houses, mpc, SimpleHouse().period("x"))
+    acting = [step.plan.acting for step in result.steps]
+    assert [one[0] for one in acting[FROM_H + 3 : FROM_H + 11]] == [PlanStatus.NATIVE] * 8
+    assert {one[1] for one in acting} <= {PlanStatus.SOLVED, PlanStatus.BRIDGED}
+    hall = [step.T_zone_C[1] - step.lower_C[1] for step in result.samples[24:]]
+    assert min(hall) > -0.3
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"sensors": {"attic": {}}}, "there is no zone 'attic'; the model has zone"),
+        ({"sensor": {"lowest_C": 40.0, "highest_C": 10.0}}, "lowest_C"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, says):
+    with pytest.raises((ControllerConfigError, ConfigError, ValueError), match=says):
+        run(SimpleHouse(), **options)
