@@ -136,6 +136,16 @@ def faults_command(stand_back: str, quick: bool, json_file: Path | None) -> None
     show(run_faults_bench(quick=quick, progress=_progress, stand_back=stand_back), json_file)
 
 
+@command.command("fallback")
+@_QUICK
+@_JSON
+def fallback_command(quick: bool, json_file: Path | None) -> None:
+    """Measure what broken sensors, forecasts and solvers cost on the embedded plant, with protection and without."""
+    from thermoforce_mpc.research.bench.fallback import run_fallback_bench
+
+    show(run_fallback_bench(quick=quick, progress=_progress), json_file)
+
+
 @command.command("free-response")
 @click.option("--reference", type=_FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=_FOLDER, help="Folder with measured houses.")

@@ -1,4 +1,4 @@
-"""The embedded plant with one fault between two instants, for `tf-mpc bench faults` and tests of the watch."""
+"""The embedded plant with one fault between two instants, for `tf-mpc bench faults`, `bench fallback` and tests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from thermoforce_mpc.data import HOUR_S, Array, Boundary, Levels, Measurement, P
 from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
 
-Fault = Literal["none", "weak", "window", "sensor", "stuck", "overridden"]
+Fault = Literal[
+    "none", "weak", "window", "sensor", "stuck", "overridden", "frozen", "reads", "offset", "no weather", "no prices",
+    "short forecast",
+]  # fmt: skip
 
 # Air of the house that an open window replaces, per hour (some 350 W/K), and the sub-step of that exchange, s.
 _AIR_CHANGES_PER_H, _EXCHANGE_S = 2.0, 60.0
@@ -20,6 +23,8 @@ _AIR_CHANGES_PER_H, _EXCHANGE_S = 2.0, 60.0
 _NATIVE_S = 300.0
 _SENSOR_OFFSET_K, _SENSOR_LAG_S = 2.0, 1.5 * HOUR_S
 _KELVIN = 273.15
+# Length of a short forecast, s.
+_SHORT_S = 3 * HOUR_S
 
 
 class FaultyPlant:
@@ -27,7 +32,9 @@ class FaultyPlant:
 
     weak: half the compressor speed at every level, while the asked level is reported. window: the air of the house is
     exchanged with outdoor air. sensor: the zone sensor reads 2 K more, with a lag of 1.5 h. stuck: the level stays at
-    `level`. overridden: native control, whatever is asked for.
+    `level`. overridden: native control, whatever is asked for. frozen: the zone sensor repeats its last reading. reads:
+    it reads `reading_C`. offset: it reads `offset_K` more, at once. no weather, no prices, short forecast: the forecast
+    has no weather, no prices, or ends after 3 h. The plant's own control has a sensor of its own.
     """
 
     def __init__(
@@ -38,6 +45,8 @@ class FaultyPlant:
         to_s: float = math.inf,
         *,
         level: float = 0.0,
+        reading_C: float = 0.0,
+        offset_K: float = _SENSOR_OFFSET_K,
         reports_u: bool = True,
         meters: bool = True,
     ) -> None:
@@ -48,7 +57,9 @@ class FaultyPlant:
             meters: whether heat and power are reported.
         """
         self.plant, self.fault, self.from_s, self.to_s, self.level = plant, fault, from_s, to_s, level
+        self.reading_C, self.offset_K = reading_C, offset_K
         self.reports_u, self.meters = reports_u, meters
+        self._last_C: Array | None = None
         self._shown_C: Array | None = None
 
     @property
@@ -62,12 +73,20 @@ class FaultyPlant:
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """See `EmbeddedPlant.reset`; the fault must begin later."""
-        self._shown_C = None
+        self._last_C = self._shown_C = None
         return self._reported(self.plant.reset(start_s, warmup_s, price))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `EmbeddedPlant.forecast`."""
-        return self.plant.forecast(horizon_s, interval_s)
+        boundary, fault = self.plant.forecast(horizon_s, interval_s), self._fault_now()
+        nothing = np.full_like(boundary.T_out_C, math.nan)
+        if fault == "no weather":
+            return replace(boundary, T_out_C=nothing, solar_W_m2=nothing)
+        if fault == "no prices":
+            return replace(boundary, price_per_kWh=nothing[None], heating_price_per_kWh=nothing[None])
+        if fault == "short forecast":
+            return boundary.head(min(boundary.n_steps, round(_SHORT_S / interval_s)))
+        return boundary
 
     def past(self, step_s: float) -> Record:
         """See `EmbeddedPlant.past`; before the fault, so only the meters are left out."""
@@ -86,8 +105,7 @@ class FaultyPlant:
     def advance(self, u: Levels, duration_s: float) -> Measurement:
         """See `EmbeddedPlant.advance`."""
         level = check_levels(u, duration_s).u[0]
-        faulty = self.from_s - 1e-6 <= self.plant.now_s < self.to_s - 1e-6
-        fault = self.fault if faulty else "none"
+        fault = self._fault_now()
         if fault == "weak":
             return self._reported(self._weak(level, duration_s))
         if fault == "window":
@@ -99,7 +117,17 @@ class FaultyPlant:
             share = 1.0 - math.exp(-duration_s / _SENSOR_LAG_S)
             self._shown_C = self._shown_C + share * (measurement.T_zone_C + _SENSOR_OFFSET_K - self._shown_C)
             measurement = replace(measurement, T_zone_C=self._shown_C)
+        elif fault == "frozen" and self._last_C is not None:
+            measurement = replace(measurement, T_zone_C=self._last_C)
+        elif fault == "reads":
+            measurement = replace(measurement, T_zone_C=np.full(1, self.reading_C))
+        elif fault == "offset":
+            measurement = replace(measurement, T_zone_C=measurement.T_zone_C + self.offset_K)
+        self._last_C = measurement.T_zone_C
         return self._reported(measurement)
+
+    def _fault_now(self) -> Fault:
+        return self.fault if self.from_s - 1e-6 <= self.plant.now_s < self.to_s - 1e-6 else "none"
 
     def _weak(self, u: float | None, duration_s: float) -> Measurement:
         """Advance at half the level; under native control that of its PI law, in short sub-steps."""
