@@ -1,0 +1,337 @@
+"""Tables as people have them become records: units, clocks, gaps, flags and levels by the rules of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+import thermoforce_mpc as tf
+from thermoforce_mpc.errors import ConfigError, DataError
+
+BASE = {
+    "outdoor": "out",
+    "zones": {"room": {"temperature": "T"}},
+    "actuators": {"heater": {"level": "u"}},
+    "machines": {"grid": {"power": "P", "price": 0.3}},
+}
+
+
+def house(periods: int = 192, freq: str = "15min", start: str = "2025-01-10") -> pd.DataFrame:
+    """Two days whose readings tell their row: temperatures rise by 0.01 K a row, levels alternate."""
+    row = np.arange(periods, dtype=float)
+    at = pd.date_range(start, periods=periods, freq=freq)
+    u = (row // 8) % 2
+    return pd.DataFrame({"time": at, "T": 20 + 0.01 * row, "out": 5 - 0.01 * row, "u": u, "P": 1500 * u})
+
+
+def written(tmp_path, df: pd.DataFrame, changes: dict | None = None, name: str = "house.csv", **how):
+    rules = {**BASE, **(changes or {})}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(rules, allow_unicode=True, sort_keys=False), encoding="utf-8")
+    df.to_csv(tmp_path / name, index=False, **how)
+    return tmp_path / name, tmp_path / "map.yaml"
+
+
+def test_a_table_and_its_map_make_the_record_that_a_data_frame_makes(tmp_path):
+    df = house()
+    found = tf.read_measurements(*written(tmp_path, df))
+    columns = {"zone": "T", "outdoor": "out", "level": "u", "power": "P"}
+    ours = tf.Record.from_dataframe(df.set_index("time"), **columns)
+    for name in ("time_s", "T_zone_C", "T_out_C", "u", "power_W"):
+        np.testing.assert_allclose(getattr(found.record, name), getattr(ours, name), atol=1e-9, err_msg=name)
+    assert found.record.names.zones == ("room",)
+    assert found.record.origin == ours.origin
+    assert (found.conditions.price_per_kWh == 0.3).all()
+    assert np.isnan(found.conditions.lower_C).all()
+    assert found.understood.rows_every_s == 900
+
+
+def test_units_and_several_zones(tmp_path):
+    df = house()
+    df["bath_K"], df["hall_F"] = df["T"] + 273.15, df["T"] * 9 / 5 + 32
+    df["percent"], df["Wh"] = 100 * df["u"], df["P"] / 4
+    df["meter_kWh"] = (df["P"] / 4000).cumsum().shift(1, fill_value=0.0)
+    changes = {
+        "zones": {
+            "bath": {"temperature": {"column": "bath_K", "unit": "K"}, "floor_area_m2": 8},
+            "hall": {"temperature": {"column": "hall_F", "unit": "°F"}},
+        },
+        "actuators": {
+            "towel": {"zone": "bath", "machine": "heat_pump", "level": {"column": "percent", "unit": "%"}},
+            "floor": {"zone": "hall", "machine": "heat_pump", "heat": {"column": "Wh", "unit": "Wh per step"}},
+        },
+        "machines": {"heat_pump": {"power": {"column": "meter_kWh", "unit": "kWh counter"}}},
+    }
+    found = tf.read_measurements(*written(tmp_path, df, changes))
+    r = found.record
+    np.testing.assert_allclose(r.T_zone_C, [df["T"], df["T"]], atol=1e-9)
+    np.testing.assert_allclose(r.u, [df["u"][:-1], df["u"][:-1]], atol=1e-9)
+    np.testing.assert_allclose(r.heat_W[1], df["P"][:-1], atol=1e-6)
+    assert np.isnan(r.heat_W[0]).all()
+    np.testing.assert_allclose(r.power_W[0], df["P"][:-1], atol=1e-6)
+    assert found.layout.home == (0, 1)
+    assert found.layout.machine_of == (0, 0)
+    hall = found.of_zones(["hall"])
+    assert hall.record.names.actuators == ("floor",)
+    np.testing.assert_array_equal(hall.record.T_zone_C[0], r.T_zone_C[1])
+
+
+def test_metered_energy_is_a_share_of_its_robust_maximum(tmp_path):
+    df = house()
+    df.loc[50, "P"] = 40_000.0  # one wrong peak
+    changes = {"actuators": {"heater": {}}}
+    found = tf.read_measurements(*written(tmp_path, df, changes))
+    assert found.record.u.max() == 1.0
+    np.testing.assert_allclose(np.delete(found.record.u[0], 50), np.delete(df["u"][:-1], 50), atol=1e-9)
+    assert any("metered power over 1500 W (the 99th percentile" in told for told in found.understood.assumed)
+    given = tf.read_measurements(*written(tmp_path, df, {"actuators": {"heater": {"full_W": 3000}}}))
+    assert np.delete(given.record.u[0], 50).max() == 0.5
+
+
+def test_irregular_rows_become_means_of_what_acts_and_samples_of_what_is_sampled():
+    at = pd.Timestamp("2025-01-10") + pd.to_timedelta([0, 5, 20, 30, 40, 180, 190, 210], unit="min")
+    df = pd.DataFrame(
+        {"T": [20.0, 20.5, 22.0, 23.0, 24.0, 10.0, 11.0, 13.0], "out": 0.0, "u": [0, 1, 0, 1, 1, 1, 0, 0], "P": 0.0},
+        index=at,
+    )
+    rules = {**BASE, "step": "15min", "zones": {"room": {"temperature": {"column": "T", "spike": 50, "hold_h": 0.5}}}}
+    rules["actuators"] = {"heater": {"level": {"column": "u", "hold_h": 0.5}}}
+    found = tf.read_measurements(df, rules).record
+    np.testing.assert_allclose(found.T_zone_C[0, :3], [20.0, 21.5, 23.0], atol=1e-9)
+    np.testing.assert_allclose(found.u[0, :2], [10 / 15, 5 / 15], atol=1e-9)
+    assert np.isnan(found.T_zone_C[0, 4:12]).all(), "a gap of two hours and twenty minutes"
+    np.testing.assert_allclose(found.T_zone_C[0, 12], 10.0)
+    assert np.isnan(found.u[0, 4:12]).all()
+
+
+def test_days_of_summer_times_begin_and_end_have_23_and_25_hours(tmp_path):
+    zone = {"time": {"zone": "Europe/Brussels"}}
+    for day, hours in (("2025-03-30", 23), ("2025-10-26", 25), ("2025-06-01", 24)):
+        at = pd.date_range(day, periods=hours * 4 + 1, freq="15min", tz="Europe/Brussels")
+        df = house(at.size)
+        for stamps in (at.tz_localize(None), at.strftime("%Y-%m-%dT%H:%M%z"), at.tz_convert("UTC")):
+            found = tf.read_measurements(*written(tmp_path, df.assign(time=stamps), zone)).record
+            assert found.n_steps == 4 * hours
+            assert found.stamps()[-1] == at[-1]
+            np.testing.assert_allclose(found.T_zone_C[0], df["T"], atol=1e-9)
+
+
+def test_a_clock_without_summer_time_is_recognised(tmp_path):
+    df = house(96 * 3, start="2025-03-29")
+    with pytest.raises(DataError, match=r"line 106: 2025-03-30 02:00:00 does not exist.*time\.zone: Etc/GMT-1"):
+        tf.read_measurements(*written(tmp_path, df, {"time": {"zone": "Europe/Brussels"}}))
+    found = tf.read_measurements(*written(tmp_path, df, {"time": {"zone": "Etc/GMT-1"}}))
+    assert found.record.n_steps == 96 * 3 - 1
+    autumn = house(96 * 3, start="2025-10-25")
+    with pytest.raises(DataError, match="comes twice in Europe/Brussels"):
+        tf.read_measurements(*written(tmp_path, autumn, {"time": {"zone": "Europe/Brussels"}}))
+
+
+def test_impossible_stuck_and_isolated_readings_are_flagged_and_the_rules_can_be_changed(tmp_path):
+    df = house(480)
+    df.loc[100, "T"] = 31.0
+    df.loc[200, "T"] = -200.0
+    df.loc[300:420, "out"] = 3.0
+    found = tf.read_measurements(*written(tmp_path, df))
+    assert np.isnan(found.record.T_zone_C[0, [100, 200]]).all()
+    assert np.isnan(found.record.T_out_C[300:421]).all()
+    flags = {(s.key, flag.rule): flag for s in found.understood.signals for flag in s.flags}
+    assert set(flags) == {
+        ("zones.room.temperature", "range"),
+        ("zones.room.temperature", "spike"),
+        ("outdoor", "stuck"),
+    }
+    assert "31 °C at 2025-01-11 01:00:00" in flags["zones.room.temperature", "spike"].first
+    assert flags["outdoor", "stuck"].count == 121
+    lenient = {
+        "outdoor": {"column": "out", "stuck_h": 0},
+        "zones": {"room": {"temperature": {"column": "T", "spike": 30, "range": [-300, 60]}}},
+    }
+    loose = tf.read_measurements(*written(tmp_path, df, lenient)).record
+    assert loose.T_zone_C[0, 100] == 31.0
+    assert np.isfinite(loose.T_out_C).all()
+
+
+def test_many_files_csv_and_parquet_are_one_record(tmp_path):
+    df = house()
+    _, rules = written(tmp_path, df.iloc[96:], name="b.csv")
+    df.iloc[:96].to_csv(tmp_path / "c.csv", index=False, sep=";", decimal=",")
+    df.to_parquet(tmp_path / "all.parquet", index=False)
+    df.set_index("time").to_parquet(tmp_path / "indexed.parquet")
+    whole = tf.read_measurements(tmp_path / "all.parquet", rules).record
+    np.testing.assert_allclose(whole.T_zone_C[0], df["T"])
+    np.testing.assert_array_equal(tf.read_measurements(tmp_path / "indexed.parquet", rules).record.u, whole.u)
+    two = written(tmp_path, df.iloc[:96], name="a.csv")[1]
+    np.testing.assert_allclose(tf.read_measurements(str(tmp_path / "[ab].csv"), two).record.T_zone_C, whole.T_zone_C)
+    german = yaml.safe_dump(BASE | {"csv": {"decimal": ","}})
+    (tmp_path / "german.yaml").write_text(german)
+    np.testing.assert_allclose(
+        tf.read_measurements(tmp_path / "c.csv", tmp_path / "german.yaml").record.T_zone_C[0], df["T"][:96]
+    )
+
+
+def test_the_sun_may_be_estimated(tmp_path):
+    df = house(97, start="2025-06-21")
+    clear = {"time": {"zone": "Etc/GMT-1"}, "site": {"latitude": 50.8, "longitude": 4.4}}
+    found = tf.read_measurements(*written(tmp_path, df, clear | {"sun": {"estimate": "clear_sky"}}))
+    sun = found.record.solar_W_m2
+    assert sun[0] == 0.0
+    assert 800 < sun.max() < 1000
+    assert 50 <= sun.argmax() <= 52, "noon at 4.4° east is 12:42 by UTC+1"
+    assert any("clear sky" in told for told in found.understood.assumed)
+    none = tf.read_measurements(*written(tmp_path, df))
+    assert not none.record.solar_W_m2.any()
+    assert any("no irradiance" in told for told in none.understood.missing)
+    with pytest.raises(ConfigError, match=r"sun\.estimate needs site"):
+        tf.read_measurements(*written(tmp_path, df, {"sun": {"estimate": "clear_sky"}}))
+
+
+def broken(df: pd.DataFrame, **cells) -> pd.DataFrame:
+    df = df.astype(object)
+    for name, (row, value) in cells.items():
+        df.loc[row, name] = value
+    return df
+
+
+CASES = {
+    "kelvin": (lambda d: d.assign(T=d["T"] + 273.15), {}, r"zones\.room\.temperature \(column T\).*set unit: 'K'"),
+    "fahrenheit": (lambda d: d.assign(T=d["T"] * 1.8 + 32), {}, "set unit: '°F'"),
+    "percent": (lambda d: d.assign(u=100 * d["u"]), {}, r"actuators\.heater\.level.*set unit: '%'"),
+    "shuffled": (lambda d: d.iloc[[0, 1, 3, 2, *range(4, 192)]], {}, r"line 5: .*comes after.*time\.order: sort"),
+    "twice": (lambda d: d.iloc[[0, 1, 1, *range(2, 192)]], {}, r"line 4: .*line 3 too.*time\.duplicates"),
+    "text": (lambda d: broken(d, T=(7, "warm")), {}, r"line 9: column 'T' holds 'warm'"),
+    "no column": (lambda d: d.rename(columns={"T": "Tt"}), {}, r"no column 'T', did you mean 'Tt'\?"),
+    "no rows": (lambda d: d.iloc[:0], {}, "has no rows"),
+    "one row": (lambda d: d.iloc[:1], {}, "fewer than 2 steps"),
+    "bad stamp": (lambda d: broken(d, time=(9, "soon")), {}, r"line 11: 'soon' is no time stamp"),
+    "no stamp": (lambda d: broken(d, time=(9, None)), {}, r"line 11: the time stamp is empty"),
+    "day first": (lambda d: d.assign(time=d["time"].dt.strftime("%d/%m/%Y %H:%M")), {}, r"line 2: .*set time\.format"),
+    "numbers": (lambda d: d.assign(time=range(192)), {}, r"numbers.*set time\.unit"),
+    "two offsets": (
+        lambda d: d.assign(time=[f"{t:%Y-%m-%d %H:%M}+0{1 + (i > 90)}:00" for i, t in enumerate(d["time"])]),
+        {},
+        r"line 93: .*offsets \+01:00 and \+02:00.*time\.zone",
+    ),
+    "some offsets": (
+        lambda d: d.assign(time=[f"{t:%Y-%m-%d %H:%M}{'Z' * (i > 90)}" for i, t in enumerate(d["time"])]),
+        {},
+        r"line 93: .*two clocks in one table",
+    ),
+    "zone": (lambda d: d, {"time": {"zone": "Europe/Brussel"}}, r"time\.zone: no such time zone"),
+    "unknown key": (lambda d: d, {"outdor": "out"}, "outdor: unknown key, did you mean 'outdoor'"),
+    "unknown unit": (lambda d: d, {"outdoor": {"column": "out", "unit": "R"}}, r"outdoor\.unit"),
+    "no such zone": (
+        lambda d: d,
+        {"actuators": {"h": {"zone": "x", "level": "u"}}},
+        r"actuators\.h\.zone: there is no",
+    ),
+    "same column": (lambda d: d, {"outdoor": "T"}, r"zones\.room\.temperature and outdoor are the same column"),
+    "lost stamp": (lambda d: broken(d, time=(0, "1970-01-01 00:00:00")), {}, "55 years .* mend the time stamp"),
+    "never ran": (lambda d: d.assign(P=0.0), {"actuators": {"h": {}}}, "never above 0 W"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_one_message_that_says_where_and_what_to_do(case, tmp_path):
+    change, changes, message = CASES[case]
+    with pytest.raises((DataError, ConfigError), match=f"(?s){message}"):
+        tf.read_measurements(*written(tmp_path, change(house()), changes))
+
+
+def test_lines_with_other_than_all_cells_are_refused(tmp_path):
+    path, rules = written(tmp_path, house())
+    whole = path.read_text()
+    for line in ("2025-01-10 01:00:00,20,04,4.96,0.0,0.0", "2025-01-10 01:00:00,20.04"):
+        path.write_text("\n".join([*whole.splitlines()[:5], line, *whole.splitlines()[6:]]))
+        with pytest.raises(DataError, match=rf"line 6: has {line.count(',') + 1} cells, the line of column names 5"):
+            tf.read_measurements(path, rules)
+    path.write_text("\n".join(f"{line}," if k else line for k, line in enumerate(whole.splitlines())))
+    assert tf.read_measurements(path, rules).record.n_steps == 191, "a separator at the end of every row"
+
+
+def test_excursions_are_flagged_and_lasting_jumps_are_told():
+    away, moved, endless = house(), house(), house()
+    away.loc[20:30, "T"] += 12.0
+    moved.loc[100:, "T"] += 12.0
+    endless.loc[7, "P"] = np.inf
+    found = tf.read_measurements(away, BASE)
+    assert np.isnan(found.record.T_zone_C[0, 20:31]).all()
+    assert np.isfinite(found.record.T_zone_C[0, [19, 31]]).all()
+    found = tf.read_measurements(moved, BASE)
+    assert np.isfinite(found.record.T_zone_C).all()
+    room = next(s for s in found.understood.signals if s.key == "zones.room.temperature")
+    assert "the largest of 12 °C" in room.doubt
+    found = tf.read_measurements(endless, BASE)
+    assert np.isnan(found.record.power_W[0, 7])
+    assert [f.first for s in found.understood.signals for f in s.flags] == ["an infinite one at 2025-01-10 01:45:00"]
+
+
+def test_files_of_different_clocks_are_refused(tmp_path):
+    df = house()
+    winter = df.assign(time=[f"{t:%Y-%m-%d %H:%M}+01:00" for t in df["time"]])
+    a, rules = written(tmp_path, winter.iloc[:96], name="a.csv")
+    b, _ = written(tmp_path, df.iloc[96:], name="b.csv")
+    with pytest.raises(DataError, match=r"b\.csv: its time stamps have no time zone"):
+        tf.read_measurements([a, b], rules)
+    summer = df.iloc[96:].assign(time=[f"{t:%Y-%m-%d %H:%M}+02:00" for t in df["time"].iloc[96:]])
+    c, _ = written(tmp_path, summer, name="c.csv")
+    with pytest.raises(DataError, match=r"c\.csv: its time stamps have the offset UTC\+02:00"):
+        tf.read_measurements([a, c], rules)
+    named = {**BASE, "time": {"zone": "Europe/Brussels", "duplicates": "first", "order": "sort"}}
+    assert tf.read_measurements([a, c], named).understood.zone == "Europe/Brussels"
+
+
+def test_stamps_at_the_end_of_intervals_shift_what_acts_only():
+    df = house()
+    begun, ended = (
+        tf.read_measurements(df, BASE | {"time": {"marks": marks}, "machines": {"g": {"power": energy}}}).record
+        for marks, energy in (("start", "P"), ("end", {"column": "P", "unit": "Wh per step", "factor": 0.25}))
+    )
+    np.testing.assert_array_equal(begun.T_zone_C, ended.T_zone_C)
+    np.testing.assert_allclose(ended.u[0], df["u"][1:])
+    np.testing.assert_allclose(ended.power_W[0], df["P"][1:])
+    np.testing.assert_allclose(begun.power_W[0], df["P"][:-1])
+
+
+def test_a_counter_that_starts_anew_is_flagged():
+    df = house()
+    df["meter"] = df["P"].cumsum() / 4
+    df.loc[100:, "meter"] -= df.loc[100, "meter"]
+    found = tf.read_measurements(df, BASE | {"machines": {"g": {"power": {"column": "meter", "unit": "Wh counter"}}}})
+    flags = [flag for s in found.understood.signals for flag in s.flags]
+    assert [(flag.rule, flag.count) for flag in flags] == [("counter", 1)]
+    np.testing.assert_allclose(np.delete(found.record.power_W[0], 99), np.delete(df["P"].to_numpy()[1:], 99))
+
+
+def test_mended_by_the_rules_that_the_messages_name(tmp_path):
+    df = house()
+    mixed = df.iloc[[0, 1, 3, 2, 4, 4, *range(5, 192)]]
+    rules = {"time": {"order": "sort", "duplicates": "first"}}
+    found = tf.read_measurements(*written(tmp_path, mixed, rules))
+    np.testing.assert_allclose(found.record.T_zone_C[0], df["T"], atol=1e-9)
+    assert len([told for told in found.understood.assumed if "line" in told]) == 2
+
+
+def test_files_that_are_none_or_too_large_are_refused(tmp_path):
+    path, rules = written(tmp_path, house())
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00\x01" * 9)
+    (tmp_path / "fake.parquet").write_text("no parquet")
+    for name, message in (
+        ("empty.csv", "the file is empty"),
+        ("bytes.csv", "utf-8"),
+        ("fake.parquet", "no Parquet file"),
+        ("nothing.csv", "no such file"),
+        (".", "is a folder"),
+    ):
+        with pytest.raises(DataError, match=message):
+            tf.read_measurements(tmp_path / name, rules)
+    with pytest.raises(DataError, match=r"0\.0 GB to read, at most 0\.0 GB are read at once"):
+        tf.read_measurements(path, rules, most_bytes=100)
+    with (tmp_path / "huge.csv").open("wb") as huge:
+        huge.truncate(10_000_000_000)  # sparse: takes no room
+    with pytest.raises(DataError, match=r"huge\.csv: 10\.0 GB to read"):
+        tf.read_measurements(tmp_path / "huge.csv", rules)
+    with pytest.raises(ConfigError, match="no such file"):
+        tf.read_measurements(path, tmp_path / "other.yaml")

@@ -1,0 +1,163 @@
+"""Files of measurements to columns of numbers: CSV and Parquet, one file or many, bounded in size."""
+
+from __future__ import annotations
+
+import bz2
+import csv
+import glob
+import gzip
+import lzma
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.mapped_table import CsvFormat
+from thermoforce_mpc.measurements.raw_table import RawTable, known_column, raw_table
+
+# What is read at once, bytes: about 15 million rows of six columns, in 4 GB of memory. A compressed file is taken to
+# hold ten times its size.
+MOST_BYTES = 1_000_000_000
+_COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+_PACKING = 10
+_BLOCK = 1_000_000
+_PARQUET = (".parquet", ".pq")
+_SEPARATORS = ",;\t"
+
+
+def found_files(given: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
+    """The files of paths and patterns (`data/*.csv`), each once.
+
+    Raises:
+        DataError: there is none, or they hold more than `most_bytes`.
+    """
+    files: list[Path] = []
+    for item in given:
+        path = Path(item)
+        if path.is_dir():
+            raise DataError(f"{path}: is a folder; name its files, as in '{path}/*.csv'")
+        matches = [path] if path.exists() else [Path(name) for name in sorted(glob.glob(str(item)))]
+        if not matches:
+            raise DataError(f"{item}: no such file")
+        files += [match for match in matches if match not in files]
+    if not files:
+        raise DataError("no file of measurements was given")
+    sizes = [path.stat().st_size * (_PACKING if path.suffix in _COMPRESSED else 1) for path in files]
+    if sum(sizes) > most_bytes:
+        largest = files[int(np.argmax(sizes))]
+        raise DataError(
+            f"{largest}: {sum(sizes) / 1e9:.1f} GB to read{' in all' if len(files) > 1 else ''}, at most "
+            f"{most_bytes / 1e9:.1f} GB are read at once: keep the columns of the map and the last year, or write "
+            "means over a minute to a Parquet file; a model needs a few weeks"
+        )
+    return files
+
+
+def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> RawTable:
+    """The time stamps (column `stamps`, by default the first or the index) and `columns` of a file.
+
+    Raises:
+        DataError: the file cannot be read, is empty, lacks a column or holds text in one; names column and line.
+    """
+    if path.suffix in _PARQUET:
+        df, line = _parquet(path, stamps, columns), 1
+    else:
+        df, line = _csv(path, stamps, columns, form)
+    return raw_table(df, stamps, columns, str(path), line)
+
+
+def _parquet(path: Path, stamps: str | None, columns: Sequence[str]) -> pd.DataFrame:
+    import pyarrow.parquet as parquet
+    from pyarrow import ArrowException
+
+    try:
+        schema = parquet.read_schema(path)
+        # The index of a data frame stands among the columns of its file.
+        index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
+        wanted = [stamps] if stamps else index or schema.names[:1]
+        known = [name for name in dict.fromkeys([*wanted, *columns]) if name in schema.names]
+        table = parquet.read_table(path, columns=known).to_pandas()
+    except (ArrowException, OSError, ValueError) as error:
+        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
+    missing = [name for name in columns if name not in schema.names]
+    if missing:
+        known_column(missing[0], pd.Index(schema.names), str(path))
+    return table
+
+
+def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
+    header = _header(path, form)
+    separator = form.separator or max(_SEPARATORS, key=header.count)
+    names = next(csv.reader([header], delimiter=separator))
+    at = names[0] if stamps is None else stamps
+    for key in (at, *columns):
+        known_column(key, pd.Index(names), str(path))
+    try:
+        _check_lines(path, form, separator, len(names))
+        df = pd.read_csv(
+            path,
+            sep=separator,
+            decimal=form.decimal,
+            encoding=form.encoding,
+            skiprows=form.skip_lines,
+            usecols=list(dict.fromkeys([at, *columns])),
+            na_values=list(form.missing),
+            skip_blank_lines=False,  # so that the number of a row tells its line
+            low_memory=False,
+        )
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError, EOFError) as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    return df.dropna(how="all") if len(df) and df.iloc[-1].isna().all() else df, form.skip_lines + 2
+
+
+def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
+    """Refuse lines with more or fewer than `n` cells, whose values would land in wrong columns."""
+    with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding, newline="\n") as lines:
+        begun = 1
+        while block := lines.readlines(_BLOCK):
+            for k in np.flatnonzero(np.array([line.count(separator) for line in block]) != n - 1):
+                cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator), [])
+                same = len(cells) in (0, n) or (len(cells) == n + 1 and not cells[-1]) or '"' in block[k]
+                if begun + k > form.skip_lines + 1 and not same:
+                    raise DataError(
+                        f"{path}, line {begun + k}: has {len(cells)} cells, the line of column names {n}: mend or "
+                        "remove it (a decimal comma? a file that is still being written?)"
+                    )
+            begun += len(block)
+
+
+def head_of(path: Path, rows: int) -> pd.DataFrame:
+    """The first `rows` rows of a file with all its columns, the time stamps (or the index) first."""
+    if path.suffix in _PARQUET:
+        import pyarrow.parquet as parquet
+
+        names = parquet.read_schema(path).names
+        df = _parquet(path, None, names).iloc[:rows]
+        return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
+    header = _header(path, CsvFormat())
+    try:
+        return pd.read_csv(path, sep=max(_SEPARATORS, key=header.count), nrows=rows)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError) as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+
+
+def _header(path: Path, form: CsvFormat) -> str:
+    """The line of column names."""
+    try:
+        text = pd.read_csv(
+            path, sep="\x01", header=None, skiprows=form.skip_lines, nrows=1, encoding=form.encoding, dtype=str
+        )
+    except pd.errors.EmptyDataError as error:
+        raise DataError(f"{path}: the file is empty") from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map") from error
+    except (pd.errors.ParserError, ValueError, OSError) as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    return str(text.iloc[0, 0]).lstrip("\ufeff")
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,99 @@
+"""A forecast of weather, prices and comfort bounds from a file, by the map of the measurements it goes on from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data import Array, Boundary
+from thermoforce_mpc.dataframes import seconds_since
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.clock import timed
+from thermoforce_mpc.measurements.files import found_files, read_table
+from thermoforce_mpc.measurements.load import Measurements
+from thermoforce_mpc.measurements.mapped_signals import Price, Signal, Temperature
+from thermoforce_mpc.measurements.mapping import MappedMachine
+from thermoforce_mpc.measurements.raw_table import raw_table
+from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.sunlight import sunlight
+
+
+def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Boundary:
+    """The conditions from the end of `measured` to that of the forecast, at the step of the record.
+
+    Temperatures and irradiance go straight between two rows, bounds and prices hold until the next one. Columns are
+    those of the map's key `forecast`, where it has one, else of the same keys as for measurements; numbers in the map
+    hold throughout.
+
+    Raises:
+        DataError: the forecast does not begin at or before the end of the record, or lacks something; names file,
+            column and time.
+    """
+    rules, record = measured.map, measured.record
+    names = record.names
+    given = {key: value for key, value in rules.forecast if value is not None}
+    ours = rules.model_copy(update={key: value for key, value in given.items() if key in ("time", "outdoor", "sun")})
+    of_zones = [rules.zones[name] for name in names.zones]
+    zones = [(given.get("lower", zone.lower), given.get("upper", zone.upper)) for zone in of_zones]
+    machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
+    prices = [given.get("price", machine.price) for machine in machines]
+    weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
+    signals = [s for s in (*weather, *(bound for pair in zones for bound in pair), *prices) if isinstance(s, Signal)]
+    columns = [column for signal in signals for column in signal.columns]
+    if isinstance(file, pd.DataFrame):
+        table = raw_table(file, ours.time.column, columns, "forecast")
+    else:
+        table = read_table(found_files([file])[0], ours.time.column, columns, rules.csv)
+    rows = timed([table], ours.time)
+    time_s = seconds_since(record.origin, rows.index, table.name)
+    now_s, step_s = float(record.time_s[-1]), record.step_s
+    if not time_s[0] <= now_s + 1.0 or not time_s[-1] >= now_s + step_s:
+        raise DataError(
+            f"{table.name}: goes from {rows.index[0]} to {rows.index[-1]}, the measurements end at "
+            f"{record.stamps()[-1]}: the forecast must begin there (or before) and go on"
+        )
+    grid_s = now_s + np.arange(np.floor((time_s[-1] - now_s) / step_s + 1e-6) + 1.0) * step_s
+    read = SignalReader(rows, time_s, grid_s, step_s, ours)
+    outdoor = read.outdoor(ours.outdoor)
+    solar, _ = sunlight(ours, read, grid_s, record.origin)
+    bounds = [
+        [_bound(read, f"{name} of {zone}", one) for name, one in zip(("lower", "upper"), pair, strict=True)]
+        for zone, pair in zip(names.zones, zones, strict=True)
+    ]
+    price = [_price(read, machine, one) for machine, one in zip(names.machines, prices, strict=True)]
+    nothing = np.zeros((len(names.machines), grid_s.size))
+    found = Boundary(
+        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array([low for low, _ in bounds]),
+        np.array([high for _, high in bounds]), np.array(price), nothing, names=names,
+    )  # fmt: skip
+    _complete(found, measured, table.name)
+    return found
+
+
+def _bound(read: SignalReader, what: str, given: float | Temperature | None) -> Array:
+    if given is None:
+        raise DataError(f"forecast: no {what}: name a number or a column in the map (zones, or forecast for all zones)")
+    return read.bound(what, given)
+
+
+def _price(read: SignalReader, machine: str, given: float | Price | None) -> Array:
+    if given is None:
+        raise DataError(f"forecast: no price of {machine}: name a number or a column in the map (machines or forecast)")
+    return read.price(f"price of {machine}", given)
+
+
+def _complete(found: Boundary, measured: Measurements, name: str) -> None:
+    """Refuse a forecast with gaps; raises `DataError` with signal and time."""
+    stamps = pd.DatetimeIndex(measured.record.origin + pd.to_timedelta(found.time_s, unit="s"))
+    for signal in ("T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh"):
+        missing = np.flatnonzero(~np.isfinite(np.atleast_2d(getattr(found, signal))).all(axis=0))
+        if missing.size:
+            raise DataError(
+                f"{name}: {signal} is missing at {missing.size} of {found.time_s.size} instants, first at "
+                f"{stamps[missing[0]]}: fill the gap, or end the file before it"
+            )
+    if (found.lower_C > found.upper_C).any():
+        row = int(np.argmax((found.lower_C > found.upper_C).any(axis=0)))
+        raise DataError(f"{name}: at {stamps[row]} the lower bound is above the upper one: exchange the columns")

@@ -1,0 +1,188 @@
+"""From files or a data frame and their map to a record, with what was understood of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Layout, Names, Record
+from thermoforce_mpc.dataframes import new_year, seconds_since, stamps
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.clock import Timed, timed
+from thermoforce_mpc.measurements.files import MOST_BYTES, found_files, read_table
+from thermoforce_mpc.measurements.levels import actuator_levels
+from thermoforce_mpc.measurements.mapping import LEAST_STEP_S, MOST_STEP_S, MeasurementMap, load_map
+from thermoforce_mpc.measurements.raw_table import RawTable, raw_table
+from thermoforce_mpc.measurements.resampling import usual_s
+from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.sunlight import sunlight
+from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
+from thermoforce_mpc.scenario.settings import validate
+
+# Step of a record where the map has none: the usual distance of the rows, within these, s.
+_STEPS_S = (900.0, 3600.0)
+_LEAST_STEPS = 2
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Measurements of a building: the record, what acts where, the conditions of the time, and what was understood.
+
+    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `map`: the map.
+    """
+
+    record: Record
+    layout: Layout
+    conditions: Boundary
+    understood: Understood
+    map: MeasurementMap
+
+    def served(self) -> Measurements:
+        """The zones that an actuator serves, as `identify` needs them.
+
+        Raises:
+            DataError: there is no actuator whose level was measured.
+        """
+        if not np.isfinite(self.record.u).any():
+            raise DataError("no level, heat or power was measured: name an actuator in the map with one of them")
+        zones = [z for z in range(len(self.layout.names.zones)) if self.layout.actuators_of(z)]
+        return self.of_zones([self.layout.names.zones[z] for z in zones])
+
+    def of_zones(self, zones: Sequence[str]) -> Measurements:
+        """The zones `zones` with all machines and those actuators that serve one of them (all, where none does)."""
+        names, layout, r = self.layout.names, self.layout, self.record
+        if unknown := [zone for zone in zones if zone not in names.zones]:
+            raise DataError(f"there is no zone '{unknown[0]}'; there are {', '.join(names.zones)}")
+        kept = [names.zones.index(zone) for zone in zones]
+        if kept == list(range(len(names.zones))):
+            return self
+        acting = [a for a, home in enumerate(layout.home) if home in kept] or list(range(len(layout.home)))
+        fewer = Names(tuple(zones), tuple(names.actuators[a] for a in acting), names.machines)
+        ours = Layout(
+            fewer,
+            tuple(layout.signs[a] for a in acting),
+            tuple(kept.index(layout.home[a]) if layout.home[a] in kept else 0 for a in acting),
+            tuple(layout.machine_of[a] for a in acting),
+            tuple(layout.lowest[a] for a in acting),
+            tuple(layout.shares[a] for a in acting),
+            tuple(layout.floor_area_m2[z] for z in kept),
+        )
+        b = self.conditions
+        record = Record(
+            r.time_s, r.T_zone_C[kept], r.T_out_C, r.solar_W_m2, r.u[acting], r.power_W, r.heat_W[acting],
+            r.T_return_C, r.origin, fewer,
+        )  # fmt: skip
+        conditions = Boundary(
+            b.time_s, b.T_out_C, b.solar_W_m2, b.occupancy[kept], b.lower_C[kept], b.upper_C[kept], b.price_per_kWh,
+            b.emission_kg_per_kWh, b.heating_price_per_kWh, fewer,
+        )  # fmt: skip
+        return replace(self, record=record, layout=ours, conditions=conditions)
+
+
+def read_measurements(
+    files: str | Path | pd.DataFrame | Sequence[str | Path],
+    map: str | Path | Mapping[str, Any] | MeasurementMap,
+    *,
+    step_s: float | None = None,
+    most_bytes: int = MOST_BYTES,
+) -> Measurements:
+    """Measurements of a building from CSV or Parquet files, or a data frame, as the map says.
+
+    Args:
+        files: a file, a pattern such as 'data/*.csv', several of them, or a data frame.
+        map: the map, its keys and values, or its YAML file.
+        step_s: step of the record, s; default: that of the map.
+        most_bytes: size from which files are refused.
+
+    Raises:
+        ConfigError: the map is wrong; names the key.
+        DataError: the table cannot be used; names file, line or column, and what to do.
+    """
+    rules = _rules(map)
+    columns = [column for _, signal in rules.signals() for column in signal.columns]
+    if isinstance(files, pd.DataFrame):
+        tables = [raw_table(files, rules.time.column, columns, "table")]
+    else:
+        given = [files] if isinstance(files, str | Path) else list(files)
+        paths = found_files(given, most_bytes)
+        tables = [read_table(path, rules.time.column, columns, rules.csv) for path in paths]
+    return _measured(tables, timed(tables, rules.time), rules, step_s)
+
+
+def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:
+    if isinstance(map, MeasurementMap):
+        return map
+    return validate(MeasurementMap, map, "map") if isinstance(map, Mapping) else load_map(Path(map))
+
+
+def _measured(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap, step_s: float | None) -> Measurements:
+    names, layout = rules.names, rules.layout
+    origin = new_year(table.index, tables[0].name)
+    time_s = seconds_since(origin, table.index, tables[0].name)
+    rows_every_s = usual_s(time_s)
+    if step_s is None:
+        step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
+    if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
+        raise DataError(f"step_s: {step_s:g} s; the step of a record lies between 1 min and 1 h")
+    grid_s = np.arange(np.ceil(time_s[0] / step_s - 1e-6), np.floor(time_s[-1] / step_s + 1e-6) + 1.0) * step_s
+    if grid_s.size < _LEAST_STEPS + 1:
+        raise DataError(
+            f"{tables[0].name}: {len(time_s)} rows from {table.index[0]} to {table.index[-1]} make fewer than "
+            f"{_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
+        )
+    read = SignalReader(table, time_s, grid_s, step_s, rules)
+    zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
+    T_zone = np.array([read.temperature(f"zones.{name}.temperature", z.temperature) for name, z in zones])
+    T_out = read.outdoor(rules.outdoor)
+    solar, of_sun = sunlight(rules, read, grid_s, origin)
+    power = _rows([read.power(f"machines.{name}.power", m.power) for name, m in machines], names.machines, grid_s)
+    water = [read.water(f"machines.{name}.return_water", m.return_water) for name, m in machines]
+    heat = _rows([read.power(f"actuators.{name}.heat", a.heat) for name, a in actuators], names.actuators, grid_s)
+    u, of_levels = actuator_levels(rules, read, heat, power)
+    record = Record(
+        grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
+        _rows(water, names.machines, grid_s), origin, names,
+    )  # fmt: skip
+    none = np.zeros((len(names.machines), grid_s.size))
+    conditions = Boundary(
+        grid_s,
+        T_out,
+        solar,
+        np.zeros(T_zone.shape),
+        np.array([read.bound(f"zones.{name}.lower", z.lower) for name, z in zones]),
+        np.array([read.bound(f"zones.{name}.upper", z.upper) for name, z in zones]),
+        np.array([read.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
+        none,
+        names=names,
+    )
+    at = stamps(grid_s, origin)
+    zone = "" if table.index.tz is None else str(table.index.tz)
+    understood = Understood(
+        tuple(t.name for t in tables),
+        len(time_s),
+        str(at[0]),
+        str(at[-1]),
+        float(grid_s[-1] - grid_s[0]) / DAY_S,
+        zone,
+        rows_every_s,
+        step_s,
+        tuple(read.summaries),
+        (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels),
+        missing(rules, record, conditions),
+    )
+    return Measurements(record, layout, conditions, understood, rules)
+
+
+def _step_s(rows_every_s: float) -> float:
+    return float(np.clip(round(rows_every_s / 60.0) * 60.0, *_STEPS_S)) if np.isfinite(rows_every_s) else _STEPS_S[0]
+
+
+def _rows(rows: Sequence[Array | None], names: Sequence[str], grid_s: Array) -> Array:
+    """Signals over steps (rows, n), NaN for what is not measured."""
+    unknown = np.full(grid_s.size - 1, np.nan)
+    return np.array([unknown if row is None else row for row in rows] or [unknown] * len(names))

@@ -1,0 +1,72 @@
+"""Columns of one table as they stand there: numbers, and time stamps of any kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.scenario.settings import suggestion
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Columns of one file as they stand there: `stamps` (n,) of any kind, `columns` by name (n,) numbers.
+
+    `name`: of the file. `line`: line of its first row (1 where rows are counted, as in Parquet files and data frames).
+    """
+
+    name: str
+    stamps: pd.Series
+    columns: dict[str, Array]
+    line: int
+
+    def where(self, row: int) -> str:
+        """Name of the file and place of a row in it."""
+        return f"{self.name}, {'row' if self.line == 1 else 'line'} {row + self.line}"
+
+
+def raw_table(df: pd.DataFrame, stamps: str | None, columns: Sequence[str], name: str, line: int = 1) -> RawTable:
+    """The time stamps and `columns` of a data frame; raises `DataError` as `read_table` does."""
+    if isinstance(df.index, pd.DatetimeIndex) and (stamps is None or stamps == df.index.name):
+        at = df.index.to_series().reset_index(drop=True)
+    elif not len(df.columns):
+        raise DataError(f"{name}: the table has no columns")
+    else:
+        at = df[known_column(str(df.columns[0]) if stamps is None else stamps, df.columns, name)].reset_index(drop=True)
+    if not len(df):
+        raise DataError(f"{name}: the table has no rows")
+    table = RawTable(name, at, {}, line)
+    for key in dict.fromkeys(columns):
+        table.columns[key] = _numbers(df[known_column(key, df.columns, name)], key, table)
+    return table
+
+
+def known_column(key: str, columns: pd.Index, name: str) -> str:
+    """`key` if it is among `columns` of the table `name`; else raises `DataError`."""
+    known = [str(column) for column in columns]
+    if key not in known:
+        first = "; if that is not the line of column names, set csv.skip_lines or csv.separator of the map"
+        hint = first if len(known) == 1 else ""
+        raise DataError(f"{name}: no column '{key}'{suggestion(key, known)}; there are {', '.join(known)}{hint}")
+    return key
+
+
+def _numbers(column: pd.Series, key: str, table: RawTable) -> Array:
+    if isinstance(column, pd.DataFrame):
+        raise DataError(f"{table.name}: there are {column.shape[1]} columns '{key}'; give each a name of its own")
+    if pd.api.types.is_numeric_dtype(column):
+        return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
+    numbers = pd.to_numeric(column, errors="coerce")
+    wrong = np.flatnonzero((numbers.isna() & column.notna()).to_numpy())
+    if wrong.size:
+        more = f" ({wrong.size} such cells)" if wrong.size > 1 else ""
+        raise DataError(
+            f"{table.where(int(wrong[0]))}: column '{key}' holds {str(column.iloc[wrong[0]])!r}, which is no number"
+            f"{more}; if it stands for an empty cell, name it in csv.missing of the map; csv.decimal sets a comma"
+        )
+    return np.asarray(numbers.to_numpy(dtype=np.float64, na_value=np.nan))

@@ -1,0 +1,178 @@
+"""Signals of a table at the steps of its record: units, rules, resampling, and a summary of each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.measurements import screening
+from thermoforce_mpc.measurements.clock import Timed
+from thermoforce_mpc.measurements.mapped_signals import Humidity, Irradiance, Level, Power, Price, Signal, Temperature
+from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.measurements.resampling import (
+    Readings,
+    around,
+    durations_s,
+    held,
+    longest_s,
+    means,
+    sampled,
+    usual_s,
+)
+from thermoforce_mpc.measurements.screening import Flag, Rules, screened
+from thermoforce_mpc.measurements.understood import SignalSummary
+from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, converted
+
+# A largest power below this makes kW likelier than W, one above makes W likelier than kW.
+_SMALLEST_W, _LARGEST_W = 15.0, 2e6
+
+
+class SignalReader:
+    """Reads signals of `table`, whose rows stand at `time_s` (n,), at the boundaries `grid_s` of the steps.
+
+    `summaries` collects what was read.
+    """
+
+    def __init__(self, table: Timed, time_s: Array, grid_s: Array, step_s: float, rules: MeasurementMap) -> None:
+        self.grid_s, self.summaries = grid_s, list[SignalSummary]()
+        self._table, self._time_s, self._step_s = table, time_s, step_s
+        self._marks, self._coverage = rules.time.marks, rules.coverage
+
+    def temperature(self, key: str, signal: Temperature) -> Array:
+        """Zone temperature at the boundaries (n + 1,), °C."""
+        return self._sample(key, signal, screening.ZONE)
+
+    def outdoor(self, signal: Temperature) -> Array:
+        """Outdoor temperature at the boundaries (n + 1,), °C."""
+        return self._sample("outdoor", signal, screening.OUTDOOR)
+
+    def irradiance(self, signal: Irradiance) -> Array:
+        """Irradiance at the boundaries (n + 1,), W/m²."""
+        readings, unit, flags = self._readings("sun", signal, screening.SOLAR)
+        values = around(readings, self.grid_s, self._step_s, self._coverage)
+        return self._told("sun", signal, unit, readings, values, flags)
+
+    def humidity(self, key: str, signal: Humidity) -> Array:
+        """Relative humidity at the boundaries (n + 1,), 0 to 1."""
+        return self._sample(key, signal, screening.HUMIDITY)
+
+    def level(self, key: str, signal: Level, *, signed: bool = False) -> Array:
+        """Mean level of the steps (n,)."""
+        return self._mean(key, signal, screening.SIGNED_LEVEL if signed else screening.LEVEL)
+
+    def power(self, key: str, signal: Power | None) -> Array | None:
+        """Mean power of the steps (n,), W; None where it is not measured."""
+        return None if signal is None else self._mean(key, signal, screening.POWER)
+
+    def water(self, key: str, signal: Temperature | None) -> Array | None:
+        """Mean water temperature of the steps (n,), °C; None where it is not measured."""
+        return None if signal is None else self._mean(key, signal, screening.WATER)
+
+    def bound(self, key: str, given: float | Temperature | None) -> Array:
+        """Comfort bound at the boundaries (n + 1,), °C: a number, or the last reading of a column."""
+        return self._scheduled(key, given, screening.BOUND)
+
+    def price(self, key: str, given: float | Price | None) -> Array:
+        """Price at the boundaries (n + 1,), per kWh: a number, or the last reading of a column."""
+        return self._scheduled(key, given, screening.PRICE)
+
+    def _sample(self, key: str, signal: Signal, rules: Rules) -> Array:
+        readings, unit, flags = self._readings(key, signal, rules)
+        return self._told(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
+
+    def _scheduled(self, key: str, given: float | Signal | None, rules: Rules) -> Array:
+        if not isinstance(given, Signal):
+            return np.full(self.grid_s.size, np.nan if given is None else float(given))
+        readings, unit, flags = self._readings(key, given, rules)
+        return self._told(key, given, unit, readings, held(readings, self.grid_s), flags)
+
+    def _mean(self, key: str, signal: Signal, rules: Rules) -> Array:
+        readings, unit, flags = self._readings(key, signal, rules)
+        lasts = durations_s(readings.time_s, readings.longest_s, self._marks) if readings.values.size else np.empty(0)
+        starts = readings.time_s - (lasts if self._marks == "end" else 0.0)
+        values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
+        return self._told(key, signal, unit, readings, values, flags)
+
+    def _readings(self, key: str, signal: Signal, rules: Rules) -> tuple[Readings, Rules, tuple[Flag, ...]]:
+        """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
+        declared = getattr(signal, "unit", "")
+        rules = rules.of(signal)
+        raw = np.sum([self._table.columns[column] for column in signal.columns], axis=0) * signal.factor
+        values, time_s = converted(raw, declared), self._time_s
+        if declared.endswith(PER_STEP):
+            # Energy of a row's interval, whose length is that between rows, whether or not the cell beside is empty.
+            values = values / durations_s(time_s, longest_s(time_s, 0.0, signal.hold_h), self._marks)
+        flags: list[Flag] = []
+        if (endless := np.isinf(values)).any():
+            flags.append(Flag("range", int(endless.sum()), f"an infinite one at {self._at(int(np.argmax(endless)))}"))
+        known = np.isfinite(values)
+        values, time_s, raw = values[known], time_s[known], raw[known]
+        if declared.endswith(COUNTER) and values.size > 1:
+            values, time_s, raw, back = _from_counter(values, time_s, raw, self._marks)
+            flags += [Flag("counter", back, "readings below the one before: a reset or a new meter")] if back else []
+        name = f"{key} (column {' + '.join(signal.columns)})"
+        if values.size:
+            holds, found = screened(time_s, values, raw, rules, name, declared or rules.unit, self._at)
+            values, time_s = values[holds], time_s[holds]
+            flags += found
+        return Readings(time_s, values, longest_s(time_s, self._step_s, signal.hold_h)), rules, tuple(flags)
+
+    def _at(self, row: int) -> str:
+        return str(self._table.index[row])
+
+    def _told(
+        self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
+    ) -> Array:
+        """`values`, noted among the summaries."""
+        known = np.isfinite(values)
+        least, median, most = (
+            np.quantile(values[known], (0.0, 0.5, 1.0)).tolist() if known.any() else (float("nan"),) * 3
+        )
+        doubt = _doubt(rules, readings, median, most) if known.any() else "never measured: check the column"
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
+        gaps = edges[1::2] - edges[0::2]
+        self.summaries.append(
+            SignalSummary(
+                key,
+                key,
+                " + ".join(signal.columns),
+                rules.unit,
+                int(readings.values.size),
+                usual_s(readings.time_s),
+                float(known.mean()),
+                float(gaps.max() * self._step_s / HOUR_S) if gaps.size else 0.0,
+                least,
+                median,
+                most,
+                flags,
+                doubt,
+            )
+        )
+        return values
+
+
+def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
+    """What is odd about readings that were accepted, '' if nothing."""
+    if rules.kind == "temperature" and not rules.usual[0] <= median <= rules.usual[1]:
+        return f"a median of {median:.1f} °C is unusual: check the unit"
+    if rules.kind == "power" and 0.0 < most < _SMALLEST_W:
+        return f"never above {most:.3g} W: check the unit, kW or kWh per step is likelier"
+    if rules.kind == "power" and most > _LARGEST_W:
+        return f"up to {most:.3g} W: check the unit"
+    changes = np.diff(readings.values)[np.diff(readings.time_s) <= readings.longest_s]
+    jumps = np.abs(changes) > rules.spike
+    if jumps.any():
+        return (
+            f"{int(jumps.sum())} jumps, the largest of {np.abs(changes).max():.3g} {rules.unit} between two readings, "
+            "without coming back: was the sensor moved or exchanged? use the part before or after"
+        )
+    return ""
+
+
+def _from_counter(values: Array, time_s: Array, raw: Array, marks: str) -> tuple[Array, Array, Array, int]:
+    """Mean power between readings of a counter, W, at the stamps that mark its intervals; how often it went back."""
+    amount, lasts = np.diff(values), np.diff(time_s)
+    forward = amount >= 0.0
+    power = np.where(forward, amount / lasts, 0.0)
+    at = time_s[1:] if marks == "end" else time_s[:-1]
+    return power[forward], at[forward], raw[1:][forward], int((~forward).sum())
