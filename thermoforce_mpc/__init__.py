@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.errors import ThermoForceError
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.pipeline import identify
+    from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import read_measurements
     from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
     from thermoforce_mpc.simulation.run import run
@@ -34,6 +35,7 @@ __all__ = [
     "__version__",
     "identify",
     "load_model",
+    "read_forecast",
     "read_measurements",
     "run",
 ]
@@ -50,6 +52,7 @@ _HOME = {
     "ThermoForceMPC": "controllers.mpc",
     "identify": "thermoforce_mpc.identification.pipeline",
     "load_model": "thermoforce_mpc.model.thermal_model",
+    "read_forecast": "thermoforce_mpc.measurements.forecast",
     "read_measurements": "thermoforce_mpc.measurements.load",
     "run": "thermoforce_mpc.simulation.run",
 }

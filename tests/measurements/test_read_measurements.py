@@ -250,6 +250,19 @@ def test_lines_with_other_than_all_cells_are_refused(tmp_path):
     assert tf.read_measurements(path, rules).record.n_steps == 191, "a separator at the end of every row"
 
 
+def test_columns_without_a_name_or_with_two(tmp_path):
+    df = house()
+    path, rules = written(tmp_path, df)
+    df.set_index("time").rename_axis(None).to_csv(path)
+    assert path.read_text().startswith(",T,out")
+    np.testing.assert_allclose(tf.read_measurements(path, rules).record.T_zone_C[0], df["T"])
+    path.write_text(path.read_text().replace(",T,out,", ', "T" , out,', 1))
+    np.testing.assert_allclose(tf.read_measurements(path, rules).record.T_out_C, df["out"])
+    df.rename(columns={"P": "T"}).to_csv(path, index=False)
+    with pytest.raises(DataError, match="there are 2 columns 'T'"):
+        tf.read_measurements(path, BASE | {"machines": {}})
+
+
 def test_excursions_are_flagged_and_lasting_jumps_are_told():
     away, moved, endless = house(), house(), house()
     away.loc[20:30, "T"] += 12.0

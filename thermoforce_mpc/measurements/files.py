@@ -6,6 +6,7 @@ import bz2
 import csv
 import glob
 import gzip
+import itertools
 import lzma
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -89,12 +90,13 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str]) -> pd.DataF
 
 
 def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
-    header = _header(path, form)
-    separator = form.separator or max(_SEPARATORS, key=header.count)
-    names = next(csv.reader([header], delimiter=separator))
-    at = names[0] if stamps is None else stamps
-    for key in (at, *columns):
+    separator, names = _header(path, form)
+    wanted = dict.fromkeys([names[0] if stamps is None else stamps, *columns])
+    for key in wanted:
         known_column(key, pd.Index(names), str(path))
+        if names.count(key) > 1:
+            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
+    places = sorted(names.index(key) for key in wanted)
     try:
         _check_lines(path, form, separator, len(names))
         df = pd.read_csv(
@@ -103,14 +105,15 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
             decimal=form.decimal,
             encoding=form.encoding,
             skiprows=form.skip_lines,
-            usecols=list(dict.fromkeys([at, *columns])),
+            usecols=places,
             na_values=list(form.missing),
             skip_blank_lines=False,  # so that the number of a row tells its line
             low_memory=False,
-        )
+        ).set_axis([names[place] for place in places], axis=1)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError, EOFError) as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
-    return df.dropna(how="all") if len(df) and df.iloc[-1].isna().all() else df, form.skip_lines + 2
+    filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
+    return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
 
 
 def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
@@ -137,26 +140,30 @@ def head_of(path: Path, rows: int) -> pd.DataFrame:
         names = parquet.read_schema(path).names
         df = _parquet(path, None, names).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
-    header = _header(path, CsvFormat())
+    separator, names = _header(path, CsvFormat())
     try:
-        return pd.read_csv(path, sep=max(_SEPARATORS, key=header.count), nrows=rows)
+        return pd.read_csv(path, sep=separator, nrows=rows, index_col=False).set_axis(names, axis=1)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError) as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
 
 
-def _header(path: Path, form: CsvFormat) -> str:
-    """The line of column names."""
+def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
+    """Separator and names of the columns."""
     try:
-        text = pd.read_csv(
-            path, sep="\x01", header=None, skiprows=form.skip_lines, nrows=1, encoding=form.encoding, dtype=str
-        )
-    except pd.errors.EmptyDataError as error:
-        raise DataError(f"{path}: the file is empty") from error
-    except UnicodeDecodeError as error:
+        with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
+            header = next(itertools.islice(lines, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
+            if not header.strip():
+                if not any(line.strip() for line in lines):
+                    raise DataError(f"{path}: the file is empty")
+                raise DataError(
+                    f"{path}, line {form.skip_lines + 1}: no names of columns; set csv.skip_lines of the map"
+                )
+    except UnicodeError as error:
         raise DataError(f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map") from error
-    except (pd.errors.ParserError, ValueError, OSError) as error:
-        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
-    return str(text.iloc[0, 0]).lstrip("\ufeff")
+    except (OSError, EOFError, LookupError, lzma.LZMAError) as error:
+        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    separator = form.separator or max(_SEPARATORS, key=header.count)
+    return separator, [name.strip() for name in next(csv.reader([header], delimiter=separator, skipinitialspace=True))]
 
 
 def _short(error: Exception) -> str:

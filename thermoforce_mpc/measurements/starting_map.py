@@ -22,7 +22,7 @@ _WORDS = (
     ("level", r"^u$|level|valve|position|signal|modul|speed|ove"),
     ("energy", r"k?wh|energy|btu"),
     ("power", r"^p(_|el|$)|power|watt|_w$|_kw$|heat"),
-    ("temperature", r"^t\d*(_|$)|temp|room|zone|deg"),
+    ("temperature", r"^t\d*(_|$)|temp|room|zone|deg|°|_[cfk]$"),
 )
 _ROWS = 2000
 _COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
