@@ -8,9 +8,11 @@ far and the hours the candidate adds: twice the information gain, in nats. It ne
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
@@ -104,27 +106,51 @@ class Designer:
         The latter is that of the effect of a day at full level, for a building as the priors expect it and disturbances
         of the assumed size; actual ones are mostly smaller.
         """
+        return self.known_beside(history, (1.0,))
+
+    def known_beside(self, history: Record, weights: Sequence[float]) -> tuple[float, float]:
+        """As `known` for the first actuator of `history`, where the effects of the others on the zone are unknown too.
+
+        Args:
+            history: one zone with A actuators or more.
+            weights: standard deviation of each actuator's parameters as a share of the first one's prior (A,); only so
+                many actuators count.
+
+        Returns:
+            The criterion of all together, nats, and the relative standard deviation for the first.
+        """
         whitener, rows = self._whitener(history, history.step_s)
-        S = solve_triangular(whitener, self._sensitivities(history.u[0], history.step_s)[rows], lower=True)
+        each = zip(weights, history.u, strict=False)
+        S = np.concatenate([weight * self._sensitivities(u, history.step_s)[rows] for weight, u in each], axis=1)
+        S = solve_triangular(whitener, S, lower=True)
         precision = np.eye(S.shape[1]) + S.T @ S
         day = np.ones(round(DAY_S / history.step_s))
-        slope = self._sensitivities(day, history.step_s)[-1]
+        slope = np.zeros(S.shape[1])
+        own = self._sensitivities(day, history.step_s)[-1]
+        slope[: own.size] = own
         p = self._priors
         effect_K = float((unit_responses(p.log_tau, history.step_s, day) @ p.gains_at(p.log_tau)[0])[-1])
         sd_K = float(np.sqrt(slope @ np.linalg.solve(precision, slope)))
         return float(np.linalg.slogdet(precision)[1]), sd_K / effect_K
 
-    def _whitener(self, history: Record, step_s: float) -> tuple[Array, Array]:
-        """Return the lower Cholesky factor of C over hourly rows, and those rows; C does not depend on the levels."""
+    def expected_rise_K(self, levels: Array, step_s: float) -> Array:
+        """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""
+        p = self._priors
+        return np.asarray(unit_responses(p.log_tau, step_s, levels) @ p.gains_at(p.log_tau)[0])
+
+    def _whitener(self, history: Record, step_s: float) -> tuple[Array, NDArray[np.intp]]:
+        """Return the lower Cholesky factor of C over hourly rows (fewer in more than a month), which the levels do not
+        change, and those rows."""
         stride = max(1, round(_ROW_H * HOUR_S / step_s))
         time_s, T_out, solar = (getattr(history, k)[::stride] for k in ("time_s", "T_out_C", "solar_W_m2"))
         nothing = np.zeros(time_s.size - 1)
         # All temperatures are assumed to be measured.
         hourly = Record(time_s, np.zeros(time_s.size), T_out, solar, nothing, nothing, nothing)
-        rest = residuals(run_regression(hourly, IDENTITY, self._config), self._priors.log_tau)
-        return cholesky(rest.covariance, lower=True), np.arange(time_s.size) * stride
+        regression = run_regression(hourly, IDENTITY, self._config)
+        rest = residuals(regression, self._priors.log_tau)
+        return cholesky(rest.covariance, lower=True), regression.rows * stride
 
-    def _criterion(self, u: Array, step_s: float, whitener: Array, rows: Array) -> float:
+    def _criterion(self, u: Array, step_s: float, whitener: Array, rows: NDArray[np.intp]) -> float:
         sensitivities = solve_triangular(whitener, self._sensitivities(u, step_s)[rows], lower=True)
         return float(np.linalg.slogdet(np.eye(sensitivities.shape[1]) + sensitivities.T @ sensitivities)[1])
 
