@@ -18,7 +18,12 @@ _COMMANDS = {
     "run": ("thermoforce_mpc.cli.run", "Run a controller over a scored window and report KPIs."),
     "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
     "sweep": ("thermoforce_mpc.cli.sweep", "Vary one controller option and plot cost against discomfort."),
-    "identify": ("thermoforce_mpc.cli.identify", "Probe a building for a few days, identify and save a model."),
+    "identify": (
+        "thermoforce_mpc.cli.identify",
+        "Identify a model by probing a building, or from measurements.",
+    ),
+    "data": ("thermoforce_mpc.cli.data", "Check measurements of your own building; plan a probing by hand."),
+    "plan": ("thermoforce_mpc.cli.plan", "Plan the next hours from recent measurements and a forecast in files."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
@@ -60,7 +65,7 @@ def cli() -> None:
 
     \b
     Exit codes: 0 done, 2 bad input, 3 the plant or its service failed, 4 the
-    identified model is below the bar (identify only), 130 interrupted.
+    model is below the bar (identify, plan), 130 interrupted.
     """
 
 

@@ -1,0 +1,221 @@
+"""From files to a plan on the command line: check, starting map, identify, probing by hand, plan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.plan import draw_plan, plan_table
+from thermoforce_mpc.data import DAY_S, Boundary, Names, Plan, PlanStatus, Record
+from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
+from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+
+MAP = """\
+time: {zone: Europe/Brussels}
+outdoor: out_F
+sun: sun
+zones:
+  living: {temperature: {column: room_K, unit: K}, lower: 21, upper: 24}
+actuators:
+  heat_pump: {level: {column: percent, unit: '%'}}
+machines:
+  meter: {power: {column: kWh, unit: kWh per step}, price: 0.3}
+""".replace("out_F", "{column: out_F, unit: '°F'}")
+LINEAR = ("--set", "identification.options.modulation=linear")
+
+
+def tabled(r: Record, path: Path) -> None:
+    """Write a record with the units and names of someone who never heard of ours."""
+    at = pd.date_range("2025-01-21", periods=r.n_steps + 1, freq="15min", name="when")
+    columns = {"room_K": r.T_zone_C[0] + 273.15, "out_F": r.T_out_C * 1.8 + 32, "sun": r.solar_W_m2}
+    acting = {"percent": [*(100 * r.u[0]), np.nan], "kWh": [*(r.power_W[0] / 4000), np.nan]}
+    pd.DataFrame(columns | acting, index=at).round(4).to_csv(path)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A probed house, three days of its own control, the map, and a forecast."""
+    path = tmp_path_factory.mktemp("house")
+    plant = EmbeddedPlant(synthetic_weather())
+    tabled(probe(plant, 20 * DAY_S, 3.0, seed=1), path / "probed.csv")
+    b = plant.forecast(1.5 * DAY_S, 3600.0)
+    at = pd.date_range("2025-01-24", periods=b.n_steps + 1, freq="1h", name="when")
+    pd.DataFrame({"out_F": b.T_out_C * 1.8 + 32, "sun": b.solar_W_m2}, index=at).to_csv(path / "ahead.csv")
+    record = Record.beginning(plant.reset(20 * DAY_S, 5 * DAY_S))
+    for _ in range(3 * 96):
+        record = record.extended(plant.advance(None, 900.0))
+    tabled(record, path / "operated.csv")
+    (path / "map.yaml").write_text(MAP, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def model(folder) -> Path:
+    words = ["--data", str(folder / "probed.csv"), "--map", str(folder / "map.yaml"), "--out", str(folder / "good")]
+    done = CliRunner().invoke(cli, ["identify", *words, *LINEAR])
+    assert done.exit_code == 0, done.output
+    assert "Competence: COMPETENT" in done.output
+    return folder / "good"
+
+
+def tf_mpc(folder: Path, *words: str):
+    """Run a command; names of files in `folder` become their paths."""
+    named = [str(folder / word) if word.endswith((".csv", ".yaml", ".png", ".json")) else word for word in words]
+    return CliRunner().invoke(cli, named)
+
+
+def test_check_prints_and_draws_what_it_understood(folder):
+    words = ("data", "check", "probed.csv", "--map", "map.yaml", "--plot", "check.png", "--json", "check.json")
+    done = tf_mpc(folder, *words)
+    assert done.exit_code == 0, done.output
+    assert "2025-01-21 00:00:00+01:00 to 2025-01-24 00:00:00+01:00 (3.0 days, Europe/Brussels)" in done.output
+    assert "heat_pump: competent" in done.output
+    assert "probe-plan" not in done.output
+    assert (folder / "check.png").stat().st_size > 10_000
+    found = json.loads((folder / "check.json").read_text())
+    assert found["understood"]["rows"] == 289
+    assert found["tells"]["found"][0]["competent"] is True
+
+
+def test_what_a_record_of_operation_cannot_tell_is_said_and_a_probing_is_proposed(folder):
+    done = tf_mpc(folder, "data", "check", "operated.csv", "--map", "map.yaml", "--plot", "operated.png")
+    assert done.exit_code == 0, done.output
+    assert "not competent" in done.output
+    assert "data probe-plan" in done.output
+    done = tf_mpc(folder, "data", "probe-plan", "operated.csv", "--map", "map.yaml", "--out", "probe.csv")
+    assert done.exit_code == 0, done.output
+    assert "K·h outside 21.0 to 24.0 °C" in done.output
+    schedule = pd.read_csv(folder / "probe.csv", index_col=0, parse_dates=True)
+    assert str(schedule.index[0]) == "2025-01-24 07:00:00+01:00"
+    assert schedule.columns.tolist() == ["heat_pump"]
+    assert set(schedule["heat_pump"].dropna()) == {0.0, 1.0}
+    assert np.isnan(schedule["heat_pump"].iloc[-1]), "the last line gives control back"
+
+
+def test_probing_by_hand_keeps_the_hours_of_summer_time(folder, tmp_path):
+    at = pd.date_range("2025-07-01", periods=5 * 24 + 1, freq="1h", name="when")
+    hour = np.arange(at.size)
+    df = pd.DataFrame({"room_K": 297.0 + hour % 24 / 10, "out_F": 70.0 + hour % 24, "sun": 9.0 * (hour % 24)}, index=at)
+    df.assign(percent=30.0, kWh=0.3).to_csv(tmp_path / "summer.csv")
+    (tmp_path / "cooled.yaml").write_text(MAP.replace("{level", "{mode: cooling, level"), encoding="utf-8")
+    words = ("summer.csv", "--map", "cooled.yaml", "--no-fit", "--start", "2025-08-01", "--out", "probe.csv")
+    done = tf_mpc(tmp_path, "data", "probe-plan", *words)
+    assert done.exit_code == 0, done.output
+    assert "its level hardly changes" in done.output
+    times = pd.read_csv(tmp_path / "probe.csv")["time"].tolist()
+    assert times[0] == "2025-08-01 07:00:00+02:00"
+    assert {time[11:] for time in times if time[11:13] > "21"} == {"22:00:00+02:00"}
+
+
+def test_a_starting_map_is_printed(folder):
+    done = tf_mpc(folder, "data", "map", "probed.csv")
+    assert done.exit_code == 0, done.output
+    rules = yaml.safe_load(done.output)
+    assert rules["zones"]["room_k"]["temperature"] == {"column": "room_K", "unit": "K"}
+    assert rules["outdoor"]["column"] == "out_F"
+
+
+def test_a_record_that_tells_needs_no_probing(folder):
+    done = tf_mpc(folder, "data", "probe-plan", "probed.csv", "--map", "map.yaml", "--out", "none.csv")
+    assert done.exit_code == 0, done.output
+    assert "Nothing needs to be probed" in done.output
+    assert not (folder / "none.csv").exists()
+
+
+def test_identify_below_the_bar_exits_with_4_and_says_what_to_do(folder):
+    words = ("--data", "operated.csv", "--map", "map.yaml", "--out", str(folder / "weak"), *LINEAR)
+    done = tf_mpc(folder, "identify", *words)
+    assert done.exit_code == 4, done.output
+    assert "tf-mpc data probe-plan" in done.output
+    words = ("--model", str(folder / "weak"), "--data", "operated.csv", "--map", "map.yaml", "--forecast", "ahead.csv")
+    done = tf_mpc(folder, "plan", *words, "--out", "weak.csv")
+    assert done.exit_code == 4, done.output
+    assert "leave the building to its own control" in done.output
+    assert not (folder / "weak.csv").exists()
+
+
+def test_a_plan_is_a_table_a_file_and_a_picture(folder, model):
+    words = ("plan", "--model", str(model), "--data", "probed.csv", "--map", "map.yaml", "--forecast", "ahead.csv")
+    done = tf_mpc(folder, *words, "--out", "plan.csv", "--plot", "plan.png")
+    assert done.exit_code == 0, done.output
+    assert "Fri 24 Jan 00:00" in done.output
+    table = pd.read_csv(folder / "plan.csv", index_col=0, parse_dates=True)
+    assert len(table) == 36
+    assert str(table.index[0]) == "2025-01-24 00:00:00+01:00"
+    assert table["u"].between(0, 1).all()
+    np.testing.assert_allclose(table["cost"], table["power_W"] / 1000 * 0.3, atol=1e-3)
+    assert (table["T_zone_C"] + table["slack_K"] > 20.9).all()
+    assert (folder / "plan.png").stat().st_size > 10_000
+    done = tf_mpc(folder, *words, "--hours", "6", "--step", "30min", "--out", "plan.json")
+    assert done.exit_code == 0, done.output
+    found = json.loads((folder / "plan.json").read_text())
+    assert [found["rows"][k]["time"] for k in (0, -1)] == ["2025-01-24T00:00:00+01:00", "2025-01-24T05:30:00+01:00"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("data", "check", "none.csv", "--map", "map.yaml"), "none.csv: no such file"),
+        (("data", "check", "probed.csv", "--map", "other.yaml"), "no such file; `tf-mpc data map FILE` writes one"),
+        (("data", "probe-plan", "probed.csv", "--map", "map.yaml", "--levels", "1,0"), "start with 0"),
+        (("data", "probe-plan", "probed.csv", "--map", "map.yaml", "--start", "2024-01-01"), "before the end of"),
+        (("identify", "--data", "probed.csv"), "--data and --map belong together"),
+        (("identify", "--data", "probed.csv", "--map", "map.yaml", "--testcase", "x"), "--testcase is for probing"),
+        (("identify", "--data", "probed.csv", "--map", "map.yaml", "--set", "seed=1"), "identification.options"),
+        (("identify", "--data-days", "7"), "--data-days belongs to --data"),
+    ],
+)
+def test_bad_input_is_told_and_nothing_is_written(folder, words, message, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = sorted(path.name for path in folder.iterdir())
+    done = tf_mpc(folder, *words)
+    assert done.exit_code != 0
+    said = str(done.exception) if isinstance(done.exception, ThermoForceError) else done.output
+    assert message in said
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_a_plan_of_several_zones_has_a_column_for_each(tmp_path):
+    names = Names(("bath", "hall"), ("towel", "floor"), ("grid",))
+    n, two = 4, np.ones((2, 4))
+    at = pd.Timestamp("2025-01-01", tz="UTC")
+    time_s = np.arange(n) * 3600.0
+    plan = Plan(
+        (), PlanStatus.SOLVED, "", 0.5 * two, np.array([20.0, 21.0]), 20 * two, two, 19 * two, 22 * two, 0 * two,
+        np.full((1, n), 500.0), time_s, at, names=names,
+    )  # fmt: skip
+    edges, bound = np.arange(n + 1) * 3600.0, np.full((2, n + 1), 20.0)
+    price = np.linspace(0.1, 0.5, n + 1)[None]
+    ahead = Boundary(
+        edges, edges, edges, 0 * bound, bound, bound + np.array([[3.0], [4.0]]), price, 0 * price, names=names
+    )
+    table = plan_table(plan, ahead)
+    assert table["upper_C[hall]"].tolist() == [24.0] * n
+    np.testing.assert_allclose(table["cost"], 0.5 * price[0, :-1])
+    draw_plan(tmp_path / "plan.png", plan, table, ahead)
+    assert (tmp_path / "plan.png").stat().st_size > 10_000
+
+
+def test_a_plan_refuses_what_does_not_belong_together(folder, model):
+    words = ("plan", "--model", str(model), "--data", "probed.csv", "--map", "map.yaml", "--forecast")
+    for more, error, message in (
+        (("ahead.csv", "--hours", "40"), DataError, "covers 36 h"),
+        (("probed.csv",), DataError, "the measurements end at 2025-01-24"),
+        (("ahead.csv", "--set", "horizn_h=3"), ConfigError, "did you mean 'horizon_h'"),
+    ):
+        done = tf_mpc(folder, *words, *more, "--out", "refused.csv")
+        assert isinstance(done.exception, error)
+        assert message in str(done.exception)
+    (folder / "bath.yaml").write_text(MAP.replace("living", "bath"), encoding="utf-8")
+    other = [word.replace("map.yaml", "bath.yaml") for word in words]
+    assert "another building?" in str(tf_mpc(folder, *other, "ahead.csv").exception)
+    assert not (folder / "refused.csv").exists()
