@@ -188,7 +188,8 @@ class Assembly:
             cost_per_kW_h = float(price[m, -1] * (self._weights[a] * fixed_W[m, -1] + per_u_W[a, -1]))
             drive = float(pair.drive(np.array([self._actuators.each[a].highest]), features[z][None])[0])
             per_step = cost_per_kW_h / 1000.0 * self._step_s / HOUR_S
-            value[z, a, -1] = self._config.objective.terminal_value * per_step / (pair.gains[-1] * drive)
+            stored = pair.gains[-1] * drive
+            value[z, a, -1] = self._config.objective.terminal_value * per_step / stored if stored else 0.0
         return value
 
 

@@ -77,6 +77,23 @@ def test_no_effect_is_found_where_there_is_none(coupled):
     assert none is None or effect_K(none) < 0.05 * effect_K(coupled.operator.pairs[0][0])
 
 
+def test_a_valve_without_effect_does_not_refuse_the_rest():
+    r = two_rooms(coupled=False)
+    rng = np.random.default_rng(1)
+    T = r.T_zone_C.copy()
+    T[1] = 20.0 + 0.02 * np.cumsum(rng.standard_normal(T.shape[1]))  # the sensor hangs elsewhere
+    model = identify([replace(r, T_zone_C=T)], config=LINEAR, layout=LAYOUT)
+    first, second = (card.competence for card in model.cards)
+    assert first.competent
+    assert not second.competent
+    assert "no effect of the actuator" in second.reasons[0]
+
+
+def test_cross_effects_can_be_left_out():
+    model = identify([two_rooms(coupled=True)], config=LINEAR.model_copy(update={"cross_effects": False}), layout=LAYOUT)
+    assert [[pair is not None for pair in row] for row in model.operator.pairs] == [[True, False], [False, True]]
+
+
 def test_the_card_says_how_well_each_pair_is_known(coupled):
     known = coupled.cards[1].uncertainty
     mean, sd = known["step_response_8h_K[floor]"], known["step_response_8h_sd_K[floor]"]

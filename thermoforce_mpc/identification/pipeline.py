@@ -125,6 +125,7 @@ def identify(
             data,
             notes[a],
             power[layout.machine_of[a]] if len(layout.fed_by(layout.machine_of[a])) == 1 else None,
+            alone=len(layout.home) == 1,
         )
         who = "" if layout.names.single else f"{layout.names.actuators[a]} on {layout.names.zones[home]}: "
         try:

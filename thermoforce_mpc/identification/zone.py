@@ -28,6 +28,7 @@ from thermoforce_mpc.identification.regression_data import OtherActuator, pair_r
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -57,6 +58,8 @@ class ZoneTask:
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
+        alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
+            its model is returned, not competent.
     """
 
     runs: Sequence[Record]
@@ -70,6 +73,7 @@ class ZoneTask:
     data: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
     power: PowerModel | None = None
+    alone: bool = True
 
 
 def identify_zone(
@@ -78,7 +82,7 @@ def identify_zone(
     """Return the zone's model and its linear fit, None with method two_stage.
 
     Raises:
-        DataError: the action explains too little, or its effect has no proven sign.
+        DataError: the action explains too little (where it is alone), or its effect has no proven sign.
     """
     runs, pairs, sign, notes = task.runs, task.pairs, task.sign, list(task.notes)
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
@@ -101,29 +105,35 @@ def identify_zone(
             runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, sign, task.step_s, task.source,
             notes, say, task.power,
         )  # fmt: skip
-    model = _accepted(model, cases, sign)
+    model = _accepted(model, cases, sign, task.alone)
     say(f"identified an operator of order {model.operator.order}")
     return model, fit
 
 
-def _accepted(model: ZoneModel, cases: Sequence[Case], sign: int) -> ZoneModel:
-    """`model`, with the share that its actions explain on its card.
+def _accepted(model: ZoneModel, cases: Sequence[Case], sign: int, alone: bool) -> ZoneModel:
+    """`model`, with the share that its actions explain on its card, and not competent where that is too little.
 
     Raises:
-        DataError: they explain too little, or their effect has no proven sign.
+        DataError: they explain too little and the actuator is `alone`, or their effect has no proven sign.
     """
     explained = explained_share(cases, model.operator)
-    _check_explained(explained, cases, sign)
+    missing = _unexplained(explained, cases, sign)
+    if missing and alone:
+        raise DataError(missing)
     prove(model.operator)
     scores = {**model.card.scores, "explained_by_actuation": explained}
-    return replace(model, card=replace(model.card, scores=scores))
+    verdict = model.card.competence
+    if missing:
+        verdict = replace(verdict or Competence(False), competent=False, reasons=(missing,))
+    return replace(model, card=replace(model.card, scores=scores, competence=verdict))
 
 
-def _check_explained(explained: float, cases: Sequence[Case], sign: int) -> None:
+def _unexplained(explained: float, cases: Sequence[Case], sign: int) -> str:
+    """What is wrong where the action explains too little, and what to do; empty where it explains enough."""
     if explained >= _LEAST_EXPLAINED:
-        return
+        return ""
     dark = not any(np.any(h.solar_W_m2) for case in cases for h in case.histories)
-    raise DataError(
+    return (
         f"no effect of the actuator with the sign of {'heating' if sign > 0 else 'cooling'} was found in the data: it "
         f"explains {100 * max(explained, 0.0):.1f} % of what the weather does not, need {100 * _LEAST_EXPLAINED:g} %; "
         "check the sign of u, whether the actuator reached the zone, and that the zone sensor is in the room that it "
@@ -207,7 +217,6 @@ def _joint_model(
         shape, told_of_shape = level_shape(histories, regressions, final, priors, config, power, sign)
         notes = [*notes, *told_of_shape]
     explained = explained_share(cases, operator)
-    _check_explained(explained, cases, sign)
     verdict = judge(
         cases, splits, candidates[order].fit, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0
     )
