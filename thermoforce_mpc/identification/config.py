@@ -69,6 +69,7 @@ class IdentificationConfig(StrictModel):
         description="exponent of the radiator map with which the levels were recorded: it is then estimated; "
         "set from the test case",
     )
+    cross_effects: bool = Field(True, description="effects of an actuator on zones other than its home")
     modulation: Literal["neural", "linear"] = Field("neural", description="gain m(x) of the paper, or m = 1")
     feedback: bool = Field(
         False,

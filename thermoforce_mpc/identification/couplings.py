@@ -31,6 +31,12 @@ _LEAST_EFFECT_K = 0.02
 _NOT_TOLD = 0.9
 
 
+def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]:
+    """The actuators whose effect on the home zone of `a` is estimated beside its own."""
+    home = layout.home
+    return [b for b in range(len(home)) if b != a and (config.cross_effects or home[b] == home[a])]
+
+
 def other_actuator(
     layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig, own: int, other: int
 ) -> OtherActuator:
@@ -66,7 +72,7 @@ def assembled(
             continue  # effects of the others on a zone are those of the fit of its first actuator
         told = dict(cards[a].uncertainty)
         notes = list(cards[a].notes)
-        for k, b in enumerate(b for b in range(A) if b != a):
+        for k, b in enumerate(others_of(layout, a, config)):
             if layout.home[b] == home:
                 continue
             answer = step_response(fit.of_other(k), STEP_RESPONSE_H[-1], HOUR_S)

@@ -17,7 +17,7 @@ from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.couplings import assembled, other_actuator
+from thermoforce_mpc.identification.couplings import assembled, other_actuator, others_of
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.records import (
     Pair,
@@ -111,7 +111,7 @@ def identify(
     zones: list[ZoneModel] = []
     fits: list[JointFit | None] = []
     for a, home in enumerate(layout.home):
-        order = [a, *(b for b in range(len(layout.home)) if b != a)]
+        order = [a, *others_of(layout, a, config)]
         area = layout.floor_area_m2[home]
         task = ZoneTask(
             [h.part(home, order, [layout.machine_of[a]]) for h in runs],

@@ -1,23 +1,43 @@
-"""`tf-mpc bench zones`: the default configuration on buildings of several zones, beside two baselines."""
+"""`tf-mpc bench zones`: the default configuration on buildings of several zones, beside two baselines and two rivals.
+
+The rivals show what treating the zones together is worth: the same controller whose zones were identified without
+effects across them, and one controller per zone (`research.zones.apart`).
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.errors import ThermoForceError
+from controllers.mpc_config import MPCConfig
+from controllers.registry import controller_config
+from thermoforce_mpc.data import Record
+from thermoforce_mpc.errors import DataError, ThermoForceError
+from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.research.bench.boptest import verdict_in_words
 from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.research.bench.zone_scaling import solve_times
+from thermoforce_mpc.research.zones.apart import OnePerZone
+from thermoforce_mpc.research.zones.effects import PairScore, score_pairs, worst
+from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.identifying import identification_task, run_identification
 from thermoforce_mpc.simulation.run import run
 
 CONTROLLER, BASELINES = "thermoforce_mpc", ("native", "thermostat")
+# The same controller with zones identified without effects across them, and one controller per zone.
+WITHOUT, PER_ZONE = "without cross-effects", "one per zone"
 # Windows by building: two cold and a mild one; the office, which is cooled too, has a hot one.
 HOUSE, OFFICE, APARTMENT = "house:5rooms", "energyplus:small_office", "twozone_apartment_hydronic"
 _WINDOWS = {
@@ -25,12 +45,14 @@ _WINDOWS = {
     OFFICE: ("peak_heat_day", "cold_day", "mix_day", "peak_cool_day"),
     APARTMENT: ("peak_heat_day", "typical_heat_day"),
 }
-_DAYS = {HOUSE: 7.0, OFFICE: 14.0, APARTMENT: 14.0}
+_DAYS = {HOUSE: 7.0, OFFICE: 7.0, APARTMENT: 14.0}
 _QUICK_DAYS = 2.0
 # Days of probing: all of them, whatever the verdict.
 _PROBING_DAYS = 3.0
 # Discomfort that counts as none, K·h per zone, and goals of the solve time: exponent, and ms for five zones.
 _COMFORTABLE_Kh, _LINEAR, _FIVE_ZONES_MS = 0.5, 1.0, 20.0
+# Goals of the effects of single actuators: error over RMS, and share of the steps with the right sign.
+_EFFECT, _SIGN = 0.15, 0.98
 
 Row = dict[str, Any]
 
@@ -52,24 +74,41 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """KPIs by controller, plans by status, verdicts, wall time s; `failed`: the reason."""
+    """KPIs by controller, plans by status, verdicts, wall time s; `failed`: the reason.
+
+    `effects`: scores of the pairs of zone and actuator, where the plant can be run from one state again. `refused`: why
+    a rival could not be built, by name.
+    """
 
     case: Case
     kpis: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     statuses: Mapping[str, int] = field(default_factory=dict)
     model: str = ""
+    effects: Sequence[PairScore] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
     failed: str = ""
     seconds: float = 0.0
 
     def row(self) -> Row:
         """Table row: cost per m² and discomfort K·h, the mean over zones."""
         row: Row = {"building": self.case.testcase, "window": self.case.period}
-        for name in (CONTROLLER, *BASELINES):
+        for name in (CONTROLLER, *BASELINES, WITHOUT, PER_ZONE):
             kpis = self.kpis.get(name)
-            row[name] = f"{kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f}" if kpis else "–"
+            row[name] = f"{kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f}" if kpis else self.refused.get(name, "–")
         row["plans"] = self.failed or ", ".join(f"{name} {n}" for name, n in self.statuses.items() if n)
         row["model"] = self.model or "–"
         return row
+
+    def effect_rows(self) -> list[Row]:
+        """Table rows: a pair each, its RMS and the error of its prediction, K."""
+        return [
+            {
+                "building": f"{self.case.testcase}, {s.actuator} on {s.zone}",
+                "window": self.case.period,
+                CONTROLLER: f"effect {s.effect_rms_K:.3f} K RMS, error {s.rmse_K:.3f} K, sign right {s.sign_right:.1%}",
+            }
+            for s in self.effects
+        ]
 
 
 def run_zones_bench(
@@ -97,7 +136,7 @@ def run_zones_bench(
     outcomes = in_processes(run_case, cases, jobs, on_done)
     progress("timing a step over the number of zones")
     times = {zones: 1e3 * s for zones, s in solve_times((1, 2, 5) if quick else (1, 2, 5, 10, 20)).items()}
-    rows: list[Row] = [o.row() for o in outcomes]
+    rows: list[Row] = [*(o.row() for o in outcomes), *(row for o in outcomes for row in o.effect_rows())]
     rows += [
         {"building": f"{zones} zones, solve of 48 h at 15 min", "window": f"{ms:.1f} ms"} for zones, ms in times.items()
     ]
@@ -117,24 +156,53 @@ def _cases(fmus: Path | None, quick: bool) -> list[Case]:
 
 
 def run_case(case: Case) -> Outcome:
-    """Run the MPC and the baselines over one window; a failure is recorded in the outcome."""
+    """Run the MPC, baselines and rivals over one window; a failure is recorded in the outcome."""
     began = time.perf_counter()
-    plant: dict[str, Any] = {} if case.fmu is None else {"kind": "fmu", "path": str(case.fmu)}
     try:
-        done = run(
-            case.testcase,
-            plant=plant,
-            period=case.period,
-            days=case.days,
-            baselines=list(BASELINES),
-            identification={"days": _PROBING_DAYS, "most_days": _PROBING_DAYS},
-            progress=False,
-        )
+        outcome = _run(case)
     except ThermoForceError as error:
-        return Outcome(case, failed=f"{type(error).__name__}: {error}", seconds=time.perf_counter() - began)
-    found = done.models.get(CONTROLLER)
-    words = "none" if found is None else verdict_in_words(found)
-    return Outcome(case, done.kpis, done.result.fallback_levels(), words, seconds=time.perf_counter() - began)
+        outcome = Outcome(case, failed=f"{type(error).__name__}: {error}")
+    return replace(outcome, seconds=time.perf_counter() - began)
+
+
+def _run(case: Case) -> Outcome:
+    settings: dict[str, Any] = {
+        "plant": {} if case.fmu is None else {"kind": "fmu", "path": str(case.fmu)},
+        "period": case.period,
+        "days": case.days,
+        "identification": {"days": _PROBING_DAYS, "most_days": _PROBING_DAYS},
+    }
+    scenario = load_scenario(None, {"testcase": case.testcase, "controller": {"name": CONTROLLER}, **settings})
+    testcase = validate_scenario(scenario)
+    records: list[Record] = []
+    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        task = identification_task(scenario, testcase)
+        model = run_identification(task, plant, records.append)
+        period = scored_period(plant, case.period, case.days)
+        effects = score_pairs(plant, model, period.start_s) if isinstance(plant, HouseOfRooms) else ()
+    done = run(case.testcase, model=model, baselines=list(BASELINES), progress=False, **settings)
+    kpis: dict[str, Mapping[str, float]] = dict(done.kpis)
+    refused: dict[str, str] = {}
+    try:
+        config = task.identification.model_copy(update={"cross_effects": False})
+        alone = identify(records[0], layout=testcase.layout, config=config, step_s=testcase.step_s)
+    except DataError as error:
+        refused = dict.fromkeys((WITHOUT, PER_ZONE), f"not identified: {error}")
+    else:
+        kpis[WITHOUT] = run(case.testcase, model=alone, progress=False, **settings).kpis[CONTROLLER]
+        kpis[PER_ZONE] = _per_zone(case, alone, settings)
+    return Outcome(case, kpis, done.result.fallback_levels(), verdict_in_words(model), effects, refused)
+
+
+def _per_zone(case: Case, model: ThermalModel, settings: Mapping[str, Any]) -> Mapping[str, float]:
+    """KPIs of one controller per zone."""
+    scenario = load_scenario(None, {"testcase": case.testcase, "controller": {"name": CONTROLLER}, **settings})
+    testcase = validate_scenario(scenario)
+    config = controller_config(CONTROLLER, controller_options(scenario, CONTROLLER), testcase)
+    assert isinstance(config, MPCConfig)
+    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        period = scored_period(plant, case.period, case.days)
+        return run_closed_loop(plant, OnePerZone(model, config), period, lowest=testcase.layout.lowest).kpis
 
 
 def targets(outcomes: Sequence[Outcome]) -> list[Target]:
@@ -154,6 +222,12 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
             better = min(native.get("tdis_tot", nan), thermostat.get("tdis_tot", nan))
             least = max(better, _COMFORTABLE_Kh)
         found.append(Target(f"{o.case.name}: discomfort per zone, K·h", discomfort, least))
+        if o.effects:
+            signs = [s.sign_right for s in o.effects if np.isfinite(s.sign_right)]
+            for whose, own in (("own", True), ("cross", False)):
+                name = f"{o.case.name}: largest error of {whose} effects over their RMS"
+                found.append(Target(name, worst(o.effects, own), _EFFECT))
+            found.append(Target(f"{o.case.name}: least share of right signs", min(signs), _SIGN, "at least"))
     return found
 
 
