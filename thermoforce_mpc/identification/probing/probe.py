@@ -26,6 +26,8 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 # Horizon over which the tightest comfort bound is taken, so that the zone can meet the occupied bounds.
 _BAND_AHEAD_S = DAY_S
+# Share of the steps between two choices of draws below which an actuator was hardly used.
+_IDLE_SHARE = 0.1
 
 
 class ProbingConfig(StrictModel):
@@ -228,6 +230,7 @@ class _Levels:
         self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(_seed(seed)))
         self._trial = LevelTrial(c.trial_levels, c.trial_steps)
         self._applied = 0.0
+        self._stays_C = float("nan")
 
     def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
         """The level of the next step.
@@ -238,7 +241,10 @@ class _Levels:
             ahead: those until the next choice of draws; None where draws are not chosen now.
         """
         c = self._config
-        centre = _centre_C(band, self._sign, c.above_lower_K)
+        if ahead is not None and self._idle(record):
+            # Neighbours or sun hold the zone beyond the excursions: they then begin where it stays by itself.
+            self._stays_C = float(self._sign * np.min(self._sign * record.T_zone_C[0, -c.block_steps :]))
+        centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
             chosen, _ = self._designer.choose(
@@ -251,6 +257,26 @@ class _Levels:
             level = self._trial.applied(level, self._applied, max(c.levels))
         self._applied = self._polite(level, centre, band, record)
         return Block(self._applied, c.step_s)
+
+    def _idle(self, record: Record) -> bool:
+        """Whether the actuator was hardly used since the last choice of draws."""
+        u = record.u[0, -self._config.block_steps :]
+        return u.size == self._config.block_steps and float(np.mean(u > 0.0)) < _IDLE_SHARE
+
+    def _centre_C(self, band: Boundary) -> float:
+        """Centre of the excursions, °C: just inside the tightest bound of `band`, or where the zone stays by itself.
+
+        The excursions then still end inside the other bound.
+        """
+        c = self._config
+        if self._sign > 0:
+            tight, most = float(band.lower_C.max()) + c.above_lower_K, float(band.upper_C.min()) - c.above_K
+        else:
+            tight, most = float(band.upper_C.min()) - c.above_lower_K, float(band.lower_C.max()) + c.above_K
+        if not np.isfinite(self._stays_C):
+            return tight
+        low, high = sorted((tight, most))
+        return float(np.clip(self._stays_C, low, high)) if self._sign * (most - tight) > 0 else tight
 
     def learn(self, step: Record) -> None:
         """Learn from the step that was just made."""
@@ -286,10 +312,3 @@ def _candidates(c: ProbingConfig, seed: tuple[int, ...], done: int) -> list[Cand
     middle = max(1, len(holds) // 2)
     kinds = (tuple(holds), tuple(holds[:middle]), tuple(holds[-middle:]))
     return [Candidate(_law(c, kinds[k % len(kinds)]), (*seed, done, k)) for k in range(c.candidates)]
-
-
-def _centre_C(ahead: Boundary, sign: float, offset_K: float) -> float:
-    """Return the centre of the excursions, °C: `offset_K` inside the tightest bound of `ahead`, lower for heating."""
-    if sign > 0:
-        return float(ahead.lower_C.max()) + offset_K
-    return float(ahead.upper_C.min()) - offset_K
