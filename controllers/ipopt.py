@@ -107,7 +107,8 @@ class IpoptSolver:
             loads = sum(float(machinery.share[a]) * heat[a, :] for a in fed)
             if number in shared:
                 runs_m = runs[int(np.flatnonzero(shared == number)[0]), of_step]
-                constraints += [ca.vec(runs_m - share) for share in (*(on[a] for a in fed), loads)]
+                longest = () if machinery.by_load[number] else (on[a] for a in fed)
+                constraints += [ca.vec(runs_m - share) for share in (*longest, loads)]
             else:
                 runs_m = on[fed[0]]
             if machinery.share[fed].any():

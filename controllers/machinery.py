@@ -26,6 +26,8 @@ class Machinery:
         machine_of: number of the machine that feeds each actuator (A,).
         share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
             the actuators of a machine of share · u is at most 1.
+        modulates: of each machine that feeds several, whether it delivers what they take together, (M,): its share of
+            running is then the sum of share · u; otherwise it runs in full as long as the longest of them acts.
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
 
     Raises:
@@ -39,6 +41,7 @@ class Machinery:
     u_min: Array
     machine_of: NDArray[np.intp]
     share: Array
+    modulates: tuple[bool, ...] = ()
     exclusive: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -61,6 +64,8 @@ class Machinery:
                 )
             if not 0 <= self.machine_of[a] < M:
                 raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
+        if self.modulates and len(self.modulates) != M:
+            raise ControllerConfigError(f"modulates of {M} machines: found {len(self.modulates)} values")
         idle = [name for m, name in enumerate(self.machines) if m not in self.machine_of]
         if idle:
             raise ControllerConfigError(f"machine {', '.join(idle)} feeds no actuator")
@@ -100,6 +105,11 @@ class Machinery:
     def shared(self) -> NDArray[np.bool_]:
         """Whether each machine feeds more than one actuator, (M,)."""
         return np.asarray(np.bincount(self.machine_of, minlength=len(self.machines)) > 1)
+
+    @cached_property
+    def by_load(self) -> NDArray[np.bool_]:
+        """Whether each machine runs for the share of a step that its shared load asks, (M,)."""
+        return self.shared & np.array(self.modulates or [False] * len(self.machines))
 
     @cached_property
     def fed_by(self) -> Array:

@@ -8,6 +8,7 @@ For zones z, actuators a and machines m, over steps k,
                 lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   u_min,a ≤ u_ak ≤ u_max,a
                 P_mk = fixed_mk · on_mk + Σ_{a of m} per_u_ak u_ak
                 on_mk = max( max_{a of m} on_ak,  Σ_{a of m} share_a u_ak ),   on_ak = min(u_ak / lowest_a, 1)
+                on_mk = Σ_{a of m} share_a u_ak where a shared machine modulates
                 Σ_{a of m} share_a u_ak ≤ 1                      capacity of a machine
                 Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
@@ -17,7 +18,8 @@ For zones z, actuators a and machines m, over steps k,
 
 The free response T_free enters as fixed vectors. The slack s makes every instance feasible. λ is the value of the heat
 stored in the building at the end of the horizon. The on-blocks of a machine's actuators start together, so a shared
-machine runs as long as the longest of them, or as its capacity asks; with one actuator on_m is that actuator's share.
+machine that does not modulate runs as long as the longest of them, or as its capacity asks; with one actuator on_m is
+that actuator's share.
 """
 
 from __future__ import annotations
@@ -273,6 +275,9 @@ class MPCProblem:
         running = []
         for number in range(len(m.machines)):
             fed = m.machine_of == number
+            if m.by_load[number] and loads is not None:
+                running.append(loads[..., fed, :].sum(axis=-2))
+                continue
             longest = on[..., fed, :].max(axis=-2)
             running.append(longest if loads is None else np.maximum(longest, loads[..., fed, :].sum(axis=-2)))
         return np.stack(running, axis=-2)

@@ -241,7 +241,7 @@ class Programme:
                 row(moves, shares, -np.inf, 1.0)
             if any(shares):
                 row([self._runs[i], *moves], [1.0, *(-share for share in shares)], 0.0, np.inf)
-            for a in fed:
+            for a in () if machinery.by_load[number] else fed:
                 held = self._held_moves[a]
                 for j in (np.flatnonzero(~held), np.flatnonzero(held)):
                     if j.size and not held[j[0]]:

@@ -90,7 +90,8 @@ def test_a_valve_without_effect_does_not_refuse_the_rest():
 
 
 def test_cross_effects_can_be_left_out():
-    model = identify([two_rooms(coupled=True)], config=LINEAR.model_copy(update={"cross_effects": False}), layout=LAYOUT)
+    apart = LINEAR.model_copy(update={"cross_effects": False})
+    model = identify([two_rooms(coupled=True)], config=apart, layout=LAYOUT)
     assert [[pair is not None for pair in row] for row in model.operator.pairs] == [[True, False], [False, True]]
 
 

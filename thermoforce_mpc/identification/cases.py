@@ -95,7 +95,13 @@ def power_of_machine(
     signed = any(layout.lowest[a] < 0.0 for a in fed)
     measured = np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() >= _MEASURED
     if not (signed and measured and len(fed) > 1):
-        return power_model(records, config, signed=signed)
+        together = power_model(records, config, signed=signed)
+        if together is None or signed or len(fed) == 1:
+            return together
+        longest = [replace(r, u=h.u[fed].max(axis=0)) for r, h in zip(records, histories, strict=True)]
+        alone = power_model(longest, config)
+        # Which law holds shows in the record: power by what they take together, or by the longest of them.
+        return replace(together, modulates=alone is None or together.rmse_W < alone.rmse_W)
     weights = np.array([layout.shares[a] or 1.0 for a in fed])
     u = np.concatenate([h.u[fed] for h in histories], axis=1)
     return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))

@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Layout
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit
-from thermoforce_mpc.identification.modes import mode_priors
+from thermoforce_mpc.identification.modes import mode_priors, neighbour_rate
 from thermoforce_mpc.identification.regression_data import OtherActuator
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H, step_response
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -41,15 +41,29 @@ def other_actuator(
     layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig, own: int, other: int
 ) -> OtherActuator:
     """What actuator `other` may do to the home zone of `own`, before the data are seen."""
-    area = layout.floor_area_m2[layout.home[own]]
-    prior = mode_priors(3, config, heat_inputs[own], area if np.isfinite(area) else None)
+    home, zone = layout.home[own], layout.home[other]
+    prior = mode_priors(3, config, heat_inputs[own], area_of(layout, home), share_of(layout, home))
     mean, sd = prior.gains_at(prior.log_tau)
     gain = float((mean[1:] + sd[1:]).sum())
     heat_input, sign = heat_inputs[other], layout.signs[other]
-    if layout.home[other] == layout.home[own]:
-        return OtherActuator(heat_input, sign, _SAME_ZONE_SLOPE_K_PER_H, gain)
+    if zone == home:
+        rate = float(prior.slowest_rate[0] + prior.slowest_rate[1])
+        return OtherActuator(heat_input, sign, _SAME_ZONE_SLOPE_K_PER_H, gain, (0.0, rate))
     slope = float(mean[0] + sd[0])
-    return OtherActuator(heat_input, sign, _NEIGHBOUR_SLOPE * slope, _NEIGHBOUR_GAIN * gain)
+    slowest = neighbour_rate(config, heat_input, area_of(layout, zone), share_of(layout, zone))
+    return OtherActuator(heat_input, sign, _NEIGHBOUR_SLOPE * slope, _NEIGHBOUR_GAIN * gain, slowest)
+
+
+def area_of(layout: Layout, zone: int) -> float | None:
+    """Floor area of a zone, m², None where it is unknown."""
+    area = layout.floor_area_m2[zone]
+    return float(area) if np.isfinite(area) else None
+
+
+def share_of(layout: Layout, zone: int) -> float:
+    """Share of a zone in the floor area of all zones; equal shares where areas are unknown."""
+    areas = np.asarray(layout.floor_area_m2, dtype=np.float64)
+    return float(areas[zone] / areas.sum()) if np.isfinite(areas).all() else 1.0 / areas.size
 
 
 def assembled(

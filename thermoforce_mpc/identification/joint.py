@@ -29,7 +29,7 @@ from thermoforce_mpc.identification.regression_data import (
     free_time_constants,
     likely_scale,
     other_columns,
-    other_prior_sd,
+    other_prior,
     scaled,
     start_sd,
 )
@@ -126,7 +126,7 @@ def fit_joint(
         objective=solution.objective,
         other_gains=solution.values[r : r + K * r].reshape(K, r),
         other_covariance=np.array([covariance[np.ix_(i, i)] for i in of_others]).reshape(K, 2 * r, 2 * r),
-        other_sd=other_prior_sd(regressions[0], r).reshape(K, r),
+        other_sd=other_prior(regressions[0], log_tau)[1].reshape(K, r),
     )
 
 
@@ -177,8 +177,8 @@ def system(
     runs = [i for i, regression in enumerate(regressions) if not regression.is_pair]
     n_starts = free_log_tau.size + 1
     mean, sd = priors.gains_at(log_tau)
-    mean = np.concatenate([mean, np.zeros(others)])
-    sd = np.concatenate([sd, other_prior_sd(regressions[0], log_tau.size)])
+    other_mean, other_sd = other_prior(regressions[0], log_tau)
+    mean, sd = np.concatenate([mean, other_mean]), np.concatenate([sd, other_sd])
     low = np.zeros(r)
     if runs:
         free_mean, free_sd, free_low = free_prior(free_log_tau.size)

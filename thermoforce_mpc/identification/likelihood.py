@@ -23,7 +23,7 @@ from thermoforce_mpc.identification.regression_data import (
     free_prior,
     free_time_constants,
     other_columns,
-    other_prior_sd,
+    other_prior,
     start_sd,
 )
 
@@ -68,15 +68,17 @@ def whitened(regression: RegressionData, values: Array) -> Array:
 
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     """Return mean and covariance of target − F in `regression` for these time constants."""
-    coupled = other_columns(regression, log_tau) * other_prior_sd(regression, log_tau.size)
+    of_others = other_columns(regression, log_tau)
+    other_mean, other_sd = other_prior(regression, log_tau)
+    expected, coupled = of_others @ other_mean, of_others * other_sd
     if regression.is_pair:
         noise = np.diag(np.diagonal(regression.factor) ** 2) + coupled @ coupled.T
-        return Residuals(np.zeros(regression.rows.size), noise)
+        return Residuals(expected, noise)
     noise = regression.factor @ regression.factor.T + coupled @ coupled.T
     shared, start = free_columns(regression, log_tau, free_time_constants(log_tau))
     mean, sd, _ = free_prior(free_time_constants(log_tau).size)
     columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)
-    return Residuals(mean=shared @ mean, covariance=noise + columns @ columns.T)
+    return Residuals(mean=expected + shared @ mean, covariance=noise + columns @ columns.T)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,12 @@ _REACH = 10.0
 # Priors for a heater of unknown heat: a heater sized for its house heats the structure by about 0.5 K/h.
 _WEAK_RATE_K_PER_H = (0.5, 0.5)
 _WEAK_GAIN_K = (2.0, 2.0)
+# Share of a zone's heat, mean and standard deviation, that spreads over the whole building within days instead of
+# staying in the zone's own structure.
+_SPREAD = (0.5, 0.35)
+# Relative standard deviation of the coupling of room and structure of a zone that is a small part of its building:
+# walls to its neighbours take heat as its own structure does.
+_NEIGHBOURS_COUPLING_SD = 1.0
 # Initial slope: near zero behind a delay mode (slab), else that of the first mode.
 _DELAYED_SLOPE_K_PER_H = (0.0, 0.1)
 _DIRECT_SLOPE_K_PER_H = (0.5, 0.7)
@@ -67,16 +73,26 @@ class ModePriors:
 
 
 def mode_priors(
-    order: int, config: IdentificationConfig, heat_input: HeatInput, floor_area_m2: float | None
+    order: int,
+    config: IdentificationConfig,
+    heat_input: HeatInput,
+    floor_area_m2: float | None,
+    share: float = 1.0,
 ) -> ModePriors:
-    """Return priors from floor area (m²) and heat input, or weak ones if either is unknown."""
+    """Return priors from floor area (m²) and heat input, or weak ones if either is unknown.
+
+    `share`: the zone's floor area over that of all zones, with which it exchanges heat.
+    """
     rate, gain = _WEAK_RATE_K_PER_H, _WEAK_GAIN_K
     if heat_input.heat is not None and floor_area_m2 is not None:
         watts = heat_input.reference_W / floor_area_m2
         per_hour = watts / config.heat_capacity_Wh_m2K
         above_structure = watts / config.room_coupling_W_m2K
         rate = (per_hour, per_hour * config.heat_capacity_sd)
-        gain = (above_structure, above_structure * config.room_coupling_sd)
+        coupling_sd = np.hypot(config.room_coupling_sd, _NEIGHBOURS_COUPLING_SD * (1.0 - share))
+        gain = (above_structure, above_structure * float(coupling_sd))
+    lost = _SPREAD[0] * (1.0 - share), _SPREAD[1] * (1.0 - share)
+    rate = (rate[0] * (1.0 - lost[0]), float(np.hypot(rate[1] * (1.0 - lost[0]), rate[0] * lost[1])))
     slope = config.start_slope_K_per_h or (_DELAYED_SLOPE_K_PER_H if order == 3 else _DIRECT_SLOPE_K_PER_H)
     middle = [gain] * (order - 2)
     known = [slope, *middle, (0.0, 0.0)][:order] if order > 1 else [slope]
@@ -87,6 +103,18 @@ def mode_priors(
         gain_sd=np.array([sd for _, sd in known]),
         slowest_rate=rate,
     )
+
+
+def neighbour_rate(
+    config: IdentificationConfig, heat_input: HeatInput, floor_area_m2: float | None, share: float
+) -> tuple[float, float]:
+    """Prior (mean, sd), K/h, of the slowest mode's rate in other zones; arguments as for `mode_priors`.
+
+    What leaves the zone warms the whole building; how it divides among the others is as uncertain as its amount.
+    """
+    alone, _ = mode_priors(3, config, heat_input, floor_area_m2).slowest_rate
+    spread = _SPREAD[0] * alone * share
+    return spread, spread
 
 
 def centred_priors(priors: ModePriors, log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:

@@ -15,9 +15,10 @@ import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.capacity import with_metered_shares
 from thermoforce_mpc.identification.cases import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.couplings import assembled, other_actuator, others_of
+from thermoforce_mpc.identification.couplings import area_of, assembled, other_actuator, others_of, share_of
 from thermoforce_mpc.identification.joint import JointFit
 from thermoforce_mpc.identification.records import (
     Pair,
@@ -103,6 +104,7 @@ def identify(
         heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a])
         heat_inputs.append(heat_input)
         notes.append([*gaps, *pair_gaps, *told])
+    layout = with_metered_shares(layout, heat_inputs, histories)
     power = [power_of_machine(histories, config, layout, m) for m in range(len(layout.names.machines))]
     for a, m in enumerate(layout.machine_of):
         law = power[m]
@@ -112,14 +114,14 @@ def identify(
     fits: list[JointFit | None] = []
     for a, home in enumerate(layout.home):
         order = [a, *others_of(layout, a, config)]
-        area = layout.floor_area_m2[home]
         task = ZoneTask(
             [h.part(home, order, [layout.machine_of[a]]) for h in runs],
             [p.part(home, order, [layout.machine_of[a]]) for p in pairs],
             heat_inputs[a],
             layout.signs[a],
             [other_actuator(layout, heat_inputs, config, a, b) for b in order[1:]],
-            area if np.isfinite(area) else None,
+            area_of(layout, home),
+            share_of(layout, home),
             step_s,
             source,
             data,

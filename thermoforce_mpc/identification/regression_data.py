@@ -52,7 +52,7 @@ class RegressionData:
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `factor` (rows, rows) lower Cholesky factor of
     the disturbance covariance, K; `inputs` (n, 8) weather of the steps, empty for a pair; `drives`: sign and drive v
     (n,) of each run. `others` (K, n): drives of the other actuators, signed by their sign, of a pair their difference;
-    `other_sd` (K, 2): prior standard deviations of their initial slope, K/h, and of their steady gains, K.
+    `other_priors` (K, 4): of their gains, see `OtherActuator`.
     """
 
     target: Array
@@ -62,7 +62,7 @@ class RegressionData:
     drives: tuple[tuple[int, Array], ...]
     inputs: Array
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
-    other_sd: Array = field(default_factory=lambda: np.empty((0, 2)))
+    other_priors: Array = field(default_factory=lambda: np.empty((0, 4)))
 
     @property
     def n_steps(self) -> int:
@@ -79,14 +79,16 @@ class RegressionData:
 class OtherActuator:
     """An actuator besides the zone's own: what it delivers, and its sign.
 
-    Its effect on the zone has a prior around zero: standard deviation `slope_sd` of the initial slope, K/h, and
-    `gain_sd` of the steady gain of each slower mode, K. A neighbour's heat comes through walls and doors: less, later.
+    Priors of its effect on the zone: standard deviations around zero, `slope_sd` of the initial slope, K/h, and
+    `gain_sd` of the steady gains of the modes between, K; `slowest_rate` (mean, sd), K/h, of G_r/τ_r of the slowest of
+    several modes.
     """
 
     heat_input: HeatInput
     sign: int
     slope_sd: float
     gain_sd: float
+    slowest_rate: tuple[float, float]
 
 
 def run_regression(
@@ -117,12 +119,12 @@ def run_regression(
         drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
         others=_other_drives(history, others),
-        other_sd=_other_sd(others),
+        other_priors=_other_priors(others),
     )
 
 
-def _other_sd(others: Sequence[OtherActuator]) -> Array:
-    return np.array([[o.slope_sd, o.gain_sd] for o in others]).reshape(len(others), 2)
+def _other_priors(others: Sequence[OtherActuator]) -> Array:
+    return np.array([[o.slope_sd, o.gain_sd, *o.slowest_rate] for o in others]).reshape(len(others), 4)
 
 
 def _other_drives(history: Record, others: Sequence[OtherActuator]) -> Array:
@@ -147,7 +149,7 @@ def pair_regression(pair: Pair, heat_input: HeatInput, others: Sequence[OtherAct
         drives=drives,
         inputs=np.empty((0, len(INPUTS))),
         others=_other_drives(pair.a, others) - _other_drives(pair.b, others),
-        other_sd=_other_sd(others),
+        other_priors=_other_priors(others),
     )
 
 
@@ -181,9 +183,16 @@ def other_columns(regression: RegressionData, log_tau: Array) -> Array:
     return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
 
 
-def other_prior_sd(regression: RegressionData, order: int) -> Array:
-    """Return the prior standard deviations of the columns of `other_columns`, shape (K r,)."""
-    return np.array([[slope, *[gain] * (order - 1)] for slope, gain in regression.other_sd]).ravel()
+def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
+    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
+    K, r = regression.others.shape[0], log_tau.size
+    slope, gain, rate, rate_sd = regression.other_priors.T
+    mean, sd = np.zeros((K, r)), np.repeat(gain[:, None], r, axis=1)
+    sd[:, 0] = slope
+    if r > 1:
+        tau = float(np.exp(log_tau[-1]))
+        mean[:, -1], sd[:, -1] = rate * tau, rate_sd * tau
+    return mean.ravel(), sd.ravel()
 
 
 def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:

@@ -55,6 +55,7 @@ class ZoneTask:
         sign: +1 if it heats, −1 if it cools.
         others: the other actuators of the building.
         floor_area_m2: of the zone; with measured heat it turns the physical priors on.
+        share: of the zone in the floor area of all zones.
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
@@ -68,6 +69,7 @@ class ZoneTask:
     sign: int
     others: Sequence[OtherActuator] = ()
     floor_area_m2: float | None = None
+    share: float = 1.0
     step_s: float | None = None
     source: str = "identified"
     data: Mapping[str, str] = field(default_factory=dict)
@@ -102,8 +104,8 @@ def identify_zone(
         model = two_stage_model(runs, pairs, task.data, config, task.heat_input, sign, task.step_s, task.source, notes)
     else:
         model, fit = _joint_model(
-            runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, sign, task.step_s, task.source,
-            notes, say, task.power,
+            runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, task.share, sign, task.step_s,
+            task.source, notes, say, task.power,
         )  # fmt: skip
     model = _accepted(model, cases, sign, task.alone)
     say(f"identified an operator of order {model.operator.order}")
@@ -149,6 +151,7 @@ def _joint_model(
     config: IdentificationConfig,
     heat_input: HeatInput,
     floor_area_m2: float | None,
+    share: float,
     sign: int,
     step_s: float | None,
     source: str,
@@ -161,10 +164,8 @@ def _joint_model(
     splits = held_out(cases, config)
 
     def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
-        return {
-            order: fit_and_judge(cases, splits, mode_priors(order, chosen, heat_input, floor_area_m2), config, sign)
-            for order in chosen.orders()
-        }
+        priors = (mode_priors(order, chosen, heat_input, floor_area_m2, share) for order in chosen.orders())
+        return {of.order: fit_and_judge(cases, splits, of, config, sign) for of in priors}
 
     def error_K(found: dict[int, Fitted]) -> float:
         best = found[choose_order(found)]

@@ -59,7 +59,8 @@ class PowerModel:
     """Electric power P(u, T_out, T_return) in W with the quality of its fit; `load.coefficients` are (c0 … c3).
 
     `water`: dependence on the return water temperature; None if that was not measured. `cooling`: load over −u at
-    levels below 0, where levels are signed; `load` then holds above 0.
+    levels below 0, where levels are signed; `load` then holds above 0. `modulates`: of a machine that feeds several,
+    whether its power follows what they take together rather than the longest of them.
     """
 
     load: MachineLoad
@@ -68,6 +69,7 @@ class PowerModel:
     source: str = "given"
     water: ReturnWater | None = None
     cooling: MachineLoad | None = None
+    modulates: bool = False
 
     def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
         """Return the mean electric power over a step for `u` in [0, 1] at `T_out_C` and `T_return_C` °C, W.

@@ -10,7 +10,6 @@ from thermoforce_mpc.scenario.testcase import TestCase, Weather
 def house_testcase(name: str) -> TestCase:
     """Return the test case of `house:Nrooms` or `house:Nrooms:SEED`; raises `InputError` for another name."""
     house = house_of_rooms(name)
-    total_W = float(house.design_heat_W.sum())
     zones = {
         zone: Zone(
             temperature=f"T_zone[{zone}]",
@@ -23,10 +22,8 @@ def house_testcase(name: str) -> TestCase:
         for zone, area, thermostat_C in zip(house.zones, house.floor_area_m2, house.thermostat_C, strict=True)
     }
     actuators = {
-        valve: ZoneActuator(
-            point=valve, zone=zone, machine="heat_pump", heat=(f"heat[{zone}]",), share=float(design_W) / total_W
-        )
-        for valve, zone, design_W in zip(house.actuators, house.zones, house.design_heat_W, strict=True)
+        valve: ZoneActuator(point=valve, zone=zone, machine="heat_pump", heat=(f"heat[{zone}]",), share=float(share))
+        for valve, zone, share in zip(house.actuators, house.zones, house.design_heat_W / house.capacity_W, strict=True)
     }
     return TestCase(
         name=name,

@@ -1,7 +1,8 @@
 """Effects of one actuator while the others act: the operator against pairs of runs of an emulated house of rooms.
 
 All valves follow drawn levels, and again with those of one valve drawn anew (paper eq:effect, per pair of zone and
-actuator). Both runs start in the same state under the same weather, so their difference is the effect.
+actuator). Both runs start in the same state under the same weather, so their difference is the effect. The levels are
+low enough for the heat pump's capacity: beyond it valves take heat from each other.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 STEP_S, HORIZON_H = 900.0, 24.0
 # True effects below this, K, have no sign that counts; pairs whose RMS stays below it are not scored.
 _LEAST_K = 0.05
-# Holding times of the drawn levels, steps, and days from one pair of runs to the next.
-_HOLD_STEPS, _APART_DAYS = (4, 8, 16), 1.0
+# Drawn levels, their holding times, steps, and days from one pair of runs to the next.
+_LEVELS, _HOLD_STEPS, _APART_DAYS = (0.0, 0.3, 0.6), (4, 8, 16), 1.0
 
 
 @dataclass(frozen=True)
@@ -93,10 +94,10 @@ def _followed(plant: HouseOfRooms, levels: Array) -> Array:
 
 
 def _levels(rng: np.random.Generator, n: int) -> Array:
-    """Levels (n,) drawn from off, half and full, each held for a while."""
+    """Levels (n,) drawn from `_LEVELS`, each held for a while."""
     out: list[float] = []
     while len(out) < n:
-        out += [float(rng.choice([0.0, 0.5, 1.0]))] * int(rng.choice(_HOLD_STEPS))
+        out += [float(rng.choice(_LEVELS))] * int(rng.choice(_HOLD_STEPS))
     return np.array(out[:n])
 
 

@@ -1,0 +1,57 @@
+"""Rooms that others keep warm are excited too, what a room loses warms the others, and what a shared machine can."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.modes import mode_priors, neighbour_rate
+from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
+from thermoforce_mpc.plants.rooms import house_of_rooms
+
+
+@pytest.fixture(scope="module")
+def record():
+    plant = house_of_rooms("house:5rooms")
+    return probe(plant, plant.period("cold_week").start_s, 2.0, seed=1, layout=plant.layout)
+
+
+def test_every_valve_is_opened_often_enough_to_be_told(record):
+    opened = (record.u > 0.0).mean(axis=1)
+    assert (opened > 0.1).all(), dict(zip(record.names.actuators, opened.round(3), strict=True))
+
+
+def test_warm_rooms_are_not_overheated_by_it(record):
+    upper = house_of_rooms("house:5rooms").forecast(DAY_S, 900.0).upper_C.max()
+    assert record.T_zone_C.max() < upper + 0.5
+
+
+def test_a_machines_capacity_and_power_are_those_of_the_record(record):
+    layout = house_of_rooms("house:5rooms").layout
+    model = identify([record], layout=layout, config=IdentificationConfig(modulation="linear", order=3))
+    most_W = record.heat_W.sum(axis=0).max()
+    heat = [model.operator.of_actuator(a).heat_input for a in range(5)]
+    full_W = sum(float(h(np.asarray(1.0), np.asarray(record.T_out_C.mean()))) * h.reference_W for h in heat)
+    assert sum(model.shares) == pytest.approx(full_W / most_W, rel=0.05)
+    assert sum(model.shares) > 1.1, "all valves together ask for more than the heat pump has"
+    (power,) = model.power
+    assert power.modulates
+    assert power.r2 > 0.95
+
+
+def test_what_a_zone_loses_warms_the_others():
+    config = IdentificationConfig()
+    alone = mode_priors(3, config, IDENTITY, None).slowest_rate[0]
+    share = 0.2
+    own = mode_priors(3, config, IDENTITY, None, share).slowest_rate[0]
+    others = neighbour_rate(config, IDENTITY, None, share)[0]
+    # Equal zones: five times the area of one, and the heat of one.
+    assert own + 4 * others == pytest.approx(alone)
+    assert 0.0 < others < own < alone
+    assert mode_priors(3, config, IDENTITY, None, 1.0).slowest_rate[0] == alone
+    np.testing.assert_array_equal(
+        mode_priors(3, config, IDENTITY, None, 1.0).gain_sd, mode_priors(3, config, IDENTITY, None).gain_sd
+    )
