@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -144,6 +145,92 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
     from thermoforce_mpc.research.bench.fallback import run_fallback_bench
 
     show(run_fallback_bench(quick=quick, progress=_progress), json_file)
+
+
+@command.command("factual")
+@click.option(
+    "--records",
+    type=_FOLDER,
+    multiple=True,
+    help="Folder with measured homes: the REFIT release, mons_house_30min.csv.gz, armadillo_H2_30min.csv. May be "
+    "given more than once.",
+)
+@click.option("--data", "files", multiple=True, metavar="FILE", help="Your own measurements; repeatable.")
+@click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map of --data.")
+@click.option("--from", "first", type=click.DateTime(), help="Leave out what was recorded before.")
+@click.option("--until", "last", type=click.DateTime(), help="Leave out what was recorded later.")
+@click.option("--home", "only", multiple=True, metavar="NAME", help="Only homes with NAME in their name.")
+@click.option(
+    "--all-meters", is_flag=True, help="Mons: appliances, lights and hot water may act too, not only heating."
+)
+@click.option(
+    "--days", type=click.IntRange(1, 30), multiple=True, help="Identification budget; may be given more than once."
+)
+@click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
+@click.option(
+    "--other", "others", multiple=True, metavar="NAME", help="Backbone for their table.  [default: the shipped ones]"
+)
+@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("runs/factual"),
+    show_default=True,
+    help="Folder for tables, figures, JSON and HTML page; a stopped run goes on from it.",
+)
+@_QUICK
+@_JSON
+def factual_command(
+    records: tuple[Path, ...],
+    files: tuple[str, ...],
+    map_file: Path | None,
+    first: datetime | None,
+    last: datetime | None,
+    only: tuple[str, ...],
+    all_meters: bool,
+    days: tuple[int, ...],
+    backbone: str,
+    others: tuple[str, ...],
+    workers: int,
+    out: Path,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Score few-shot forecasts of measured homes 6 h and 24 h ahead by every method of the paper.
+
+    Each record is cut into a fit part (30 days), a validation part (21) and a test part (28), from its start or --from.
+    Everything is chosen on the validation part; the test part is scored once.
+
+    \b
+    Example:
+      tf-mpc bench factual --records ../shared/real_house --until 2016-04-01
+    """
+    import pandas as pd
+
+    from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES
+    from thermoforce_mpc.research.bench.factual import run_factual_bench
+    from thermoforce_mpc.research.factual.readers import mapped_homes, read_homes
+
+    if bool(files) != bool(map_file) or not (records or files):
+        raise click.UsageError("give a folder with measured homes, --records FOLDER, or --data FILE --map map.yaml")
+    homes = [home for folder in records for home in read_homes(folder, all_meters=all_meters, say=_progress)]
+    homes += mapped_homes(files, map_file) if map_file else []
+    homes = [home for home in homes if not only or any(part.lower() in home.name.lower() for part in only)]
+    if not homes:
+        raise click.UsageError(f"--home {', '.join(only)}: no home has that in its name")
+    result = run_factual_bench(
+        homes,
+        out,
+        first=None if first is None else pd.Timestamp(first),
+        last=None if last is None else pd.Timestamp(last),
+        days=days,
+        backbone=backbone,
+        others=others or SHIPPED_SCALES,
+        quick=quick,
+        workers=workers,
+        progress=_progress,
+    )
+    show(result, json_file)
 
 
 @command.command("free-response")

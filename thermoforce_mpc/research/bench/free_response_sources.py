@@ -15,14 +15,12 @@ import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.research.factual.readers import MONS, MONS_ROOMS, mons_table
 
 # Time constants of the forced response that is subtracted from the controlled records; least squares with them has an
 # RMSE of 0.02 K on held-out pairs.
 _FORCED_TAU_H = np.array([0.45, 3.0, 48.0])
-_MONS_LATITUDE, _MONS_LONGITUDE, _MONS_TIMEZONE_H = 50.45, 3.95, 1.0
-_MONS_ROOMS = {"kitchen": "T1_degC", "living room": "T2_degC", "office": "T4_degC", "bedroom": "T8_degC"}
-# Weather is interpolated across gaps of at most this many steps; the temperature itself never is.
-_WEATHER_GAP_STEPS = 6
+_ROOMS = ("kitchen", "living room", "office", "bedroom")
 
 
 @dataclass(frozen=True)
@@ -68,20 +66,11 @@ def mons_sources(folder: Path) -> list[Source]:
 
     Sunlight was not measured; it is estimated from humidity and NaN on days without humidity.
     """
-    from thermoforce_mpc.boundary.weather.clearness import sunlight_from_humidity
-    from thermoforce_mpc.boundary.weather.solar import sun_position
-
-    frame = pd.read_csv(_existing(folder / "mons_house_30min.csv.gz"), parse_dates=["time"])
-    frame = frame.set_index("time").asfreq("30min").reset_index()
-    seconds: Array = np.asarray((frame["time"] - pd.Timestamp("2016-01-01")).dt.total_seconds(), dtype=np.float64)
-    sun = sun_position(seconds, _MONS_LATITUDE, _MONS_LONGITUDE, _MONS_TIMEZONE_H)
-    weather = frame[["T_out_degC", "RH_out_pct"]].interpolate(limit=_WEATHER_GAP_STEPS, limit_area="inside")
-    outdoor, humidity = weather["T_out_degC"].to_numpy(float), weather["RH_out_pct"].to_numpy(float) / 100.0
-    solar = sunlight_from_humidity(seconds, humidity, sun)
+    frame, seconds, outdoor, solar = mons_table(_existing(folder / MONS))
     nothing = np.full(seconds.size - 1, np.nan)
     sources = []
-    for room, column in _MONS_ROOMS.items():
-        measured = frame[column].to_numpy(float)
+    for room in _ROOMS:
+        measured = frame[MONS_ROOMS[room]].to_numpy(float)
         history = Record(seconds, measured, outdoor, solar, nothing, nothing, nothing)
         sources.append(
             Source(f"Mons {room}", "Mons", history, measured, context_steps=14 * 48, least_context_steps=7 * 48)

@@ -20,14 +20,14 @@ from thermoforce_mpc.research.interventions.methods.base import Training, best
 
 _LAGS_H = (0.5, 2.0, 8.0)
 # Feature sets by name: (differences from the day before, lags).
-_KINDS: dict[str, tuple[bool, tuple[float, ...]]] = {
+KINDS: dict[str, tuple[bool, tuple[float, ...]]] = {
     "instant covariates": (False, ()),
     "lagged covariates": (False, _LAGS_H),
     "instant changes since the day before": (True, ()),
     "lagged changes since the day before": (True, _LAGS_H),
 }
 _AR_LAGS_H = (0.5, 2.0, 8.0)
-_RIDGE = (1e-4, 1e-2, 1.0, 1e2, 1e4)
+RIDGES = (1e-4, 1e-2, 1.0, 1e2, 1e4)
 # Stride between the origins of the training forecasts, steps of 15 min.
 _STRIDE = 3
 _SUN_UNIT_W_M2 = 300.0
@@ -56,7 +56,9 @@ class CovariateForecast:
         """See `Predictor.respond`."""
         history, boundary = window.history, window.boundary
         median = self._free_response.forecast(history.T_zone_C[0], history, boundary).median_C
-        return np.stack([median + _features(history, boundary, row, self._kind, self._ar) @ self._weights for row in u])
+        return np.stack(
+            [median + covariate_features(history, boundary, row, self._kind, self._ar) @ self._weights for row in u]
+        )
 
 
 def build_covariates(training: Training, free_response: FreeResponse, *, autoregressive: bool) -> CovariateForecast:
@@ -65,12 +67,12 @@ def build_covariates(training: Training, free_response: FreeResponse, *, autoreg
     cases = [c for run in training.runs() for c in _cases(run, training.probe.history.n_steps, horizon, free_response)]
     target = np.concatenate([c.measured_C - c.forecast_C for c in cases])
     candidates = {}
-    for kind in _KINDS:
-        design = np.concatenate([_features(c.history, c.boundary, c.u, kind, autoregressive) for c in cases])
+    for kind in KINDS:
+        design = np.concatenate([covariate_features(c.history, c.boundary, c.u, kind, autoregressive) for c in cases])
         scale = np.maximum(design.std(axis=0), 1e-9)
         gram = (design / scale).T @ (design / scale)
         right = (design / scale).T @ target
-        for ridge in _RIDGE:
+        for ridge in RIDGES:
             weights = np.linalg.solve(gram + ridge * np.eye(gram.shape[0]), right) / scale
             name = f"{kind}, ridge {ridge:g}"
             candidates[name] = CovariateForecast(free_response, kind, autoregressive, weights, name)
@@ -88,9 +90,9 @@ def _cases(run: Record, first: int, horizon: int, free_response: FreeResponse) -
     return cases
 
 
-def _features(history: Record, boundary: Boundary, u: Array, kind: str, autoregressive: bool) -> Array:
+def covariate_features(history: Record, boundary: Boundary, u: Array, kind: str, autoregressive: bool) -> Array:
     """Features of the N steps, shape (N, p): covariates, instantaneous and lagged; decaying AR terms; constant 1."""
-    differs, lags_h = _KINDS[kind]
+    differs, lags_h = KINDS[kind]
     n, step_s = u.size, boundary.step_s
     per_day = round(DAY_S / step_s)
     # Difference of step k of the horizon to the same step a day earlier.

@@ -38,9 +38,9 @@ class GreyBox:
         past = window.history
         T0 = np.broadcast_to(past.T_zone_C[0, -na:], (u.shape[0], na))
         u_past = np.broadcast_to(past.u[0, past.n_steps - nb + 1 :], (u.shape[0], nb - 1))
-        weather = _weather(window.boundary.T_out_C, window.boundary.solar_W_m2)
+        weather = weather_columns(window.boundary.T_out_C, window.boundary.solar_W_m2)
         weather = np.broadcast_to(weather, (u.shape[0], *weather.shape))
-        return _rollout(self.weights, self.lags, T0, np.concatenate([u_past, u], axis=1), weather)
+        return rollout(self.weights, self.lags, T0, np.concatenate([u_past, u], axis=1), weather)
 
 
 def build_observational(training: Training) -> GreyBox:
@@ -61,8 +61,8 @@ def build_on_probe(training: Training) -> GreyBox:
 def _candidates(runs: Sequence[Record], horizon: int, orders: Sequence[tuple[int, int]]) -> dict[str, GreyBox]:
     out = {}
     for lags in orders:
-        one_step = _fit_one_step(runs, lags)
-        rolled = _fit_rollouts(runs, lags, one_step, horizon)
+        one_step = fit_one_step(runs, lags)
+        rolled = fit_rollouts(runs, lags, one_step, horizon)
         for name, weights in (("one-step", one_step), ("rollout", rolled)):
             gain = float(weights[lags[0] : sum(lags)].sum())
             note = f"{lags[0]} lags of T, {lags[1]} of u, {name} errors, gain {gain:+.3f} K per step"
@@ -70,13 +70,14 @@ def _candidates(runs: Sequence[Record], horizon: int, orders: Sequence[tuple[int
     return out
 
 
-def _weather(T_out_C: Array, solar_W_m2: Array) -> Array:
+def weather_columns(T_out_C: Array, solar_W_m2: Array) -> Array:
     """Mean outdoor temperature, mean irradiance and 1 of each step, shape (n, 3)."""
     outdoor, sun = (0.5 * (x[:-1] + x[1:]) for x in (T_out_C, solar_W_m2 / _SUN_UNIT_W_M2))
     return np.stack([outdoor, sun, np.ones(outdoor.size)], axis=1)
 
 
-def _fit_one_step(runs: Sequence[Record], lags: tuple[int, int]) -> Array:
+def fit_one_step(runs: Sequence[Record], lags: tuple[int, int]) -> Array:
+    """Least-squares weights of one-step errors over `runs`, which have no gaps; order and units as `GreyBox`."""
     na, nb = lags
     longest = max(lags)
     designs, targets = [], []
@@ -84,7 +85,7 @@ def _fit_one_step(runs: Sequence[Record], lags: tuple[int, int]) -> Array:
         t = np.arange(longest - 1, run.n_steps)
         T = np.stack([run.T_zone_C[0, t - i] for i in range(na)], axis=1)
         u = np.stack([run.u[0, t - i] for i in range(nb)], axis=1)
-        designs.append(np.concatenate([T, u, _weather(run.T_out_C, run.solar_W_m2)[t]], axis=1))
+        designs.append(np.concatenate([T, u, weather_columns(run.T_out_C, run.solar_W_m2)[t]], axis=1))
         targets.append(run.T_zone_C[0, t + 1])
     design, target = np.concatenate(designs), np.concatenate(targets)
     scale = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-9)
@@ -93,12 +94,13 @@ def _fit_one_step(runs: Sequence[Record], lags: tuple[int, int]) -> Array:
     return np.asarray(np.linalg.solve(gram, scaled.T @ target) / scale)
 
 
-def _fit_rollouts(runs: Sequence[Record], lags: tuple[int, int], start: Array, horizon: int) -> Array:
+def fit_rollouts(runs: Sequence[Record], lags: tuple[int, int], start: Array, horizon: int) -> Array:
+    """Weights from `start` on that minimise the errors of rollouts over `horizon` steps."""
     na, nb = lags
     first = max(lags) - 1
     T0, u, weather, target = [], [], [], []
     for run in runs:
-        drivers = _weather(run.T_out_C, run.solar_W_m2)
+        drivers = weather_columns(run.T_out_C, run.solar_W_m2)
         for t in range(first, run.n_steps - horizon + 1, _STRIDE):
             T0.append(run.T_zone_C[0, t - na + 1 : t + 1])
             u.append(run.u[0, t - nb + 1 : t + horizon])
@@ -109,13 +111,13 @@ def _fit_rollouts(runs: Sequence[Record], lags: tuple[int, int], start: Array, h
 
     def errors(weights: Array) -> Array:
         with np.errstate(over="ignore", invalid="ignore"):
-            rolled = _rollout(weights, lags, *arrays)
+            rolled = rollout(weights, lags, *arrays)
         return np.nan_to_num(np.clip(rolled - measured, -1e3, 1e3), nan=1e3).ravel()
 
     return np.asarray(least_squares(errors, start, x_scale="jac", max_nfev=_ROUNDS).x)
 
 
-def _rollout(weights: Array, lags: tuple[int, int], T0: Array, u: Array, weather: Array) -> Array:
+def rollout(weights: Array, lags: tuple[int, int], T0: Array, u: Array, weather: Array) -> Array:
     """Temperatures of the N steps, shape (M, N), from `T0` (M, na), `u` (M, nb − 1 + N) and `weather` (M, N, 3)."""
     na, nb = lags
     a, g, w = weights[:na], weights[na : na + nb], weights[na + nb :]

@@ -1,0 +1,1 @@
+"""The paper's factual suite: few-shot forecasts of measured buildings. Read `homes`, `protocol`, `evaluate`."""

@@ -1,0 +1,120 @@
+"""The suite over all homes: one process per core, each home's scores kept in a file so that a stopped run goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.research.bench.processes import in_processes
+from thermoforce_mpc.research.factual.evaluate import BEST, RAW, Evaluation, Scores
+from thermoforce_mpc.research.factual.homes import Home, Prepared, prepared
+from thermoforce_mpc.research.factual.protocol import Protocol
+from thermoforce_mpc.simulation.run_folder import write_json
+from thermoforce_mpc.version import VERSION
+
+Say = Callable[[str], None]
+
+_Task = tuple[Prepared, Protocol, str, tuple[str, ...]]
+
+
+def run_suite(
+    homes: Sequence[Home],
+    protocol: Protocol,
+    folder: Path,
+    *,
+    backbone: str = "shipped",
+    others: Sequence[str] = (),
+    workers: int = 2,
+    say: Say = lambda line: None,
+) -> tuple[list[Scores], dict[str, str], int]:
+    """Score every home; returns the scores, why homes were left out, and how many were computed in this call.
+
+    Args:
+        homes: as read.
+        protocol: how they are cut and scored.
+        folder: where each home's scores are kept; those of the same settings and data are read, not computed.
+        backbone: weights of the forecaster.
+        others: further backbones for their table.
+        workers: number of processes (1: this process); results do not depend on it.
+        say: callback for progress lines.
+
+    Raises:
+        BackboneError: the forecaster's weights cannot be loaded.
+        DataError: no home can be scored; the message says why not.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    left_out: dict[str, str] = {}
+    found: dict[str, Scores] = {}
+    tasks: list[_Task] = []
+    keys: dict[str, str] = {}
+    for home in homes:
+        try:
+            ready = prepared(home, protocol)
+        except DataError as error:
+            left_out[home.name] = str(error)
+            say(f"left out: {error}")
+            continue
+        keys[home.name] = _key(ready, protocol, backbone, others)
+        kept = _read(_file(folder, home.name), keys[home.name])
+        if kept:
+            found[home.name] = kept
+            say(f"{home.name}: scores of an earlier run with the same settings and data")
+        else:
+            tasks.append((ready, protocol, backbone, tuple(others)))
+    if not tasks and not found:
+        raise DataError("no home can be scored: " + "; ".join(left_out.values()))
+    done = 0
+
+    def keep(scores: Scores) -> None:
+        nonlocal done
+        done += 1
+        write_json(_file(folder, scores.home), {"key": keys[scores.home], "scores": asdict(scores)})
+        found[scores.home] = scores
+        raw, best = scores.errors[RAW]["0"], scores.errors[BEST][str(protocol.main_days)]
+        told = ", ".join(f"{h} h {best[h]:.3f} K (raw {raw[h]:.3f})" for h in raw)
+        say(f"{done} of {len(tasks)}: {scores.home}: {told}")
+
+    if workers > 1 and len(tasks) > 1:
+        in_processes(_evaluate, tasks, min(workers, len(tasks)), lambda _, scores: keep(scores))
+    else:
+        for task in tasks:
+            keep(_evaluate(task))
+    return [found[home.name] for home in homes if home.name in found], left_out, len(tasks)
+
+
+def _evaluate(task: _Task) -> Scores:
+    import torch
+
+    torch.set_num_threads(1)  # fixed order of summation: reproducible results
+    home, protocol, backbone, others = task
+    return Evaluation(home, protocol, backbone, others).run()
+
+
+def _file(folder: Path, home: str) -> Path:
+    return folder / f"{re.sub(r'[^A-Za-z0-9]+', '_', home)}.json"
+
+
+def _key(home: Prepared, protocol: Protocol, backbone: str, others: Sequence[str]) -> str:
+    """Hash of everything that a home's scores depend on, the suite's own code included."""
+    digest = hashlib.sha256(json.dumps([protocol.to_json(), backbone, list(others), VERSION]).encode())
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(file.read_bytes())
+    record = home.record
+    for values in (record.time_s, home.truth_C, record.T_out_C, record.solar_W_m2, *home.levels.values(), home.usable):
+        digest.update(values.tobytes())
+    digest.update(json.dumps([list(home.levels), home.home.sign]).encode())
+    return digest.hexdigest()
+
+
+def _read(path: Path, key: str) -> Scores | None:
+    """Kept scores with this key; None where there are none, or of other settings or data."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return Scores(**content["scores"]) if content["key"] == key else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
