@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.measurements.load import read_measurements
     from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
     from thermoforce_mpc.simulation.run import run
+    from thermoforce_mpc.whatif.counterfactual import counterfactual
 
 __all__ = [
     "Boundary",
@@ -33,6 +34,7 @@ __all__ = [
     "ThermoForceError",
     "ThermoForceMPC",
     "__version__",
+    "counterfactual",
     "identify",
     "load_model",
     "read_forecast",
@@ -50,6 +52,7 @@ _HOME = {
     "ThermalModel": "thermoforce_mpc.model.thermal_model",
     "ThermoForceError": "thermoforce_mpc.errors",
     "ThermoForceMPC": "controllers.mpc",
+    "counterfactual": "thermoforce_mpc.whatif.counterfactual",
     "identify": "thermoforce_mpc.identification.pipeline",
     "load_model": "thermoforce_mpc.model.thermal_model",
     "read_forecast": "thermoforce_mpc.measurements.forecast",

@@ -24,6 +24,11 @@ _COMMANDS = {
     ),
     "data": ("thermoforce_mpc.cli.data", "Check measurements of your own building; plan a probing by hand."),
     "plan": ("thermoforce_mpc.cli.plan", "Plan the next hours from recent measurements and a forecast in files."),
+    "forecast": ("thermoforce_mpc.cli.forecast", "Forecast the temperature of your own building, with its band."),
+    "counterfactual": (
+        "thermoforce_mpc.cli.counterfactual",
+        "Show what another schedule would have done on a past day.",
+    ),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),

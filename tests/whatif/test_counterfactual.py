@@ -1,0 +1,220 @@
+"""Forecast and counterfactual of a past day, against a house whose other day can be run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from support.simple_house import GAIN_K, POLE, SimpleHouse, outdoor_C, simple_model
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.whatif.counterfactual import counterfactual
+
+_ORIGIN = pd.Timestamp("2026-01-01", tz="UTC")
+_DAYS, _FIRST = 6, 4 * 24
+
+
+def _levels(seed: int) -> Array:
+    return np.repeat(np.random.default_rng(seed).uniform(0.0, 1.0, _DAYS * 6), 4)
+
+
+def _run(u: Array) -> Record:
+    """The simple house under `u` (hours,), with a visitor who warms it on the fifth day, which no model knows."""
+    T = np.full(u.size + 1, 20.0)
+    time_s = np.arange(u.size + 1) * HOUR_S
+    for k, level in enumerate(u):
+        guest = 0.15 if _FIRST + 6 <= k < _FIRST + 12 else 0.0
+        T[k + 1] = POLE * T[k] + (1 - POLE) * float(outdoor_C(time_s[k])) + GAIN_K * level + guest
+    power = 1600.0 * (u > 0) + 2700.0 * u
+    return Record(time_s, T, outdoor_C(time_s), 0 * time_s, u, power, 2.5 * power, origin=_ORIGIN)
+
+
+@pytest.fixture(scope="module")
+def model() -> ThermalModel:
+    exact = simple_model()
+    hours = (1, 2, 4, 8, 12, 24, 48)
+    steady = GAIN_K / (1 - POLE)
+    uncertainty = {f"step_response_{h}h_K": steady * (1 - POLE**h) for h in hours}
+    uncertainty |= {f"step_response_{h}h_sd_K": 0.1 * steady * (1 - POLE**h) for h in hours}
+    return replace(exact, cards=(ModelCard("exact", uncertainty=uncertainty),))
+
+
+def _changed(u: Array, levels: Array) -> Array:
+    other = u.copy()
+    other[_FIRST : _FIRST + levels.size] = levels
+    return other
+
+
+@pytest.mark.parametrize("levels", [np.zeros(24), np.ones(24), np.repeat([0.0, 1.0, 0.2, 0.8], 6)])
+def test_the_other_day_is_that_of_the_house(model: ThermalModel, levels: Array) -> None:
+    u = _levels(1)
+    record, other = _run(u), _run(_changed(u, levels))
+    found = counterfactual(model, record, levels, start="2026-01-05 00:00")
+    truth = other.T_zone_C[:, _FIRST + 1 : _FIRST + 25]
+    assert np.abs(found.other_C - truth).max() < 1e-6
+    # The visitor is in both days, so the effect is free of him.
+    assert np.abs(found.effect_K - (truth - record.T_zone_C[:, _FIRST + 1 : _FIRST + 25])).max() < 1e-6
+    assert (found.certified_low_K - 1e-9 <= found.effect_K).all()
+    assert (found.effect_K <= found.certified_high_K + 1e-9).all()
+    # At part load the machine of the model cycles at its lowest level.
+    kWh = (1.6 + 2.7) * levels.sum()
+    assert found.energy_other_kWh[0] == pytest.approx(kWh)
+
+
+def test_the_band_is_the_uncertainty_of_the_effect(model: ThermalModel) -> None:
+    u = np.full(_DAYS * 24, 0.5)
+    found = counterfactual(model, _run(u), 1.0, start=_FIRST * HOUR_S, hours=24)
+    # One change in one direction: the relative error of the step response is that of the effect.
+    assert found.sd_K == pytest.approx(0.1 * np.abs(found.effect_K), rel=1e-6)
+    without = replace(model, cards=(ModelCard("exact"),))
+    assert np.isnan(counterfactual(without, _run(u), 1.0, start=_FIRST * HOUR_S).sd_K).all()
+
+
+def test_a_gap_in_the_day_stays_a_gap(model: ThermalModel) -> None:
+    u = _levels(2)
+    record = _run(u)
+    T = record.T_zone_C.copy()
+    T[0, _FIRST + 3 : _FIRST + 6] = np.nan
+    found = counterfactual(model, replace(record, T_zone_C=T), 0.0, start="2026-01-05")
+    assert np.isnan(found.other_C[0, 2:5]).all()
+    assert np.isfinite(found.effect_K).all()
+    whole = counterfactual(model, record, 0.0, start="2026-01-05")
+    assert found.effect_K == pytest.approx(whole.effect_K)
+
+
+@pytest.mark.parametrize(
+    ("start", "levels", "message"),
+    [
+        ("2026-02-01", 0.5, "not inside the record, which goes from 2026-01-01"),
+        ("noon", 0.5, "'noon' is not a time stamp"),
+        ("2026-01-05", np.full(24, 1.5), r"inside \[0, 1\]"),
+        ("2026-01-05", np.full(24, np.nan), r"inside \[0, 1\]"),
+    ],
+)
+def test_what_cannot_be_asked_says_why(model: ThermalModel, start: str, levels: Array, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        counterfactual(model, _run(_levels(3)), levels, start=start)
+
+
+@pytest.fixture
+def house(tmp_path: Path, model: ThermalModel) -> Path:
+    """A folder with a model, a table of measurements and its map."""
+    record = _run(_levels(4))
+    model.save(tmp_path / "model")
+    table = pd.DataFrame(
+        {
+            "at": record.stamps(),
+            "room": record.T_zone_C[0],
+            "out": record.T_out_C,
+            "valve": np.append(record.u[0], np.nan),
+            "power": np.append(record.power_W[0], np.nan),
+        }
+    )
+    table.to_csv(tmp_path / "data.csv", index=False)
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: at}\noutdoor: out\nstep: 60min\nzones: {zone: {temperature: room}}\n"
+        "actuators: {actuator: {zone: zone, level: valve}}\nmachines: {machine: {power: power}}\n"
+    )
+    return tmp_path
+
+
+def _tf(folder: Path, *words: str) -> tuple[int, str]:
+    given = ["--model", str(folder / "model"), "--data", str(folder / "data.csv"), "--map", str(folder / "map.yaml")]
+    said = CliRunner().invoke(cli, [words[0], *given, *words[1:]])
+    if said.exception is not None and not isinstance(said.exception, SystemExit):
+        return -1, str(said.exception)
+    return said.exit_code, said.output
+
+
+def test_counterfactual_command(house: Path) -> None:
+    (house / "other.csv").write_text("time,u\n2026-01-05 00:00,0\n2026-01-05 06:00,1\n")
+    code, said = _tf(house, "counterfactual", "--start", "2026-01-05", "--schedule", str(house / "other.csv"),
+                     "--out", str(house / "cf.json"), "--plot", str(house / "cf.png"))  # fmt: skip
+    assert code == 0, said
+    assert "Energy of machine" in said
+    rows = json.loads((house / "cf.json").read_text())["rows"]
+    assert [row["u_other"] for row in rows] == [0.0] * 6 + [1.0] * 18
+    u = _levels(4)
+    truth = _run(_changed(u, np.repeat([0.0, 1.0], [6, 18]))).T_zone_C[0, _FIRST + 1 : _FIRST + 25]
+    assert [row["T_other_C"] for row in rows] == pytest.approx(truth.tolist(), abs=0.02)
+    assert (house / "cf.png").stat().st_size > 5000
+
+
+def test_forecast_of_a_past_day_beside_what_was_measured(house: Path) -> None:
+    code, said = _tf(house, "forecast", "--start", "2026-01-05", "--out", str(house / "fc.csv"), "--plot",
+                     str(house / "fc.svg"))  # fmt: skip
+    assert code == 0, said
+    assert "RMSE" in said
+    table = pd.read_csv(house / "fc.csv")
+    assert len(table) == 24
+    assert table["T_zone_C"].between(table["T_low_C"], table["T_high_C"]).all()
+    assert np.abs(table["T_zone_C"] - table["measured_C"]).max() < 2.0
+
+
+def test_forecast_of_the_coming_day_needs_only_weather(house: Path) -> None:
+    time_s = _DAYS * DAY_S + np.arange(30) * HOUR_S
+    ahead = pd.DataFrame({"at": _ORIGIN + pd.to_timedelta(time_s, unit="s"), "out": outdoor_C(time_s)})
+    ahead.to_csv(house / "ahead.csv", index=False)
+    answers = []
+    for level in ("0", "1"):
+        code, said = _tf(house, "forecast", "--forecast", str(house / "ahead.csv"), "--level", level, "--out",
+                         str(house / f"{level}.csv"))  # fmt: skip
+        assert code == 0, said
+        answers.append(pd.read_csv(house / f"{level}.csv")["T_zone_C"].to_numpy())
+    steady = GAIN_K / (1 - POLE)
+    assert answers[1] - answers[0] == pytest.approx(steady * (1 - POLE ** np.arange(1, 25)), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("forecast",), "give --forecast FILE"),
+        (("forecast", "--forecast", "x.csv"), "give the levels ahead"),
+        (("forecast", "--start", "2027-01-01"), "are not in the record"),
+        (("counterfactual", "--start", "2026-01-05"), "either --level or --schedule"),
+        (
+            ("counterfactual", "--start", "2026-01-05", "--level", "0", "--out", "x.txt"),
+            "end the name in .csv or .json",
+        ),
+        (("counterfactual", "--start", "2026-01-05", "--schedule", "nowhere.csv"), "cannot be read as CSV"),
+    ],
+)
+def test_commands_say_what_is_missing(house: Path, words: tuple[str, ...], message: str) -> None:
+    code, said = _tf(house, *words)
+    assert code != 0
+    assert message in said
+
+
+def test_a_schedule_that_begins_too_late_or_lacks_a_column(house: Path) -> None:
+    file = house / "late.csv"
+    for text, message in (
+        ("time,u\n2026-01-06 00:00,0\n", "after the stretch"),
+        ("time,valve\n2026-01-05 00:00,0\n", "no column 'actuator'"),
+        ("when,u\n2026-01-05 00:00,0\n", "no column 'time'"),
+        ("time,u\n2026-01-05 00:00,0\n2026-01-05 00:00,1\n", "row 3 is not later"),
+    ):
+        file.write_text(text)
+        _, said = _tf(house, "counterfactual", "--start", "2026-01-05", "--schedule", str(file))
+        assert message in said
+
+
+def test_the_exact_house_is_the_plant() -> None:
+    """The loop above is `SimpleHouse`."""
+    plant = SimpleHouse()
+    plant.reset(0.0, 0.0)
+    u = _levels(5)[:48]
+    for level in u:
+        last = plant.advance(float(level), HOUR_S)
+    T = 21.0
+    for k, level in enumerate(u):
+        T = POLE * T + (1 - POLE) * float(outdoor_C(k * HOUR_S)) + GAIN_K * level
+    assert float(last.T_zone_C[0]) == pytest.approx(T)

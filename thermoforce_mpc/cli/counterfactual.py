@@ -1,0 +1,148 @@
+"""`tf-mpc counterfactual`: what another schedule would have done on a past day."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.files import written
+from thermoforce_mpc.cli.schedule_file import levels_of
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+
+_ROWS = 25
+
+
+@click.command(short_help="What another schedule would have done on a past day.")
+@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
+@click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable.")
+@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
+@click.option("--hours", type=click.FloatRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")
+@click.option("--level", type=float, help="One level in [0, 1] for all of it.")
+@click.option("--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator).")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the course: .csv or .json.")
+@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Picture: .png or .svg.")
+def command(
+    model: Path,
+    files: tuple[str, ...],
+    map_file: Path,
+    start: str,
+    hours: float,
+    level: float | None,
+    schedule: Path | None,
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Show what other levels would have changed from --start on: temperature, effect and energy.
+
+    The day's weather, sun and people stay as they were: their part of the temperature is known once the forced part is
+    taken off. The band is the uncertainty of the identified effect (90 %); the certified bounds are what the model can
+    answer at most and at least in any weather and state.
+
+    \b
+    Example:
+      tf-mpc counterfactual --model my_house --data 2026.csv --map map.yaml --start 2026-01-20 --level 0.3
+    """
+    from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    if (level is None) == (schedule is None):
+        raise click.UsageError("give the other levels, either --level or --schedule")
+    if out is not None and out.suffix not in (".csv", ".json"):
+        raise click.BadParameter(f"{out}: end the name in .csv or .json", param_hint="--out")
+    try:
+        begin = pd.Timestamp(start)
+    except ValueError as error:
+        raise click.BadParameter(f"'{start}': write for example 2026-01-20 00:00", param_hint="--start") from error
+    thermal = load_model(model)
+    record = read_measurements(list(files), map_file).served().record
+    if begin.tzinfo is None and record.origin.tzinfo is not None:
+        begin = begin.tz_localize(record.origin.tz)
+    first_s = (begin - record.origin).total_seconds()
+    time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s))
+    u = levels_of(schedule, level, record.names, time_s, record.origin)
+    found = counterfactual(thermal, record, u, start=begin)
+    console = Console(highlight=False)
+    _show(found, console)
+    if out is not None:
+        with written(out) as aside:
+            if out.suffix == ".csv":
+                found.to_dataframe().round(4).to_csv(aside, lineterminator="\n")
+            else:
+                aside.write_text(json.dumps(found.to_json(), indent=1), encoding="utf-8")
+        console.print(f"Course: {out}", soft_wrap=True)
+    if plot is not None:
+        with written(plot) as aside:
+            draw(found, aside)
+        console.print(f"Picture: {plot}", soft_wrap=True)
+
+
+def _show(found: Counterfactual, console: Console) -> None:
+    frame = found.to_dataframe()
+    names = found.names
+    shown = Table(
+        title="As it was, and under the other levels (temperature at the end of the step)", title_justify="left"
+    )
+    shown.add_column("from", no_wrap=True)
+    for name in names.actuators:
+        shown.add_column(f"{name}: was", justify="right")
+        shown.add_column("other", justify="right")
+    for name in names.zones:
+        shown.add_column(f"{name}: was, °C", justify="right")
+        shown.add_column("other (90 %)", justify="right")
+        shown.add_column("effect, K (certified)", justify="right", no_wrap=True)
+    every = max(1, -(-len(frame) // _ROWS))
+    for k in range(0, len(frame), every):
+        cells = [f"{frame.index[k]:%d %b %H:%M}"]
+        for a in range(len(names.actuators)):
+            cells += [f"{found.u[a, k]:.2f}", f"{found.u_other[a, k]:.2f}"]
+        for z in range(len(names.zones)):
+            half = 1.645 * found.sd_K[z, k]
+            band = f" ± {half:.1f}" if np.isfinite(half) else ""
+            proven = f"{found.certified_low_K[z, k]:+.1f} to {found.certified_high_K[z, k]:+.1f}"
+            cells += [f"{found.measured_C[z, k]:.1f}", f"{found.other_C[z, k]:.1f}{band}"]
+            cells.append(f"{found.effect_K[z, k]:+.1f} ({proven})")
+        shown.add_row(*cells)
+    console.print(shown)
+    for name, was, other in zip(names.machines, found.energy_kWh, found.energy_other_kWh, strict=True):
+        if np.isfinite(was):
+            console.print(
+                f"Energy of {name} by the model: {was:.1f} kWh as it was, {other:.1f} kWh under the other levels",
+                soft_wrap=True,
+            )
+    if np.isnan(found.sd_K).any():
+        console.print("The model's card has no uncertainty of the effect: there is no band.")
+
+
+def draw(found: Counterfactual, path: Path) -> None:
+    """Write a picture: measured and other temperatures with their band, and both schedules."""
+    from matplotlib.figure import Figure
+
+    index = found.to_dataframe().index
+    at = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
+    edges = np.append(at, at[-1] + (at[1] - at[0]))
+    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    for z, zone in enumerate(found.names.zones):
+        colour, half = f"C{z % 10}", 1.645 * found.sd_K[z]
+        axes.plot(edges[1:], found.measured_C[z], color=colour, label=f"{zone}, measured")
+        axes.plot(edges[1:], found.other_C[z], color=colour, linestyle="--", label=f"{zone}, other levels")
+        low, high = found.other_C[z] - half, found.other_C[z] + half
+        axes.fill_between(edges[1:], low, high, color=colour, alpha=0.2, linewidth=0)
+    axes.set_ylabel("temperature, °C")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize="small")
+    for a in range(len(found.names.actuators)):
+        below.stairs(found.u[a], edges, color=f"C{a % 10}", baseline=None, label="as it was" if a == 0 else None)
+        below.stairs(found.u_other[a], edges, color=f"C{a % 10}", baseline=None, linestyle="--")
+    below.set_ylabel("level")
+    below.set_ylim(min(0.0, float(found.u_other.min())) - 0.05, 1.05)
+    below.tick_params(axis="x", rotation=20)
+    figure.savefig(path, dpi=120)

@@ -1,0 +1,237 @@
+"""What another schedule would have done on a past day (paper, counterfactual query, eq:effect).
+
+The free response of a past day is known: the measured temperature minus the forced response of the levels applied. So
+nothing is forecast; the other levels' forced response takes the place of theirs, and weather, sun and people stay as
+they were.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Names, Observation, Record
+from thermoforce_mpc.dataframes import seconds_since, table
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.report import step_response_of
+from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.model.free_response.checks import LEVELS
+from thermoforce_mpc.model.gaps import bridged
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Half width of a 90 % band of a normal distribution, standard deviations.
+_BAND = 1.645
+_JOULE_PER_KWH = 3.6e6
+
+
+@dataclass(frozen=True)
+class Counterfactual:
+    """A past stretch of N steps as it was and as it would have been.
+
+    Attributes:
+        time_s: start of each step (N,), counted from `origin` where the record has time stamps.
+        u, u_other: levels applied and levels asked about (A, N).
+        measured_C: temperature at the end of each step (Z, N), °C, NaN where it was not measured.
+        effect_K: what the other levels change (Z, N), K.
+        sd_K: standard deviation of the effect by the identification (Z, N), K; NaN where the model's card has none. The
+            errors of all steps are taken to have one sign, so it is rather too wide.
+        certified_low_K, certified_high_K: bounds that the certificate proves for the model's effect, whatever the
+            weather and the state (Z, N), K.
+        energy_kWh, energy_other_kWh: by the model's power for levels applied and asked about (M,), NaN where a machine
+            has no power model or feeds several actuators.
+    """
+
+    time_s: Array
+    origin: Any
+    names: Names
+    u: Array
+    u_other: Array
+    measured_C: Array
+    effect_K: Array
+    sd_K: Array
+    certified_low_K: Array
+    certified_high_K: Array
+    energy_kWh: Array
+    energy_other_kWh: Array
+
+    @property
+    def other_C(self) -> Array:
+        """Temperature under the other levels at the end of each step (Z, N), °C."""
+        return np.asarray(self.measured_C + self.effect_K)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per step at its start: levels applied and other; at its end, measured and other temperature with its
+        90 % band by the identification, the effect and its certified bounds.
+        """
+        half = _BAND * self.sd_K
+        columns = self.names.columns(
+            u=self.u,
+            T_zone_C=self.measured_C,
+        )
+        parts = {
+            "u_other": ("u", self.u_other),
+            "T_other_C": ("T_zone_C", self.other_C),
+            "T_other_low_C": ("T_zone_C", self.other_C - half),
+            "T_other_high_C": ("T_zone_C", self.other_C + half),
+            "effect_K": ("T_zone_C", self.effect_K),
+            "certified_low_K": ("T_zone_C", self.certified_low_K),
+            "certified_high_K": ("T_zone_C", self.certified_high_K),
+        }
+        for name, (like, rows) in parts.items():
+            for k, values in enumerate(rows):
+                columns[self.names.label(like, k).replace(like, name, 1)] = values
+        return table(self.time_s, self.origin, **columns)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        frame = self.to_dataframe()
+        rows = frame.astype(object).where(frame.notna(), None)
+        rows.index = [at.isoformat() if hasattr(at, "isoformat") else float(at) for at in frame.index]
+        energy = {
+            name: {"applied": _number(a), "other": _number(b)}
+            for name, a, b in zip(self.names.machines, self.energy_kWh, self.energy_other_kWh, strict=True)
+        }
+        return {"energy_kWh": energy, "rows": rows.reset_index(names="time").to_dict("records")}
+
+
+class _Recorded:
+    """`FreeResponse` of a stretch that is already known."""
+
+    name = "recorded"
+
+    def __init__(self, free_C: Array) -> None:
+        self._free_C = free_C
+
+    def forecast(self, free_C: Array, history: Record, boundary: object) -> FreeForecast:
+        """See `FreeResponse.forecast`."""
+        return FreeForecast(LEVELS, np.tile(self._free_C, (LEVELS.size, 1)), "as recorded")
+
+
+def counterfactual(
+    model: ThermalModel, record: Record, u: Array | float, *, start: pd.Timestamp | str | float, hours: float = 24.0
+) -> Counterfactual:
+    """What the levels `u` would have changed in `record` from `start` on.
+
+    Args:
+        model: of this building.
+        record: what was measured, a day or more before `start` and over the stretch that is asked about.
+        u: other levels in [0, 1] (A, N), (N,) for one actuator, or one level for all.
+        start: time stamp, or seconds as in the record; the nearest boundary of the record counts.
+        hours: length of the stretch where `u` is one level.
+
+    Raises:
+        DataError: another building, the stretch is not inside the record, nothing was measured in it, or `u` has
+            another shape or leaves [0, 1].
+    """
+    if model.names != record.names:
+        raise DataError(f"the model is of {model.names}, the record of {record.names}: another building?")
+    levels = np.asarray(u, dtype=np.float64)
+    n = levels.shape[-1] if levels.ndim else round(hours * HOUR_S / record.step_s)
+    if levels.ndim == 0:
+        levels = np.full((len(record.names.actuators), n), levels)
+    first = _boundary(record, start)
+    if not 0 < first <= record.n_steps - n or n < 1:
+        stamps = record.stamps()
+        raise DataError(
+            f"{n} steps from {start} on are not inside the record, which goes from {stamps[0]} to {stamps[-1]}"
+        )
+    whole, _ = bridged(record.slice(0, first + n))
+    past, stretch = whole.slice(0, first), whole.slice(first, first + n)
+    forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
+    free_C = whole.T_zone_C - forced_K.sum(axis=(1, 3))
+    known = np.array([_without_gaps(row, name) for row, name in zip(free_C, record.names.zones, strict=True)])
+    recorded = [_Recorded(row[first + 1 :]) for row in known]
+    seen = Record(
+        past.time_s, known[:, : first + 1] + forced_K.sum(axis=(1, 3))[:, : first + 1], past.T_out_C, past.solar_W_m2,
+        past.u, past.power_W, past.heat_W, past.T_return_C, past.origin, past.names,
+    )  # fmt: skip
+    context = Predictor(model.operator, recorded).context(Observation(seen, stretch.weather()))
+    applied = np.clip(stretch.u, model.operator.lowest[:, None], 1.0)
+    effect = context.effect(levels, applied)
+    levels = levels if levels.ndim == 2 else levels[None]
+    low, high = _certified(model, levels - applied, record.step_s)
+    return Counterfactual(
+        time_s=stretch.time_s[:-1],
+        origin=record.origin,
+        names=record.names,
+        u=applied,
+        u_other=levels,
+        measured_C=np.asarray(record.T_zone_C[:, first + 1 : first + n + 1]),
+        effect_K=effect,
+        sd_K=_identified_sd(model, levels - applied, record.step_s),
+        certified_low_K=low,
+        certified_high_K=high,
+        energy_kWh=_energy_kWh(model, applied, stretch),
+        energy_other_kWh=_energy_kWh(model, levels, stretch),
+    )
+
+
+def _boundary(record: Record, start: pd.Timestamp | str | float) -> int:
+    """The boundary of the record nearest to `start`; raises `DataError` for a time that cannot be read."""
+    if not isinstance(start, int | float):
+        if record.origin is None:
+            raise DataError(f"start is '{start}', but the record has no time stamps: give seconds")
+        try:
+            at = pd.Timestamp(start)
+        except ValueError as error:
+            raise DataError(f"start '{start}' is not a time stamp: write for example 2026-01-20 00:00") from error
+        if at.tzinfo is None and record.origin.tzinfo is not None:
+            at = at.tz_localize(record.origin.tz)
+        start = float(seconds_since(record.origin, pd.DatetimeIndex([at]), "start")[0])
+    return round((start - record.time_s[0]) / record.step_s)
+
+
+def _without_gaps(free_C: Array, zone: str) -> Array:
+    known = np.flatnonzero(np.isfinite(free_C))
+    if not known.size:
+        raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to compare with")
+    return np.asarray(np.interp(np.arange(free_C.size), known, free_C[known]))
+
+
+def _certified(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:
+    """Proven bounds of the effect of `change` (A, N) of the levels on all zones, each (Z, N), K."""
+    n = change.shape[1]
+    operator = model.operator.resampled(step_s)
+    low, high = np.zeros((len(operator.zones), n)), np.zeros((len(operator.zones), n))
+    proofs = operator.certificates(n_steps=n)
+    for z, a, _ in operator.each():
+        proof = proofs[operator.zones[z], operator.actuators[a]]
+        least, most = np.array(proof.effect_low_K), np.array(proof.effect_high_K)
+        more, less = np.maximum(change[a], 0.0), np.maximum(-change[a], 0.0)
+        low[z] += np.convolve(more, least)[:n] - np.convolve(less, most)[:n]
+        high[z] += np.convolve(more, most)[:n] - np.convolve(less, least)[:n]
+    return low, high
+
+
+def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
+    """Standard deviation (Z, N), K, of the effect of `change` (A, N): that of each step's own effect, all added up."""
+    n = change.shape[1]
+    operator = model.operator.resampled(step_s)
+    out = np.zeros((len(operator.zones), n))
+    lag_h = (np.arange(n) + 1.0) * step_s / HOUR_S
+    for z, a, pair in operator.each():
+        mean, sd = step_response_of(model, z, a)
+        if not mean.size:
+            return np.full(out.shape, np.nan)
+        relative = sd[1:] / np.maximum(np.abs(mean[1:]), 1e-9)
+        of_lag = np.interp(lag_h, STEP_RESPONSE_H, relative) * np.abs(pair.impulse(n))
+        out[z] += np.convolve(np.abs(change[a]), of_lag)[:n]
+    return out
+
+
+def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
+    found = np.full(len(model.machines), np.nan)
+    for m, power in enumerate(model.power):
+        fed = [a for a, machine in enumerate(model.machine_of) if machine == m]
+        if power is not None and len(fed) == 1:
+            watts = power(u[fed[0]], stretch.T_out_C[:-1])
+            found[m] = float(watts.sum()) * stretch.step_s / _JOULE_PER_KWH
+    return found
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 4) if np.isfinite(value) else None
