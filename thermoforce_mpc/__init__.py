@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
     from thermoforce_mpc.simulation.run import run
     from thermoforce_mpc.whatif.counterfactual import counterfactual
+    from thermoforce_mpc.whatif.saving import verified_saving
 
 __all__ = [
     "Boundary",
@@ -40,6 +41,7 @@ __all__ = [
     "read_forecast",
     "read_measurements",
     "run",
+    "verified_saving",
 ]
 
 _HOME = {
@@ -58,6 +60,7 @@ _HOME = {
     "read_forecast": "thermoforce_mpc.measurements.forecast",
     "read_measurements": "thermoforce_mpc.measurements.load",
     "run": "thermoforce_mpc.simulation.run",
+    "verified_saving": "thermoforce_mpc.whatif.saving",
 }
 
 

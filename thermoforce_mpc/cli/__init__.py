@@ -29,6 +29,7 @@ _COMMANDS = {
         "thermoforce_mpc.cli.counterfactual",
         "Show what another schedule would have done on a past day.",
     ),
+    "saving": ("thermoforce_mpc.cli.saving", "What a changed operation saved, with an interval, from records."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),

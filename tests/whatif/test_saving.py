@@ -1,0 +1,139 @@
+"""Verified saving on made days whose truth is known, the command, and cases of the bench."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.research.bench import saving as bench
+from thermoforce_mpc.whatif.saving import verified_saving
+
+_BEFORE, _AFTER = 28, 21
+
+
+def _record(seed: int, less: float, scatter: float = 0.06) -> Record:
+    """Hourly record of 49 days in which, from day 28 on, `less` of the energy is not used."""
+    rng = np.random.default_rng(seed)
+    n = 24 * (_BEFORE + _AFTER)
+    hours = np.arange(n + 1)
+    fronts = np.cumsum(rng.normal(0.0, 0.5, n + 1))
+    T_out = 3.0 + 3.0 * np.sin(2 * np.pi * (hours - 9) / 24) + fronts - np.linspace(0, fronts[-1], n + 1)
+    sun = np.maximum(0.0, 300.0 * np.sin(2 * np.pi * (hours - 6) / 24)) * rng.uniform(0.3, 1.0, 50).repeat(24)[: n + 1]
+    demand = 150.0 * (20.0 - T_out[:-1]) - 2.0 * sun[:-1]
+    of_day = 1.0 + scatter * rng.normal(size=_BEFORE + _AFTER)
+    power = np.maximum(demand, 0.0) * of_day.repeat(24)
+    power[24 * _BEFORE :] *= 1.0 - less
+    nothing = np.full(n, np.nan)
+    time_s = 3600.0 * hours
+    return Record(time_s, np.full(n + 1, 20.5), T_out, sun, nothing, power, nothing, origin=pd.Timestamp("2026-01-01"))
+
+
+def _halves(record: Record) -> tuple[Record, Record]:
+    return record.slice(0, 24 * _BEFORE), record.slice(24 * _BEFORE, record.n_steps)
+
+
+def test_the_interval_holds_the_truth_and_claims_what_is_there() -> None:
+    held = claimed = 0
+    for seed in range(12):
+        record = _record(seed, 0.2)
+        found = verified_saving(*_halves(record))
+        truth = found.measured_kWh * 0.2 / 0.8
+        held += found.low_kWh <= truth <= found.high_kWh
+        claimed += found.claimed
+    assert held >= 10
+    assert claimed >= 10
+
+
+def test_nothing_is_claimed_where_nothing_was_saved() -> None:
+    found = [verified_saving(*_halves(_record(seed, 0.0))) for seed in range(12)]
+    assert sum(f.claimed for f in found) <= 1
+    assert "no saving" in next(f for f in found if not f.claimed).in_words()
+
+
+def test_a_colder_month_after_is_no_loss() -> None:
+    # A fifth less is used than the old operation would, although it is 6 K colder and more is used than before.
+    record = _record(3, 0.0)
+    T_out = record.T_out_C.copy()
+    T_out[24 * _BEFORE :] -= 6.0
+    power = record.power_W.copy()
+    power[0, 24 * _BEFORE :] += 150.0 * 6.0
+    power[0, 24 * _BEFORE :] *= 0.8
+    found = verified_saving(*_halves(replace(record, T_out_C=T_out, power_W=power)))
+    assert found.after.energy_kWh.mean() > found.before.energy_kWh.mean()
+    assert found.claimed
+    assert any("extrapolated" in note for note in found.notes)
+
+
+def test_days_with_gaps_are_left_out() -> None:
+    record = _record(4, 0.2)
+    power = record.power_W.copy()
+    power[0, 24 * 5 : 24 * 8] = np.nan
+    found = verified_saving(*_halves(replace(record, power_W=power)))
+    assert found.before.n == _BEFORE - 3
+    assert any("3 days before" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("days", "change", "message"),
+    [
+        (8, {}, "before: 8 whole days"),
+        (28, {"power_W": np.full((1, 28 * 24), np.nan)}, "neither power nor heat"),
+    ],
+)
+def test_what_cannot_be_verified_says_why(days: int, change: dict[str, object], message: str) -> None:
+    before, after = _halves(_record(5, 0.2))
+    with pytest.raises(DataError, match=message):
+        verified_saving(replace(before.slice(before.n_steps - 24 * days, before.n_steps), **change), after)  # type: ignore[arg-type]
+
+
+def test_the_command(tmp_path: Path) -> None:
+    record = _record(6, 0.25)
+    pd.DataFrame(
+        {"at": record.stamps(), "room": record.T_zone_C[0], "out": record.T_out_C, "sun": record.solar_W_m2,
+         "power": np.append(record.power_W[0], np.nan)}
+    ).to_csv(tmp_path / "d.csv", index=False)  # fmt: skip
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: at}\noutdoor: out\nsun: {column: sun}\nstep: 60min\nzones: {room: {temperature: room}}\n"
+        "machines: {boiler: {power: power}}\n"
+    )
+    words = ["saving", "--data", str(tmp_path / "d.csv"), "--map", str(tmp_path / "map.yaml"), "--changed"]
+    said = CliRunner().invoke(
+        cli, [*words, "2026-01-29", "--out", str(tmp_path / "s.json"), "--plot", str(tmp_path / "s.png")]
+    )
+    assert said.exit_code == 0, said.output
+    assert said.output.startswith("saved +")
+    kept = json.loads((tmp_path / "s.json").read_text())
+    assert kept["claimed"]
+    assert (kept["days_before"], kept["days_after"]) == (28, 21)
+    assert kept["low_kWh"] < kept["measured_kWh"] * 0.25 / 0.75 < kept["high_kWh"]
+    late = CliRunner().invoke(cli, [*words, "2027-01-01"])
+    assert isinstance(late.exception, DataError)
+    assert "not inside the measurements (2026-01-01" in str(late.exception)
+
+
+def test_a_case_of_the_bench_knows_the_truth() -> None:
+    case = replace(bench.cases(5, 7, before_days=10, after_days=7)[4], change="2 K lower on weekdays", number=4)
+    row = bench.run_case(case)
+    assert row["true_kWh"] > 0.0
+    assert row["low_kWh"] < row["saved_kWh"] < row["high_kWh"]
+    idle = bench.run_case(replace(case, change="nothing"))
+    assert idle["true_kWh"] == 0.0
+
+
+def test_targets_of_the_bench_count_false_claims_and_misses() -> None:
+    row = {"true_kWh": 0.0, "low_kWh": 1.0, "high_kWh": 3.0, "saved_kWh": 2.0, "baseline_kWh": 10.0}
+    rows = [row | {"holds": False, "claimed": True}, row | {"true_kWh": 2.0, "holds": True, "claimed": True}]
+    found = bench.targets(rows)
+    assert found[0].value == 0.5
+    assert not found[0].holds
+    claims = next(t for t in found if "without one" in t.name)
+    assert (claims.value, claims.holds) == (1, False)

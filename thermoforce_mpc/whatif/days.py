@@ -1,0 +1,122 @@
+"""A record as days: energy, weather as the building feels it, temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.errors import DataError
+
+# Least share of a day's steps that must be measured for it to count, and most steps of a gap in the weather.
+_LEAST_MEASURED = 0.9
+_JOULE_PER_KWH = 3.6e6
+# Time constants of the weather's low passes, h; 0: the day's own mean.
+LAGS_H: tuple[float, ...] = (0.0, 12.0, 24.0, 48.0)
+
+
+@dataclass(frozen=True)
+class Days:
+    """Whole days of a record, those with gaps left out.
+
+    Attributes:
+        number: day since the record's time 0 (n,).
+        energy_kWh: of all machines, over the day (n,).
+        T_out_C: daily means of the outdoor temperature through a low pass of each of `LAGS_H` (lags, n), °C.
+        solar_W_m2: likewise of the irradiance (lags, n), W/m².
+        T_zone_C: daily mean temperature of each zone (Z, n), °C.
+        weekend: whether it is a Saturday or Sunday (n,); False throughout where the record has no date.
+        left_out: days with gaps.
+    """
+
+    number: NDArray[np.int64]
+    energy_kWh: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    T_zone_C: Array
+    weekend: NDArray[np.bool_]
+    left_out: int
+
+    @property
+    def n(self) -> int:
+        """Number of days."""
+        return int(self.number.size)
+
+
+def days_of(record: Record, name: str, past: Record | None = None) -> Days:
+    """The whole days of `record`, midnight to midnight.
+
+    Args:
+        record: at any step that divides a day; `power_W` is the energy, or `heat_W` where no power was metered.
+        name: for messages.
+        past: what was recorded just before, so that the weather's low passes start from it.
+
+    Raises:
+        DataError: neither power nor heat was metered, the step does not divide a day, or no whole day is there.
+    """
+    per_day = DAY_S / record.step_s
+    if abs(per_day - round(per_day)) > 1e-6:
+        raise DataError(f"{name}: a step of {record.step_s:g} s does not divide a day; resample the record")
+    k = round(per_day)
+    power = record.power_W if np.isfinite(record.power_W).any() else record.heat_W
+    if not np.isfinite(power).any():
+        raise DataError(f"{name}: neither power nor heat was metered: map a meter of what the machine used")
+    low_out, low_sun = _low_passes(record, past)
+    first = int(np.ceil(record.time_s[0] / DAY_S - 1e-9))
+    last = int(np.floor(record.time_s[-1] / DAY_S + 1e-9))
+    offset = round((first * DAY_S - record.time_s[0]) / record.step_s)
+    total = power.sum(axis=0)
+    rows: list[tuple[int, float, Array, Array, Array]] = []
+    left_out = 0
+    for day in range(first, last):
+        at = slice(offset + (day - first) * k, offset + (day - first + 1) * k)
+        measured = np.isfinite(total[at]) & np.isfinite(record.T_out_C[at])
+        if measured.mean() < _LEAST_MEASURED:
+            left_out += 1
+            continue
+        energy = float(np.nanmean(total[at])) * DAY_S / _JOULE_PER_KWH
+        zone = np.array([np.nanmean(row[at]) if np.isfinite(row[at]).any() else np.nan for row in record.T_zone_C])
+        rows.append((day, energy, low_out[:, at].mean(axis=1), low_sun[:, at].mean(axis=1), zone))
+    if not rows:
+        raise DataError(f"{name}: no whole day from midnight to midnight is measured ({left_out} have gaps)")
+    number, energies, outs, suns, zones = zip(*rows, strict=True)
+    weekend = np.zeros(len(rows), dtype=bool)
+    if record.origin is not None:
+        import pandas as pd
+
+        weekend = np.array([(record.origin + pd.Timedelta(days=day)).weekday() >= 5 for day in number])
+    return Days(
+        np.array(number), np.array(energies), np.array(outs).T, np.array(suns).T, np.array(zones).T, weekend, left_out
+    )  # fmt: skip
+
+
+def _low_passes(record: Record, past: Record | None) -> tuple[Array, Array]:
+    """Outdoor temperature and irradiance through each low pass, (lags, n + 1)."""
+    found = []
+    for name in ("T_out_C", "solar_W_m2"):
+        values = _known(getattr(record, name))
+        before = np.empty(0)
+        if past is not None and 0.0 <= record.time_s[0] - past.time_s[-1] <= DAY_S and past.step_s == record.step_s:
+            before = _known(getattr(past, name))
+        joined = np.concatenate([before, values])
+        rows = []
+        for lag in LAGS_H:
+            if lag == 0.0:
+                rows.append(values)
+                continue
+            pole = np.exp(-record.step_s / HOUR_S / lag)
+            start = joined[: max(1, round(DAY_S / record.step_s))].mean()
+            rows.append(lfilter([1.0 - pole], [1.0, -pole], joined, zi=[pole * start])[0][before.size :])
+        found.append(np.array(rows))
+    return found[0], found[1]
+
+
+def _known(values: Array) -> Array:
+    """`values` with gaps interpolated; the days in which they lie are left out by their own rule."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        return np.zeros_like(values)
+    return np.asarray(np.interp(np.arange(values.size), known, values[known]))
