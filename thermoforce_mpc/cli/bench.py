@@ -233,6 +233,21 @@ def factual_command(
     show(result, json_file)
 
 
+@command.command("operation")
+@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@_QUICK
+@_JSON
+def operation_command(jobs: int, quick: bool, json_file: Path | None) -> None:
+    """Score models from 3, 7 and 28 days of a thermostat, a PI loop and a timer beside those from probing.
+
+    On the embedded plant and a house of three rooms, by the effect of acting on pairs of days; heat is not measured.
+    Target: a model that is wrong says so.
+    """
+    from thermoforce_mpc.research.bench.operation import run_operation_bench
+
+    show(run_operation_bench(jobs=jobs, quick=quick, progress=_progress), json_file)
+
+
 @command.command("saving")
 @click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="Number of cases.")
 @click.option("--seed", type=int, default=7, show_default=True, help="Seed of houses, start days and set-points.")
