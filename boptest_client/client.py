@@ -5,16 +5,19 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from boptest_client.errors import (
     AdvanceInterrupted,
     BoptestError,
+    ConnectError,
     ConnectionLost,
+    InternalError,
+    Moved,
     ProtocolError,
     ServiceTimeout,
     UnknownTest,
@@ -25,6 +28,16 @@ from boptest_client.types import Point, Scenario
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
 _CLOCK_TOLERANCE_S = 1e-3
+# A test is not waited for longer than this to be stopped, s: the service drops it when idle.
+_STOPPING_S = 10.0
+# After these, it is not known whether the service acted on the request.
+_LOST = (ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
+
+_Parsed = TypeVar("_Parsed")
+
+
+class _NotSimulated(BoptestError):
+    """A step whose answer was lost, and which the service did not simulate."""
 
 
 class BoptestClient:
@@ -41,21 +54,33 @@ class BoptestClient:
     """
 
     def __init__(
-        self, url: str, testcase: str, *, config: TransportConfig | None = None, start_timeout_s: float = 120.0
+        self,
+        url: str,
+        testcase: str,
+        *,
+        config: TransportConfig | None = None,
+        start_timeout_s: float = 120.0,
+        testid: str | None = None,
     ) -> None:
-        """Select `testcase` and wait until it runs.
+        """Select `testcase` and wait until it runs; with `testid`, take up the test of that name instead.
 
         Raises:
             BadAddress: `url` is not an http(s) address.
-            UnknownTest: the service does not offer the test case; the message lists what it offers.
+            UnknownTest: the service does not offer the test case (the message lists what it offers), or has no test
+                `testid`.
             ServiceTimeout: the test was still queued after `start_timeout_s`.
             TransportError: the service cannot be reached.
         """
         self.testcase = testcase
         self._transport = Transport(url, config or TransportConfig(), _user_agent())
         self._stopped = False
-        self._time_s = math.nan
+        self.time_s = math.nan
+        """Time at which the test stands, s: that of the last answer."""
         self._step_s = math.nan
+        if testid is not None:
+            self.testid = testid
+            self.status()
+            return
         self.testid = self._select()
         try:
             self._wait(start_timeout_s)
@@ -71,14 +96,18 @@ class BoptestClient:
     def version(self) -> str:
         """Version of the service. Results of a test case differ between versions."""
         endpoint = f"GET {self.url}/version"
-        answer = self._mapping(endpoint, self._transport.call("GET", "version", repeatable=True).payload)
-        if "version" not in answer:
-            raise ProtocolError(endpoint, f"no version in {answer!r}")
-        return str(answer["version"])
+
+        def parse(payload: Any) -> str:
+            answer = self._mapping(endpoint, payload)
+            if "version" not in answer:
+                raise ProtocolError(endpoint, f"no version in {answer!r}")
+            return str(answer["version"])
+
+        return self._transport.patiently(lambda: parse(self._transport.call("GET", "version").payload))
 
     def testcases(self) -> tuple[str, ...]:
         """Names of the available test cases."""
-        answer = self._transport.call("GET", "testcases", repeatable=True).payload
+        answer = self._transport.call("GET", "testcases").payload
         try:
             return tuple(sorted(str(item["testcaseid"]) for item in answer))
         except (TypeError, KeyError) as error:
@@ -86,14 +115,18 @@ class BoptestClient:
 
     def name(self) -> str:
         """Name of the test case as reported by the service."""
-        answer = self._mapping(self._at("name"), self._get("name"))
-        if "name" not in answer:
-            raise ProtocolError(self._at("name"), f"no name in {answer!r}")
-        return str(answer["name"])
+
+        def parse(payload: Any) -> str:
+            answer = self._mapping(self._at("name"), payload)
+            if "name" not in answer:
+                raise ProtocolError(self._at("name"), f"no name in {answer!r}")
+            return str(answer["name"])
+
+        return self._get("name", parse)
 
     def status(self) -> str:
         """'Running' or 'Queued'."""
-        return str(self._get("status"))
+        return self._get("status", str)
 
     def inputs(self) -> dict[str, Point]:
         """Inputs by name: `<point>_u` and `<point>_activate`."""
@@ -109,7 +142,7 @@ class BoptestClient:
 
     def scenario(self) -> Scenario:
         """Current scenario."""
-        return Scenario.from_json(self._mapping(self._at("scenario"), self._get("scenario")))
+        return self._get("scenario", lambda answer: Scenario.from_json(self._mapping(self._at("scenario"), answer)))
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
         """Set the scenario.
@@ -118,65 +151,115 @@ class BoptestClient:
             The first measurements if the scenario names a `time_period`, which initialises the test (7 days of
             warm-up, two scored weeks); otherwise an empty dictionary.
         """
-        answer = self._mapping(self._at("scenario"), self._put("scenario", scenario.as_json()))
-        if scenario.time_period is None:
-            return {}
-        return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
+
+        def parse(payload: Any) -> dict[str, float]:
+            answer = self._mapping(self._at("scenario"), payload)
+            if scenario.time_period is None:
+                return {}
+            return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
+
+        found = self._put("scenario", scenario.as_json(), parse, refusals=0)
+        self._transport.in_a_run = True
+        return found
 
     def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
         """Start at `start_time_s` after `warmup_period_s` under embedded control; returns the first measurements."""
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
-        return self._timed("initialize", self._numbers("initialize", self._put("initialize", body)))
+
+        def parse(payload: Any) -> dict[str, float]:
+            return self._timed("initialize", self._numbers("initialize", payload))
+
+        found = self._put("initialize", body, parse, refusals=0)
+        self._transport.in_a_run = True
+        return found
 
     def step(self) -> float:
         """Length of a step, s."""
-        answer = self._get("step")
-        try:
-            return float(answer)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ProtocolError(self._at("step"), f"not a number: {answer!r:.120}") from error
+
+        def parse(answer: Any) -> float:
+            try:
+                return float(answer)
+            except (TypeError, ValueError, OverflowError) as error:
+                raise ProtocolError(self._at("step"), f"not a number: {answer!r:.120}") from error
+
+        return self._get("step", parse)
 
     def set_step(self, step_s: float) -> None:
         """Set the length of a step, s."""
-        self._put("step", {"step": step_s})
+        self._put("step", {"step": step_s}, lambda payload: None, refusals=0)
         self._step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
         """Simulate one step; returns measurements and inputs at its end, empty after the end of the scenario.
 
-        If the answer is lost, the recorded time shows whether the step was simulated. If it was, the values at its end
-        are read from the record; if not, the request is repeated. Messages of the service (for example about a
-        clipped input) are logged as warnings.
+        If the answer is lost, an error or nonsense, the recorded time shows whether the step was simulated. If it was,
+        the values at its end are read from the record; if not, the request is repeated. Messages of the service (for
+        example about a clipped input) are logged as warnings.
 
         Raises:
             AdvanceInterrupted: no answer, and it is unknown whether the step was simulated.
         """
         body = dict(inputs or {})
-        for _ in range(self._transport.config.retries + 1):
-            try:
-                answer = self._transport.call("POST", f"advance/{self.testid}", body, repeatable=False)
-            except (ConnectionLost, ServiceTimeout) as lost:
-                state = self._state_after(lost)
-                if state:
-                    self._time_s = state["time"]
-                    return state
-                _LOG.warning("%s; the step was not simulated and is sent again", lost)
-                interrupted = lost
-                continue
-            if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
-                _LOG.warning("advance: %s", answer.message)
+        try:
+            return self._transport.patiently(lambda: self._advance_once(body), passing=(ConnectError, _NotSimulated))
+        except (ConnectError, _NotSimulated) as lost:
+            raise AdvanceInterrupted(lost.endpoint, f"{lost.message}, in every attempt") from lost
+
+    def _advance_once(self, body: dict[str, float]) -> dict[str, float]:
+        try:
+            answer = self._transport.call("POST", f"advance/{self.testid}", body)
             # An empty payload marks the end of the scenario.
             over = answer.payload is None or answer.payload == {}
-            return {} if over else self._timed("advance", self._numbers("advance", answer.payload))
-        raise AdvanceInterrupted(interrupted.endpoint, f"{interrupted.message}, in every attempt") from interrupted
+            state = {} if over else self._numbers("advance", answer.payload)
+            if not over and not math.isfinite(state.get("time", math.nan)):
+                raise ProtocolError(self._at("advance"), "the measurements have no time")
+        except Moved:
+            raise
+        except _LOST as lost:
+            found = self._state_after(lost)
+            if not found:
+                raise _NotSimulated(lost.endpoint, f"{lost.message}; the step was not simulated") from lost
+            _LOG.warning("%s; the step was simulated, its end is read from the record", lost)
+            return self._timed("advance", found)
+        if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
+            _LOG.warning("advance: %s", answer.message)
+        return {} if over else self._timed("advance", state)
+
+    def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
+        """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
+
+        Returns:
+            The values at the end of a step that was simulated since then; nothing if there was none.
+
+        Raises:
+            AdvanceInterrupted: the test stands elsewhere.
+        """
+        self.time_s, self._step_s = time_s, step_s
+        self._transport.in_a_run = True
+        lost = ConnectionLost(self._at("advance"), "the process that controlled this test ended")
+        found = self._state_after(lost)
+        return self._timed("results", found) if found else {}
 
     def forecast(self, point_names: Sequence[str], horizon_s: float, interval_s: float) -> dict[str, list[float]]:
         """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`."""
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
-        series = self._series("forecast", self._put("forecast", body), [*point_names, "time"])
-        if not series["time"] or any(a == b for a, b in pairwise(series["time"])):
-            raise ProtocolError(self._at("forecast"), f"its clock ('time') does not rise: {series['time'][:3]} …")
-        return series
+
+        def parse(payload: Any) -> dict[str, list[float]]:
+            series = self._series("forecast", payload, [*point_names, "time"])
+            clock = series["time"]
+            if not clock or any(a == b for a, b in pairwise(clock)):
+                raise ProtocolError(self._at("forecast"), f"its clock ('time') does not rise: {clock[:3]} …")
+            n = math.floor(horizon_s / interval_s + 1e-9) + 1
+            steps = [(i, time_s - clock[0]) for i, time_s in enumerate(clock[:n])]
+            if len(clock) < n or any(abs(after_s - i * interval_s) > _CLOCK_TOLERANCE_S for i, after_s in steps):
+                raise ProtocolError(
+                    self._at("forecast"),
+                    f"asked for {n} instants every {interval_s:g} s, got {len(clock)} from {clock[0]:g} s to "
+                    f"{clock[-1]:g} s",
+                )
+            return series
+
+        return self._put("forecast", body, parse)
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
         """Recorded values of each point and 'time', s, between two times, warm-up included, at 30-s samples.
@@ -184,14 +267,18 @@ class BoptestClient:
         The service answers with status 500 if nothing is recorded between the two, for example in the future.
         """
         body = {"point_names": list(point_names), "start_time": start_s, "final_time": final_s}
-        return self._series("results", self._put("results", body), [*point_names, "time"])
+        return self._put("results", body, lambda payload: self._series("results", payload, [*point_names, "time"]))
 
     def kpi(self) -> dict[str, float | None]:
         """Key performance indicators since the end of the warm-up; None for those the test case does not compute."""
-        values = self._numbers("kpi", self._get("kpi"))
-        if not values:
-            raise ProtocolError(self._at("kpi"), "the answer contains no indicator")
-        return {key: None if math.isnan(value) else value for key, value in values.items()}
+
+        def parse(payload: Any) -> dict[str, float | None]:
+            values = self._numbers("kpi", payload)
+            if not values:
+                raise ProtocolError(self._at("kpi"), "the answer contains no indicator")
+            return {key: None if math.isnan(value) else value for key, value in values.items()}
+
+        return self._get("kpi", parse)
 
     def stop(self) -> None:
         """Stop the test and free its worker; no error if called twice or if the test no longer exists."""
@@ -199,7 +286,9 @@ class BoptestClient:
             return
         self._stopped = True
         try:
-            self._transport.call("PUT", f"stop/{self.testid}", {}, repeatable=False)
+            self._transport.patiently(
+                lambda: self._transport.call("PUT", f"stop/{self.testid}", {}), most_s=_STOPPING_S
+            )
         except UnknownTest:
             pass
         finally:
@@ -227,7 +316,9 @@ class BoptestClient:
         path = f"testcases/{self.testcase}/select"
         try:
             # Not repeated: a selection whose answer was lost may have started a test that nobody would stop.
-            answer = self._transport.call("POST", path, {}, repeatable=False).payload
+            answer = self._transport.patiently(
+                lambda: self._transport.call("POST", path, {}), passing=(ConnectError,), refusals=0
+            ).payload
             if not isinstance(answer, dict) or "testid" not in answer:
                 raise ProtocolError(f"POST {self.url}/{path}", f"no testid in {answer!r:.120}")
         except UnknownTest as error:
@@ -258,10 +349,10 @@ class BoptestClient:
         """The state in the answer to `what`, which must contain a finite 'time'."""
         if not math.isfinite(state.get("time", math.nan)):
             raise ProtocolError(self._at(what), "the measurements have no time")
-        self._time_s = state["time"]
+        self.time_s = state["time"]
         return state
 
-    def _state_after(self, lost: ConnectionLost | ServiceTimeout) -> dict[str, float]:
+    def _state_after(self, lost: BoptestError) -> dict[str, float]:
         """The state at the end of a step whose answer was lost, or an empty one if the step was not simulated.
 
         The worker handles requests in order, so its record already includes the step if the request arrived.
@@ -270,34 +361,41 @@ class BoptestClient:
         try:
             step_s = self.step() if math.isnan(self._step_s) else self._step_s
             names = [*self.measurements(), *self.inputs()]
-            record = self.results(names, self._time_s, self._time_s + step_s)
+            record = self.results(names, self.time_s, self.time_s + step_s)
         except BoptestError as error:
             raise AdvanceInterrupted(lost.endpoint, f"{unknown} ({error})") from lost
         last_s = record["time"][-1] if record["time"] else math.nan
-        if abs(last_s - self._time_s) <= _CLOCK_TOLERANCE_S:
+        if abs(last_s - self.time_s) <= _CLOCK_TOLERANCE_S:
             return {}
-        if abs(last_s - self._time_s - step_s) <= _CLOCK_TOLERANCE_S:
+        if abs(last_s - self.time_s - step_s) <= _CLOCK_TOLERANCE_S:
             return {name: values[-1] for name, values in record.items()}
         raise AdvanceInterrupted(lost.endpoint, f"{unknown} (the record ends at {last_s:g} s)") from lost
 
-    def _get(self, what: str) -> Any:
-        return self._transport.call("GET", f"{what}/{self.testid}", repeatable=True).payload
+    def _get(self, what: str, parse: Callable[[Any], _Parsed]) -> _Parsed:
+        """The parsed answer to a GET request, repeated while it fails or is nonsense."""
+        return self._transport.patiently(lambda: parse(self._transport.call("GET", f"{what}/{self.testid}").payload))
 
-    def _put(self, what: str, body: dict[str, Any]) -> Any:
-        # All PUT requests of the protocol are idempotent.
-        return self._transport.call("PUT", f"{what}/{self.testid}", body, repeatable=True).payload
+    def _put(self, what: str, body: dict[str, Any], parse: Callable[[Any], _Parsed], refusals: int = 2) -> _Parsed:
+        """The same for PUT; all PUT requests of the protocol may be repeated."""
+        path = f"{what}/{self.testid}"
+        return self._transport.patiently(
+            lambda: parse(self._transport.call("PUT", path, body).payload), refusals=refusals
+        )
 
     def _at(self, what: str) -> str:
         """Address of the endpoint `what` of this test, for an error message."""
         return f"{self.url}/{what}/{self.testid}"
 
     def _points(self, what: str) -> dict[str, Point]:
-        answer = self._mapping(self._at(what), self._get(what))
-        return {
-            name: Point.from_json(name, self._mapping(self._at(what), data or {}))
-            for name, data in answer.items()
-            if name != "time"
-        }
+
+        def parse(payload: Any) -> dict[str, Point]:
+            return {
+                name: Point.from_json(name, self._mapping(self._at(what), data or {}))
+                for name, data in self._mapping(self._at(what), payload).items()
+                if name != "time"
+            }
+
+        return self._get(what, parse)
 
     def _mapping(self, endpoint: str, answer: Any) -> Mapping[str, Any]:
         if not isinstance(answer, Mapping):

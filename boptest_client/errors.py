@@ -8,10 +8,11 @@ BoptestError
 │   ├── ServiceTimeout      no answer in time
 │   └── AdvanceInterrupted  no answer to a step, and the state of the test is unknown
 ├── ProtocolError         the answer does not follow the BOPTEST protocol
+│   └── Moved               the service answers that it has another address
 └── ServiceError          the service answered with an error
     ├── RequestRejected     400: invalid request
     ├── UnknownTest         the test case or test does not exist (any more)
-    └── InternalError       500 and above
+    └── InternalError       500 and above, or 429
 """
 
 from __future__ import annotations
@@ -53,6 +54,10 @@ class ProtocolError(BoptestError):
     """The answer does not follow the BOPTEST protocol."""
 
 
+class Moved(ProtocolError):
+    """The service answers that it has another address, which is not followed."""
+
+
 class ServiceError(BoptestError):
     """The service answered with an error; `status` is the HTTP status."""
 
@@ -70,4 +75,4 @@ class UnknownTest(ServiceError):
 
 
 class InternalError(ServiceError):
-    """The service failed internally (500 and above)."""
+    """The service failed internally (500 and above), or has too much to do (429)."""

@@ -1,8 +1,9 @@
-"""HTTP requests to the service: time limits, unpacking of the JSON envelope, and retries of repeatable requests."""
+"""HTTP requests to the service: time limits, the JSON envelope, and patience with a service that is away."""
 
 from __future__ import annotations
 
 import functools
+import logging
 import math
 import os
 import socket
@@ -11,11 +12,12 @@ import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
 from urllib.parse import urlsplit
 
 import requests
+import tenacity
 from requests.adapters import HTTPAdapter
 
 from boptest_client.errors import (
@@ -23,6 +25,7 @@ from boptest_client.errors import (
     ConnectError,
     ConnectionLost,
     InternalError,
+    Moved,
     ProtocolError,
     RequestRejected,
     ServiceError,
@@ -35,31 +38,43 @@ Method = Literal["GET", "PUT", "POST"]
 # A year of fifty points every half minute, unpacked, has 1 GB; no request of ours asks for a tenth of it.
 _MOST_BYTES = 200_000_000
 
+_LOG = logging.getLogger(__name__)
+_Result = TypeVar("_Result")
+
+# A request that was refused (400) is repeated this many times: a proxy may have mangled it.
+_REFUSALS = 2
+# Failures after which a request that may be repeated is repeated.
+_PASSING = (ConnectError, ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
+
 
 @dataclass(frozen=True)
 class TransportConfig:
-    """Time limits and retries of requests. Long steps and warm-ups of a real test case take minutes.
+    """Time limits of requests. Long steps and warm-ups of a real test case take minutes.
 
     Attributes:
         connect_timeout_s: time limit for making a connection, s.
         read_timeout_s: time limit between two received bytes, s; `connect_timeout_s + read_timeout_s` also limits the
             whole request, since a peer that sends single bytes would never exceed the first limit.
-        retries: repeats of a failed request.
+        patience_s: how long requests of a run are repeated while the service is away or answers nonsense, s; before
+            the test was initialised it is `connect_timeout_s`, since address or test case may be wrong.
         backoff_s: pause before the first repeat, s; it doubles with each.
+        longest_pause_s: longest pause, s.
+        sleep: waits for the given number of seconds.
     """
 
     connect_timeout_s: float = 5.0
     read_timeout_s: float = 300.0
-    retries: int = 3
+    patience_s: float = 900.0
     backoff_s: float = 0.5
+    longest_pause_s: float = 15.0
+    sleep: Callable[[float], None] = field(default=time.sleep, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("connect_timeout_s", "read_timeout_s", "backoff_s"):
+        for name in ("connect_timeout_s", "read_timeout_s", "patience_s", "backoff_s", "longest_pause_s"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and (value > 0 or (value == 0 and name == "backoff_s"))):
+            may_be_zero = name not in ("connect_timeout_s", "read_timeout_s")
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and may_be_zero))):
                 raise ValueError(f"{name} is {value!r}, expected a positive number of seconds")
-        if self.retries < 0:
-            raise ValueError(f"retries is {self.retries!r}, expected 0 or more")
 
 
 @dataclass(frozen=True)
@@ -79,7 +94,8 @@ class Transport:
             raise BadAddress(url, "not the address of a service; expected something like http://127.0.0.1:8000")
         self.url = url.rstrip("/")
         self.config = config
-        self._reached = False
+        self.in_a_run = False
+        """Whether the test was initialised: requests are then repeated for `patience_s`."""
         self._session, self._adapter = requests.Session(), _CuttableAdapter()
         for scheme in ("http://", "https://"):
             self._session.mount(scheme, self._adapter)
@@ -87,29 +103,57 @@ class Transport:
         if token := os.environ.get("BOPTEST_TOKEN", "").strip():
             self._session.auth = _Bearer(token)
 
-    def call(self, method: Method, path: str, body: dict[str, Any] | None = None, *, repeatable: bool) -> Answer:
-        """Send one request and return the answer.
+    def patiently(
+        self,
+        ask: Callable[[], _Result],
+        *,
+        passing: tuple[type[Exception], ...] = _PASSING,
+        refusals: int = _REFUSALS,
+        most_s: float = math.inf,
+    ) -> _Result:
+        """The result of `ask`, repeated with growing pauses while it fails in a way that may pass.
 
-        A failed connection attempt is repeated with growing pauses, since nothing was sent. A connection that broke
-        later is repeated only if `repeatable`. A timed-out request is not repeated, since the service may still work
-        on it. Until the first answer there are no retries after `connect_timeout_s`, since the address may be wrong.
+        Args:
+            passing: errors that may pass; a refused request is repeated `refusals` times.
+            most_s: gives up after this time, s, if patience lasts longer.
+
+        Raises:
+            BoptestError: that of the last attempt.
+        """
+        c = self.config
+        patience_s = min(c.patience_s if self.in_a_run else c.connect_timeout_s, most_s)
+
+        def again(state: tenacity.RetryCallState) -> bool:
+            error = state.outcome.exception() if state.outcome else None
+            if isinstance(error, RequestRejected):
+                return state.attempt_number <= refusals
+            return isinstance(error, passing) and not isinstance(error, Moved)
+
+        def over(state: tenacity.RetryCallState) -> bool:
+            # The pauses that were asked for count too: a clock of tests may make them shorter.
+            return max(state.seconds_since_start or 0.0, state.idle_for) >= patience_s
+
+        def tell(state: tenacity.RetryCallState) -> None:
+            error = state.outcome.exception() if state.outcome else None
+            _LOG.warning("%s; asking again for up to %.3g s", error, max(patience_s - state.idle_for, 0.0))
+
+        retrying = tenacity.Retrying(
+            retry=again,
+            stop=over,
+            wait=tenacity.wait_exponential(multiplier=c.backoff_s, max=c.longest_pause_s),
+            sleep=c.sleep,
+            before_sleep=tell,
+            reraise=True,
+        )
+        return retrying(ask)
+
+    def call(self, method: Method, path: str, body: dict[str, Any] | None = None) -> Answer:
+        """Send one request, once, and return the answer.
 
         Raises:
             BoptestError: see `boptest_client.errors`.
         """
-        endpoint = f"{method} {self.url}/{path}"
-        patient_until = math.inf if self._reached else time.monotonic() + self.config.connect_timeout_s
-        for attempt in range(self.config.retries):
-            try:
-                return self._once(method, path, endpoint, body)
-            except ConnectError:
-                if time.monotonic() >= patient_until:
-                    raise
-            except ConnectionLost:
-                if not repeatable:
-                    raise
-            time.sleep(self.config.backoff_s * 2**attempt)
-        return self._once(method, path, endpoint, body)
+        return self._once(method, path, f"{method} {self.url}/{path}", body)
 
     def close(self) -> None:
         """Close the connections."""
@@ -137,9 +181,8 @@ class Transport:
                 raise
         if cut.is_set():
             raise late
-        self._reached = True
         if response.is_redirect:
-            raise ProtocolError(endpoint, f"the service has moved to {response.headers['Location']}; use that address")
+            raise Moved(endpoint, f"the service has moved to {response.headers['Location']}; use that address")
         try:
             content = response.json()
         except (ValueError, RecursionError):
@@ -240,7 +283,7 @@ class _CuttableAdapter(HTTPAdapter):
 def _service_error(endpoint: str, status: int, message: str) -> ServiceError:
     if status == 404 or "invalid testid" in message.lower():
         return UnknownTest(endpoint, message, status)
-    return RequestRejected(endpoint, message, status) if status < 500 else InternalError(endpoint, message, status)
+    return (InternalError if status >= 500 or status == 429 else RequestRejected)(endpoint, message, status)
 
 
 def _reason(content: Any, text: str) -> str:

@@ -37,3 +37,11 @@ class BackboneError(InputError):
 
 class PlantError(ThermoForceError):
     """The plant or the service behind it failed (exit code 3)."""
+
+
+class StorageError(ThermoForceError):
+    """A file could not be written: disk full, folder read-only or removed (exit code 6)."""
+
+
+class NoSuchTest(ThermoForceError):
+    """A run cannot be continued, since the service no longer has its test (exit code 5)."""

@@ -5,6 +5,7 @@ Each free response and each controller is one file, listed in one registry.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 from thermoforce_mpc.data import (
@@ -71,6 +72,21 @@ class RoomSetpointPlant(Plant, Protocol):
         """Let the loops keep `band_C` (A,), heating and cooling set-point of each actuator, °C, for `duration_s` s.
 
         `u` (A,) are the levels that are planned, below 0 for cooling; their sign says which loop may act, 0 both.
+        """
+        ...
+
+
+@runtime_checkable
+class OutlivingPlant(Plant, Protocol):
+    """Plant that goes on existing where the process that runs it dies: a service."""
+
+    def go_on(
+        self, last: Measurement, *, start_s: float, warmup_s: float, price: str, periods: Mapping[str, Period]
+    ) -> None:
+        """Take the plant up after `last`, the last measurement that was received since the reset of these arguments.
+
+        `periods` are the windows that were asked for by name. The next `advance` gives the answer of a step that was
+        simulated and whose answer was lost. Raises `PlantError` where the plant stands elsewhere.
         """
         ...
 

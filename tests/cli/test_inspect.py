@@ -16,8 +16,8 @@ from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.simulation import run_models
 from thermoforce_mpc.simulation.identifying import may_act
-from thermoforce_mpc.simulation.run import _origin
 
 GOOD = Competence(True, effect_K=2.0, effect_sd_K=0.2)
 POOR = Competence(False, ("too weak",), ("hold full level",), effect_K=2.0, effect_sd_K=2.0)
@@ -64,7 +64,7 @@ def test_a_model_acts_only_if_all_its_cards_are_competent(verdicts, may):
 
 
 def test_the_manifest_tells_of_every_actuator():
-    origin = _origin(building(GOOD, POOR))
+    origin = run_models.origin(building(GOOD, POOR))
     assert {name: of["competence"]["competent"] for name, of in origin["actuators"].items()} == {
         "radiator": True,
         "floor": False,

@@ -17,7 +17,7 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import load_testcase
 
-QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, retries=1, backoff_s=0.01)
+QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, patience_s=0.5, backoff_s=0.01)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")
 
 
@@ -134,7 +134,7 @@ def test_a_lost_answer_costs_no_run(plant, service):
 
 def test_a_failing_stop_hides_nothing(service, caplog):
     plant = BoptestPlant(service.url, TESTCASE, config=QUICK)
-    service.faults.append(Fault("stop/", "500"))
+    service.faults.append(Fault("stop/", "500", times=99))
     plant.close()
     plant.close()
     assert "not stopped" in caplog.text
@@ -201,9 +201,10 @@ def _cut(payload: dict, n: int) -> dict:
 )
 def test_a_forecast_of_another_shape_or_clock_is_a_plant_error_with_its_endpoint(plant, service, edit):
     plant.reset(20 * DAY_S, 0)
-    service.faults.append(Fault("forecast/", "edited", edit=edit))
+    service.faults.append(Fault("forecast/", "edited", times=99, edit=edit))
     with pytest.raises(PlantError, match=r"http://.*/forecast/"):
         plant.forecast(DAY_S, HOUR_S)
+    service.faults.clear()
     assert plant.forecast(DAY_S, HOUR_S).n_steps == 24
 
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 import warnings
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from thermoforce_mpc.errors import InputError, PlantError
+from thermoforce_mpc.errors import InputError, NoSuchTest, PlantError, StorageError
 from thermoforce_mpc.reading import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
 # name: (module, one line for the overview)
 _COMMANDS = {
     "run": ("thermoforce_mpc.cli.run", "Run a controller over a scored window and report KPIs."),
+    "resume": ("thermoforce_mpc.cli.resume", "Go on with a run that was killed or interrupted."),
     "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
     "sweep": ("thermoforce_mpc.cli.sweep", "Vary one controller option and plot cost against discomfort."),
     "identify": (
@@ -30,9 +32,15 @@ _COMMANDS = {
         "Show what another schedule would have done on a past day.",
     ),
     "saving": ("thermoforce_mpc.cli.saving", "What a changed operation saved, with an interval, from records."),
+    "explain": ("thermoforce_mpc.cli.explain", "Tell what a run decided at an instant, and why."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
+    "chaos": ("thermoforce_mpc.cli.chaos", "Run controllers with everything around them failing on purpose."),
+    "doctor": (
+        "thermoforce_mpc.cli.doctor",
+        "Check installation, solvers, forecaster, plant, service, clock and disk.",
+    ),
     "serve": ("thermoforce_mpc.cli.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
     "weather": ("thermoforce_mpc.cli.weather", "Download the weather file of the BOPTEST test case."),
     "bench": ("thermoforce_mpc.cli.bench", "Run benchmarks and compare the results with their targets."),
@@ -71,8 +79,19 @@ def cli() -> None:
 
     \b
     Exit codes: 0 done, 2 bad input, 3 the plant or its service failed, 4 the
-    model is below the bar (identify, plan), 130 interrupted.
+    model is below the bar (identify, plan), 5 the service no longer
+    has the test (resume only), 6 a file cannot be written (disk full, folder
+    read-only or removed), 130 interrupted by Ctrl-C, 143 ended by SIGTERM.
     """
+
+
+class Terminated(BaseException):
+    """SIGTERM: ends as Ctrl-C does, with the plant released and the journal whole, and exit code 143."""
+
+
+def _terminate(*_: object) -> NoReturn:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the plant's release short
+    raise Terminated
 
 
 _show_otherwise = warnings.showwarning
@@ -89,6 +108,7 @@ def _show_warning(message: Warning | str, category: type[Warning], *place: Any, 
 def main() -> None:
     """Entry point: prints an error of this package as one message and exits with its code."""
     warnings.showwarning = _show_warning
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         code = cli.main(standalone_mode=False)
         if isinstance(code, int):  # a command that exits with a code of its own
@@ -102,6 +122,15 @@ def main() -> None:
     except PlantError as error:
         click.echo(f"Plant failed: {error}", err=True)
         sys.exit(3)
+    except NoSuchTest as error:
+        click.echo(f"Cannot go on: {error}", err=True)
+        sys.exit(5)
+    except StorageError as error:
+        click.echo(f"Cannot be written: {error}", err=True)
+        sys.exit(6)
+    except Terminated:
+        click.echo("Terminated.", err=True)
+        sys.exit(143)
     except (KeyboardInterrupt, click.Abort):
         click.echo("Interrupted.", err=True)
         sys.exit(130)

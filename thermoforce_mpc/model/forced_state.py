@@ -54,6 +54,13 @@ class ForcedState:
         for array in (self.time_s, self.forced_K, self.covariance):
             array.setflags(write=False)
 
+    def since(self, time_s: float) -> ForcedState:
+        """Without what was before `time_s`, s; itself where nothing was, or nothing would be left."""
+        first = int(np.searchsorted(self.time_s, time_s - 0.5))
+        if first == 0 or first >= self.time_s.size:
+            return self
+        return replace(self, time_s=self.time_s[first:], forced_K=self.forced_K[:, :, first:])
+
 
 class ForcedStateEstimator:
     """Recursive estimator of the forced state.
@@ -78,9 +85,12 @@ class ForcedStateEstimator:
     def update(self, state: ForcedState | None, history: Record) -> ForcedState:
         """Return the state after all of `history`; a history that does not continue `state` is rolled out anew.
 
+        A history that begins later than `state` did continues it.
+
         Raises:
             DataError: see `forced_history`.
         """
+        state = state.since(float(history.time_s[0])) if state else None
         known = state.time_s.size if state else 0
         if (
             state is None

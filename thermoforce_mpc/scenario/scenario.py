@@ -27,6 +27,9 @@ class PlantSpec(StrictModel):
     forecast_uncertainty: Literal["none", "low", "medium", "high"] = Field(
         "none", description="BOPTEST's forecast uncertainty level for outdoor temperature and solar radiation"
     )
+    patience_min: float = Field(
+        15.0, ge=0, le=1440, description="how long a service may be away before the run ends, min (kind: boptest)"
+    )
     prices_file: str | None = Field(None, description="CSV with your own highly dynamic tariff (kind: embedded)")
 
     @model_validator(mode="after")

@@ -6,11 +6,14 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 
 from thermoforce_mpc.data import (
+    CONDITIONS,
+    DAY_S,
+    HOUR_S,
     SINGLE,
     Array,
     Block,
@@ -25,9 +28,16 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.model.forecast_gaps import lengthened
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
+from thermoforce_mpc.simulation.kept_steps import KeptSteps
 
 # Tolerance on times, s: shorter remainders are rounding errors of the clock.
 _CLOCK_TOLERANCE_S = 1e-6
+# A plant's clock that is further off after a step has jumped, s.
+_CLOCK_JUMP_S = 0.01
+# Controllers are told the record of these latest days. It is cut once a day.
+_RECORD_DAYS = 35.0
+# Signals of a forecast that a plan needs.
+_NEEDED = tuple(name for name in CONDITIONS if name not in ("occupancy", "emission_kg_per_kWh"))
 
 
 @dataclass(frozen=True)
@@ -98,7 +108,7 @@ class RunResult:
     period: Period
     controller: str
     kpis: dict[str, float]
-    steps: tuple[StepRecord, ...]
+    steps: Sequence[StepRecord]
     start: Measurement
     seconds: float = field(default=0.0)
     state: object = field(default=None, repr=False)
@@ -145,6 +155,18 @@ def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, 
     return found
 
 
+class StepKeeper(Protocol):
+    """Keeps a record of the steps of a loop as they happen."""
+
+    def decided(self, index: int, time_s: float, plan: Plan, blocks: Sequence[Block], refused: str) -> Sequence[Block]:
+        """Record a decision before it acts; return the blocks to apply."""
+        ...
+
+    def ended(self, record: StepRecord) -> StepRecord:
+        """Record a step that has ended; return it, with the computing times to report."""
+        ...
+
+
 def run_closed_loop(
     plant: Plant,
     controller: Controller,
@@ -153,6 +175,9 @@ def run_closed_loop(
     on_step: Callable[[StepRecord], None] | None = None,
     allowed: Limits | None = None,
     lowest: Sequence[float] | None = None,
+    keeper: StepKeeper | None = None,
+    steps: KeptSteps[StepRecord] | None = None,
+    record_days: float = _RECORD_DAYS,
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
@@ -163,6 +188,9 @@ def run_closed_loop(
         on_step: called after every control step (progress display).
         allowed: limits of plausible readings; by default those of the controller's model, see `limits_of`.
         lowest: lowest level of each actuator (A,); by default that of `allowed` for all.
+        keeper: keeps a journal of the steps.
+        steps: where the steps are kept, also if the plant fails; empty.
+        record_days: controllers are told the record of these latest days, or up to a day more.
 
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
@@ -174,7 +202,7 @@ def run_closed_loop(
     history, doubts = screened_history(plant.past(controller.step_s), allowed)
     end_s = period.start_s + period.scored_s
     now_s = start.time_s
-    steps: list[StepRecord] = []
+    kept: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
     state: object = None
     while end_s - now_s > _CLOCK_TOLERANCE_S:
         t0 = time.perf_counter()
@@ -188,18 +216,27 @@ def run_closed_loop(
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
         plan, state = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, lowest, history.names)
+        if keeper:
+            blocks = tuple(keeper.decided(len(kept), observation.time_s, plan, blocks, refused))
+        doubts += holes(boundary)
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
+        ahead_s = 0.0
         for block in blocks:
             reported = advanced(plant, block)
             measurement, notes = screened(reported, allowed, history)
             parts.append((block.duration_s, _with_level(measurement, block)))
             doubts += notes
             samples.append(_sample(now_s, block, reported, boundary))
+            ahead_s += reported.time_s - now_s - block.duration_s
             now_s = reported.time_s
         t3 = time.perf_counter()
+        if abs(ahead_s) > _CLOCK_JUMP_S:
+            doubts += (
+                f"the plant's clock ran ahead by {ahead_s:g} s: what happened meanwhile is read from its record",
+            )
         record = StepRecord(
-            index=len(steps),
+            index=len(kept),
             time_s=observation.time_s,
             T_zone_C=observation.T_zone_C,
             boundary=boundary,
@@ -212,15 +249,37 @@ def run_closed_loop(
             notes=tuple(dict.fromkeys(doubts)),
         )
         doubts = ()
-        steps.append(record)
+        record = keeper.ended(record) if keeper else record
+        kept.append(record)
         if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and no plan follows it
-            history = history.extended(parts[-1][1].averaged_with(parts))
+            if abs(ahead_s) > _CLOCK_JUMP_S:
+                history, doubts = screened_history(plant.past(controller.step_s), allowed)
+            else:
+                history = history.extended(parts[-1][1].averaged_with(parts))
+            if history.time_s[-1] - history.time_s[0] > (record_days + 1.0) * DAY_S:
+                history = history.last(round(record_days * DAY_S / controller.step_s))
         if on_step:
             on_step(record)
     # BOPTEST's time_rat: computing time per control step over the step; replaces the plant's own value.
-    time_rat = math.fsum(step.plan_seconds for step in steps) / len(steps) / controller.step_s if steps else math.nan
+    time_rat = math.fsum(step.plan_seconds for step in kept) / len(kept) / controller.step_s if kept else math.nan
     kpis = plant.kpis() | {"time_rat": time_rat}
-    return RunResult(period, controller.name, kpis, tuple(steps), start, time.perf_counter() - began, state)
+    return RunResult(period, controller.name, kpis, kept, start, time.perf_counter() - began, state)
+
+
+def holes(boundary: Boundary) -> tuple[str, ...]:
+    """One note per signal of a forecast that has no value at some instants."""
+    notes = []
+    for name in _NEEDED:
+        for row, values in enumerate(np.atleast_2d(getattr(boundary, name))):
+            missing = np.flatnonzero(~np.isfinite(values))
+            if missing.size:
+                label = name if np.ndim(getattr(boundary, name)) == 1 else boundary.names.label(name, row)
+                ahead_h = (boundary.time_s[missing[0]] - boundary.time_s[0]) / HOUR_S
+                notes.append(
+                    f"the forecast of {label} has no value at {missing.size} of {values.size} instants, first "
+                    f"{ahead_h:g} h ahead"
+                )
+    return tuple(notes)
 
 
 def advanced(plant: Plant, block: Block) -> Measurement:

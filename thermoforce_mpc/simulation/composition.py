@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from boptest_client import TransportConfig
 from controllers.registry import find_entry
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
@@ -32,7 +33,9 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
     if spec.kind == "boptest":
         from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 
-        return BoptestPlant(spec.url, testcase, forecast_uncertainty=spec.forecast_uncertainty, seed=seed)
+        return BoptestPlant(
+            spec.url, testcase, forecast_uncertainty=spec.forecast_uncertainty, seed=seed, config=_patience(spec)
+        )
     from thermoforce_mpc.boundary.forecast_error import ForecastError
 
     level = spec.forecast_uncertainty
@@ -67,6 +70,29 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
 
     weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
     return EmbeddedPlant(weather, highly_dynamic=tariff, forecast_error=error)
+
+
+def attached_plant(spec: PlantSpec, testcase: TestCase, seed: int, testid: str) -> Plant:
+    """The plant of a scenario at a service that has its test `testid` already.
+
+    Raises:
+        NoSuchTest: the service no longer has it.
+        PlantError: the service does not answer.
+    """
+    from thermoforce_mpc.plants.boptest.plant import BoptestPlant
+
+    return BoptestPlant(
+        spec.url,
+        testcase,
+        forecast_uncertainty=spec.forecast_uncertainty,
+        seed=seed,
+        testid=testid,
+        config=_patience(spec),
+    )
+
+
+def _patience(spec: PlantSpec) -> TransportConfig:
+    return TransportConfig(patience_s=60.0 * spec.patience_min)
 
 
 def controller_options(scenario: Scenario, name: str) -> dict[str, Any]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from controllers.registry import build_controller, find_entry, has_gate
+from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
-from thermoforce_mpc.errors import ConfigError, DataError, PlantError
+from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
@@ -20,99 +20,28 @@ from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
-from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.composition import attached_plant, build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.display import RunDisplay
-from thermoforce_mpc.simulation.identifying import IdentificationTask, IdentifiedModel, identification_task, model_for
-from thermoforce_mpc.simulation.run_folder import create_run_folder, trajectory_frame, write_partial, write_results
+from thermoforce_mpc.simulation.identifying import IdentifiedModel
+from thermoforce_mpc.simulation.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.kept_steps import KeptSteps
+from thermoforce_mpc.simulation.run_book import RunBook
+from thermoforce_mpc.simulation.run_folder import (
+    clear_partial,
+    create_run_folder,
+    is_complete,
+    is_empty,
+    sole_use,
+    trajectory_frame,
+    write_partial,
+    write_results,
+)
+from thermoforce_mpc.simulation.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.run_models import identify_all, kept_models, origins_of
 from thermoforce_mpc.simulation.watching import watch_spells
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel
-    from thermoforce_mpc.model.zone_model import ZoneModel
-
-
-def _identify_all(
-    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay
-) -> dict[str, IdentifiedModel]:
-    """The model of every contestant that needs one; those that would probe and identify alike share one.
-
-    Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
-    """
-    found: dict[str, IdentifiedModel] = {}
-    known: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
-    for name in dict.fromkeys((scenario.controller.name, *scenario.baselines)):
-        if not find_entry(name).needs_model:
-            continue
-        task = None if scenario.identification.model else identification_task(scenario, testcase, name)
-        same = [identified for other, identified in known if other == task]
-        if not same:
-            if known:
-                display.say(f"For {name}, which runs the machine another way:")
-            same = [_identify(scenario, testcase, plant, name, display)]
-            known.append((task, same[0]))
-        found[name] = same[0]
-    return found
-
-
-def _identify(
-    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay
-) -> IdentifiedModel:
-    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
-
-    Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
-    it has its gate turned off.
-    """
-    spec = scenario.identification
-    try:
-        if spec.model is not None:
-            model = model_for(scenario, testcase, plant, controller)
-            display.say(f"Model: {spec.model} ({model.cards[0].source})")
-        else:
-            with display.probing(spec.days) as progress:
-                model = model_for(scenario, testcase, plant, controller, progress)
-            display.say(f"Identified from {model.cards[0].source}")
-    except DataError as error:
-        if not has_gate(controller, controller_options(scenario, controller), testcase):
-            raise
-        display.say(f"No model could be identified: {error}")
-        return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
-    for a, name in enumerate(model.operator.actuators):
-        zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
-        hours = ", ".join(f"{tau:.2g} h" for tau in zone.operator.time_constants_h)
-        display.say(
-            f"Operator{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
-            f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
-        )
-        verdict = zone.card.competence
-        if verdict is not None:
-            advice = [f"  {advice}" for advice in verdict.advice]
-            display.say("\n".join([f"The model{of} is {verdict.in_words()}", *advice]))
-    return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | _origin(model))
-
-
-def _origin(model: ThermalModel) -> dict[str, Any]:
-    """What the manifest says of a model; with several actuators, of each by its name."""
-    found = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
-    if model.names.single:
-        return found[model.operator.actuators[0]]
-    return {"n_trained": model.operator.n_trained, "pairs": len(list(model.operator.each())), "actuators": found}
-
-
-def _origin_of(zone: ZoneModel) -> dict[str, Any]:
-    """What the manifest says of an actuator on its home zone."""
-    operator, card = zone.operator, zone.card
-    return {
-        "order": operator.order,
-        "n_trained": operator.n_trained,
-        "n_effective": operator.n_effective,
-        "time_constants_h": operator.time_constants_h.tolist(),
-        "steady_gains_K": operator.steady_gains_K.tolist(),
-        "scores": dict(card.scores),
-        "competence": None if card.competence is None else asdict(card.competence),
-        "data_sha256": dict(card.data),
-        "config": dict(card.config),
-        "notes": list(card.notes),
-    }
 
 
 @dataclass(frozen=True)
@@ -183,23 +112,56 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         The run folder.
 
     Raises:
-        InputError: something given cannot be used; nothing is left behind.
+        InputError: something given cannot be used, or another run has the folder; nothing is left behind.
         PlantError: the plant or service failed; what had been recorded is in the run folder the message names.
+        StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     testcase = validate_scenario(scenario)
     folder = create_run_folder(out, f"{testcase.name}-{scenario.period}-{scenario.price}-{scenario.controller.name}")
-    records: dict[str, list[StepRecord]] = {}
+    with sole_use(folder):
+        if not is_empty(folder):  # another run was quicker
+            raise ConfigError(f"{folder}: exists already and is never overwritten; choose another folder")
+        return _carry_out(RunBook.begin(folder, scenario, command), display, testcase)
+
+
+def resume_run(folder: Path, display: RunDisplay) -> Path:
+    """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
+
+    Raises:
+        JournalError: there is no journal, it is damaged, or the run does not repeat itself.
+        NoSuchTest: the run was on a service that no longer has its test.
+        PlantError, StorageError: as `run_scenario`.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    with sole_use(folder):
+        if is_complete(folder):
+            display.say(f"{folder} is complete; there is nothing to resume")
+            return folder
+        book = RunBook.reopen(folder)
+        steps = sum(entry.kind == "done" for entry in book.told)
+        display.say(f"Resuming after {steps} recorded steps")
+        return _carry_out(book, display, validate_scenario(book.scenario))
+
+
+def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
+    """Run what is in the book, and write results and report."""
+    folder, scenario = book.folder, book.scenario
+    records: dict[str, KeptSteps[StepRecord]] = {}
     try:
-        done = _execute(scenario, display, records)
+        with closing(book.journal), logging_to(folder, display.say):
+            done = _execute(scenario, display, records, book=book)
     except PlantError as error:
         write_partial(folder, records, str(error))
         raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
-    except BaseException:
-        if records:
-            write_partial(folder, records, "interrupted")
-        else:
-            folder.rmdir()  # nothing was done yet, and an empty folder says nothing
+    except BaseException as error:
+        with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
+            if records or book.told:
+                write_partial(folder, records, str(error) if isinstance(error, ThermoForceError) else "interrupted")
+            else:
+                book.discard()
         raise
+    clear_partial(folder)
     kpis = write_results(
         folder,
         scenario=scenario,
@@ -207,7 +169,7 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         result=done.result,
         baselines=done.baselines,
         identification=done.identification,
-        command=command,
+        command=book.command,
         forecaster=done.forecaster,
     )
     with display.working("Drawing the report"):
@@ -221,7 +183,15 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
             baselines=done.baselines,
             layout=testcase.layout,
         )
-    title = f"{done.plant.kind} plant, {done.plant.weather}\n{_window(done.result.period)}, {scenario.price} tariff"
+    _tell(done, folder, testcase, display)
+    return folder
+
+
+def _tell(done: ScenarioResult, folder: Path, testcase: TestCase, display: RunDisplay) -> None:
+    """Print the KPI table and what was out of the ordinary."""
+    title = (
+        f"{done.plant.kind} plant, {done.plant.weather}\n{_window(done.result.period)}, {done.scenario.price} tariff"
+    )
     held = {name: gate.in_words() for name, gate in gates_held(done.result, done.baselines).items()}
     display.kpi_table(done.kpis, title, testcase.currency, held)
     levels = done.result.fallback_levels()
@@ -230,30 +200,40 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     for spell in watch_spells(done.result):
         display.say(f"Watch: {spell.in_words()}")
-    return folder
 
 
 def _execute(
     scenario: Scenario,
     display: RunDisplay,
-    records: dict[str, list[StepRecord]],
+    records: dict[str, KeptSteps[StepRecord]],
     model: ThermalModel | None = None,
+    book: RunBook | None = None,
 ) -> ScenarioResult:
-    """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails."""
+    """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
+
+    With a `book`, all that the controllers are told is written to its journal, or taken from it.
+    """
     testcase = validate_scenario(scenario)
     name = scenario.controller.name
-    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+
+    def build(testid: str | None = None) -> Plant:
+        if testid is not None:
+            return attached_plant(scenario.plant, testcase, scenario.seed, testid)
+        return build_plant(scenario.plant, testcase, scenario.seed)
+
+    with closing(book.connect(build) if book else build()) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(_headline(plant, period, scenario))
         if model is None:
-            identified = _identify_all(scenario, testcase, plant, display)
+            identified = _identified(scenario, testcase, plant, display, book)
             models: dict[str, ThermalModel | str] = {who: found.acts_on for who, found in identified.items()}
         else:
             identified = {}
             models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
 
         def follow(controller: Controller) -> RunResult:
-            return _follow(plant, controller, period, scenario, testcase, display, records)
+            steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
+            return _follow(plant, controller, period, scenario, testcase, display, steps)
 
         def built(who: str) -> Controller:
             return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
@@ -267,19 +247,22 @@ def _execute(
         forecaster = _frozen(controller, before)
         baselines = {other: follow(built(other)) for other in scenario.baselines if other != name}
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
-        origins = _origins(identified, name)
+        origins = origins_of(identified, name)
         if actuation and origins:
             origins["actuation"] = actuation
+        if isinstance(plant, JournaledPlant) and plant.differing:
+            display.say(f"{plant.differing} steps were planned otherwise than then; what acted then counts")
         return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster)
 
 
-def _origins(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:
-    """Where the models came from: the controller's, and by name those of baselines that have one of their own."""
-    if controller not in identified:
-        return {}
-    own = identified[controller]
-    others = {name: dict(found.origin) for name, found in identified.items() if found is not own}
-    return dict(own.origin) | ({"baselines": others} if others else {})
+def _identified(
+    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay, book: RunBook | None
+) -> dict[str, IdentifiedModel]:
+    """The models of all contestants; kept in the run folder where there is one."""
+    if not (book and isinstance(plant, JournaledPlant)):
+        return identify_all(scenario, testcase, plant, display)
+    # What happens while probing is not journaled: the models are what comes of it.
+    return kept_models(plant, book.folder, lambda: identify_all(scenario, testcase, plant.inside, display))
 
 
 def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:
@@ -303,18 +286,24 @@ def _follow(
     scenario: Scenario,
     testcase: TestCase,
     display: RunDisplay,
-    records: dict[str, list[StepRecord]],
+    steps: KeptSteps[StepRecord],
 ) -> RunResult:
     """One closed loop, shown and recorded step by step so that a failure half way loses nothing."""
-    kept = records.setdefault(controller.name, [])
-    with display.loop(controller.name, period, plant.kpis, testcase.currency) as follower:
+    keeper = plant if isinstance(plant, JournaledPlant) else None
+    if keeper:
+        keeper.noted("loop", lambda: {"controller": controller.name})
+    with display.loop(
+        controller.name, period, keeper.kpis_so_far if keeper else plant.kpis, testcase.currency
+    ) as shown:
 
         def on_step(record: StepRecord) -> None:
-            kept.append(record)
-            follower.step(record)
+            shown.step(record)
+            if not (keeper and keeper.catching_up):
+                log_step(controller.name, record)
 
         allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
-        return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, testcase.layout.lowest)
+        lowest = testcase.layout.lowest
+        return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest, keeper, steps)
 
 
 def _weight_hash(controller: Controller) -> str | None:

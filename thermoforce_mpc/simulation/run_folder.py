@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -14,13 +15,16 @@ from typing import Any
 
 import pandas as pd
 import yaml
+from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.version import VERSION
 
+_LOCK = ".lock"
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
 
@@ -32,7 +36,7 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
     """
     try:
         if out is not None:
-            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            if out.exists() and not is_empty(out):
                 raise ConfigError(f"--out {out}: exists already and is never overwritten; choose another folder")
             out.mkdir(parents=True, exist_ok=True)
             return out
@@ -47,6 +51,33 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
     except OSError as error:
         raise ConfigError(f"cannot create the run folder {out or root}: {error.strerror or error}") from error
     raise ConfigError(f"{root}: no free run folder name left for {stem}")
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether `folder` is a folder without files but for the lock."""
+    return folder.is_dir() and all(path.name == _LOCK for path in folder.iterdir())
+
+
+@contextmanager
+def sole_use(folder: Path) -> Iterator[None]:
+    """Keep other runs out of `folder` while the block lasts; a process that dies releases it.
+
+    Raises:
+        ConfigError: another process is using the folder, or it cannot be written.
+    """
+    lock = FileLock(folder / _LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise ConfigError(f"{folder}: another run is using this folder; wait for it, or choose another one") from error
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be used ({error.strerror or error})") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # the folder was removed meanwhile
+            (folder / _LOCK).unlink()
+        lock.release()
 
 
 def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
@@ -137,11 +168,11 @@ def write_results(
         The content of `kpis.json`.
     """
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
-    (folder / "scenario.yaml").write_text(resolved, encoding="utf-8")
-    trajectory_frame(result.steps).to_csv(folder / "trajectory.csv", index=False)
-    steps_frame(result.steps).to_csv(folder / "steps.csv", index=False)
+    write_whole(folder / "scenario.yaml", resolved)
+    write_whole(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
+    write_whole(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
     for name, baseline in baselines.items():
-        trajectory_frame(baseline.steps).to_csv(folder / f"trajectory_{name}.csv", index=False)
+        write_whole(folder / f"trajectory_{name}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
     kpis = {
         "testcase": plant.testcase,
         "plant": f"{plant.kind}: {plant.description}",
@@ -169,7 +200,9 @@ def write_results(
             **{name: b.fallback_levels() for name, b in baselines.items()},
         },
         "seconds": {result.controller: result.seconds, **{name: b.seconds for name, b in baselines.items()}},
-        "sha256": {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file()},
+        "sha256": {
+            path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != _LOCK
+        },
     }
     write_json(folder / "manifest.json", manifest)
     return kpis
@@ -179,15 +212,27 @@ def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], rea
     """Write the steps recorded before a run failed, and `INCOMPLETE.txt` with the reason."""
     for name, steps in records.items():
         if steps:
-            trajectory_frame(steps).to_csv(folder / f"incomplete_trajectory_{name}.csv", index=False)
-            steps_frame(steps).to_csv(folder / f"incomplete_steps_{name}.csv", index=False)
-    (folder / "INCOMPLETE.txt").write_text(f"This run did not finish: {reason}\n", encoding="utf-8")
+            write_whole(folder / f"incomplete_trajectory_{name}.csv", trajectory_frame(steps).to_csv(index=False))
+            write_whole(folder / f"incomplete_steps_{name}.csv", steps_frame(steps).to_csv(index=False))
+    write_whole(folder / "INCOMPLETE.txt", f"This run did not finish: {reason}\n")
+
+
+def clear_partial(folder: Path) -> None:
+    """Remove what `write_partial` wrote: the run was resumed and has finished."""
+    with storage_errors(folder):
+        for path in [*folder.glob("incomplete_*.csv"), *folder.glob("INCOMPLETE.txt")]:
+            path.unlink(missing_ok=True)
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether the folder holds a run that has finished: the report is written last."""
+    return (folder / "manifest.json").is_file() and (folder / "report.html").is_file()
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write standard JSON: NaN and infinities become null."""
-    text = json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(plain_json(content), indent=2, ensure_ascii=False, allow_nan=False)
+    write_whole(path, text + "\n")
 
 
 def file_sha256(path: Path) -> str:
@@ -195,11 +240,12 @@ def file_sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _finite(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
+    """`value` in JSON types; numbers that are not finite become null."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [plain_json(item) for item in value]
     if hasattr(value, "item") and not isinstance(value, str):
         value = value.item()
     if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):

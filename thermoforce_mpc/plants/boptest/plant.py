@@ -22,7 +22,7 @@ from boptest_client import (
     UnknownTest,
 )
 from thermoforce_mpc.data import DAY_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.errors import ConfigError, InputError, PlantError
+from thermoforce_mpc.errors import ConfigError, InputError, NoSuchTest, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times
 from thermoforce_mpc.plants.records import (
@@ -66,6 +66,7 @@ class BoptestPlant:
         seed: int = 1,
         config: TransportConfig | None = None,
         start_timeout_s: float = 120.0,
+        testid: str | None = None,
     ) -> None:
         """Select the test case and check that every point of `testcase` exists there in the expected unit.
 
@@ -73,10 +74,12 @@ class BoptestPlant:
             forecast_uncertainty: level of the service's weather forecast errors, drawn with `seed`.
             config: time-outs and retries of the client.
             start_timeout_s: longest time the test may be queued, s.
+            testid: take up the test of this name instead of selecting one; see `go_on`.
 
         Raises:
             ConfigError: the service does not offer the test case, `testcase` does not fit its points, or forecast
                 errors are requested with seed 0.
+            NoSuchTest: the service has no test `testid`.
             PlantError: the service cannot be reached or failed.
         """
         self.testcase, self._points = testcase, testcase.points
@@ -98,7 +101,8 @@ class BoptestPlant:
         self._T_zone_C: Array = np.full(len(self._points.zones), math.nan)
         self._end_s = math.inf
         self._final_kpis: dict[str, float] | None = None
-        self._client = self._select()
+        self._missed: dict[str, float] = {}
+        self._client = self._select(testid)
         try:
             with _failures():
                 client = self._client
@@ -183,24 +187,22 @@ class BoptestPlant:
             )
         before_s = self._now_s
         with _failures():
-            if duration_s != self._step_s:
-                self._client.set_step(duration_s)
-                self._step_s = duration_s
-            points = self._client.advance(applied)
-            if not points:
-                raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
-            self._now_s = points["time"]
-            if abs(self._now_s - before_s - duration_s) > _CLOCK_TOLERANCE_S:
-                raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")
-            if self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
-                # KPIs are read now, since requests past the end of the scenario may discard the results.
-                self._final_kpis = self._read_kpis()
-            record = self._recorded(before_s, self._now_s, self._acting_names())
+            points = self._stepped(applied, duration_s)
+            self._read_final_kpis()
+            record = self._recorded(before_s, min(self._now_s + duration_s, self._end_s), self._watched_names())
+            if record["time"][-1] > self._now_s + _CLOCK_TOLERANCE_S:
+                # A proxy may have sent the request twice. What happened is in the record, and the clock tells.
+                points = points | {name: float(values[-1]) for name, values in record.items()}
+                self._now_s = self._client.time_s = points["time"]
+                _LOG.warning("the service simulated %g s instead of %g s", self._now_s - before_s, duration_s)
+                self._read_final_kpis()
         edges = np.array([before_s, self._now_s])
         return self._measured(points, acting_means(record, self._points, self._levels(record, edges), edges))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return the service's forecast of boundary conditions from now to `horizon_s` ahead every `interval_s`.
+
+        Values are NaN where the service has none.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
@@ -213,17 +215,13 @@ class BoptestPlant:
         with _failures():
             data = self._client.forecast(list(names), horizon_s, interval_s)
         series = {name: np.array(values) for name, values in data.items()}
-        told = series["time"]
-        if told.size < instants.size or np.abs(told[: instants.size] - instants).max() > _CLOCK_TOLERANCE_S:
+        if abs(series["time"][0] - self._now_s) > _CLOCK_TOLERANCE_S:
             raise PlantError(
-                f"BOPTEST service: {self._client.url}/forecast/{self._client.testid}: asked for {instants.size} "
-                f"instants every {interval_s:g} s from {instants[0]:g} s to {instants[-1]:g} s, got {told.size} from "
-                f"{told[0]:g} s to {told[-1]:g} s"
+                f"BOPTEST service: {self._client.url}/forecast/{self._client.testid}: it begins at "
+                f"{series['time'][0]:.10g} s, the last step ended at {self._now_s:.10g} s: somebody else "
+                "advanced the test"
             )
         series = {name: values[: instants.size] for name, values in series.items()}
-        holes = [name for name in names if not np.isfinite(series[name]).all()]
-        if holes:
-            raise PlantError(f"the service's forecast has no value for some instants of {', '.join(holes)}")
         weather = series[self._points.forecast_outdoor] - _KELVIN, series[self._points.forecast_solar]
         return boundary(series["time"], series, self._points, tariff, weather)
 
@@ -235,9 +233,8 @@ class BoptestPlant:
             PlantError: the service failed.
         """
         check_record_step(step_s)
-        names = [self._points.outdoor_temperature, self._points.solar, *self._acting_names()]
         with _failures():
-            record = self._recorded(self._begin_s, self._now_s, names)
+            record = self._recorded(self._begin_s, self._now_s, self._watched_names())
         # Services that do not record the warm-up start the record at the present.
         return past_record(record, self._points, lambda edges: self._levels(record, edges), self._now_s, step_s)
 
@@ -247,6 +244,25 @@ class BoptestPlant:
             return dict(self._final_kpis)
         with _failures():
             return self._read_kpis()
+
+    def go_on(
+        self, last: Measurement, *, start_s: float, warmup_s: float, price: str, periods: Mapping[str, Period]
+    ) -> None:
+        """See `OutlivingPlant.go_on`; the plant was made with the `testid` of the test.
+
+        Raises:
+            PlantError: the test stands elsewhere than `last` or the end of the step after it.
+        """
+        self._scenario = replace(self._scenario, electricity_price=price)
+        named = {name: period.start_s for name, period in periods.items() if not _is_day(name)}
+        self._start_of |= named
+        scenario = warmup_s == _SCENARIO_WARMUP_S and start_s in named.values()
+        self._now_s, self._begin_s = last.time_s, max(start_s - warmup_s, 0.0)
+        self._end_s = start_s + _SCENARIO_LENGTH_S if scenario else math.inf
+        self._T_zone_C = last.T_zone_C
+        with _failures():
+            self._step_s = self._client.step()
+            self._missed = self._client.go_on_from(self._now_s, self._step_s)
 
     def close(self) -> None:
         """Stop the test at the service; safe to call twice.
@@ -266,15 +282,43 @@ class BoptestPlant:
     ) -> None:
         self.close()
 
-    def _select(self) -> BoptestClient:
+    def _stepped(self, applied: Mapping[str, float], duration_s: float) -> dict[str, float]:
+        """The points at the end of a step, to which the clock is set: of a new one, or of that whose answer was lost.
+
+        A step whose answer was lost is one of the same inputs: what is journalled acts again.
+        """
+        before_s, points = self._now_s, self._missed
+        self._missed = {}
+        if not points:
+            if duration_s != self._step_s:
+                self._client.set_step(duration_s)
+                self._step_s = duration_s
+            points = self._client.advance(applied)
+        if not points:
+            raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
+        self._now_s = points["time"]
+        if self._now_s - before_s - duration_s < -_CLOCK_TOLERANCE_S:
+            raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")
+        return points
+
+    def _select(self, testid: str | None = None) -> BoptestClient:
         with _failures():
             try:
                 return BoptestClient(
-                    self._url, self.testcase.name, config=self._config, start_timeout_s=self._start_timeout_s
+                    self._url,
+                    self.testcase.name,
+                    config=self._config,
+                    start_timeout_s=self._start_timeout_s,
+                    testid=testid,
                 )
             except BadAddress as error:
                 raise ConfigError(f"plant.url: {error}") from error
             except (RequestRejected, UnknownTest) as error:
+                if testid is not None:
+                    raise NoSuchTest(
+                        f"the service at {self._url} no longer has the test {testid} ({error}): it was stopped, was "
+                        "idle for too long, or the service was started anew"
+                    ) from error
                 raise ConfigError(f"testcase '{self.testcase.name}' is not offered: {error}") from error
 
     def _wake(self) -> None:
@@ -309,8 +353,12 @@ class BoptestPlant:
     def _measured(self, points: Mapping[str, float], acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
         found = measurement(self._now_s, points, self._points, acting)
-        self._T_zone_C = found.T_zone_C
+        self._T_zone_C = np.where(np.isfinite(found.T_zone_C), found.T_zone_C, self._T_zone_C)
         return found
+
+    def _watched_names(self) -> list[str]:
+        """Return the points of weather and of `_acting_names`."""
+        return [self._points.outdoor_temperature, self._points.solar, *self._acting_names()]
 
     def _acting_names(self) -> list[str]:
         """Return the points that the level and the means of a step are computed from."""
@@ -327,8 +375,22 @@ class BoptestPlant:
         applied = {name: record[f"{name}_u"] for name in self._points.sensed}
         return mean_levels(record["time"], recorded_levels(record, self._points, applied), edges)
 
+    def _read_final_kpis(self) -> None:
+        """At the end of a scenario, read the KPIs: later requests may discard the results."""
+        if self._final_kpis is None and self._now_s >= self._end_s - _CLOCK_TOLERANCE_S:
+            self._final_kpis = self._read_kpis()
+
     def _read_kpis(self) -> dict[str, float]:
         return {name: value for name, value in self._client.kpi().items() if value is not None}
+
+
+def _is_day(name: str) -> bool:
+    """Whether the name of a window is its start day."""
+    try:
+        float(name)
+    except ValueError:
+        return False
+    return True
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.bench_result import bench_result
 from thermoforce_mpc.simulation.comparison.outcome import (
     KPIS,
@@ -21,7 +22,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
     outcome_rows,
     verdicts,
 )
-from thermoforce_mpc.simulation.comparison.store import write_atomically
+from thermoforce_mpc.simulation.run_folder import write_json
 
 HEADINGS = {
     "cost_tot": "cost, {currency}/m²",
@@ -57,20 +58,20 @@ def write_outcome(
     Returns:
         The content of `results.json`, in the format of `bench_result`.
     """
-    from thermoforce_mpc.simulation.comparison.plots import pareto_figure, save_png
+    from thermoforce_mpc.simulation.comparison.plots import pareto_figure, png_bytes
     from thermoforce_mpc.simulation.report.html import page_environment
     from thermoforce_mpc.simulation.report.plots import svg_text
 
     rows = outcome_rows(records)
     result = bench_result(name, rows, cost_targets(rows))
-    write_atomically(folder / "results.json", result)
-    (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
+    write_json(folder / "results.json", result)
+    write_whole(folder / "table.csv", _csv(rows))
     says = verdicts(rows)
-    (folder / "table.md").write_text(markdown(rows, title, currency, says), encoding="utf-8")
+    write_whole(folder / "table.md", markdown(rows, title, currency, says))
     figure = pareto_figure(rows, currency, swept)
     svg = svg_text(figure)
-    (folder / "pareto.svg").write_text(svg, encoding="utf-8")
-    save_png(figure, str(folder / "pareto.png"))
+    write_whole(folder / "pareto.svg", svg)
+    write_whole(folder / "pareto.png", png_bytes(figure))
     plants = sorted({f"{r['plant']['kind']}: {r['plant']['weather']}" for r in records if "plant" in r})
     page = (
         page_environment()
@@ -88,7 +89,7 @@ def write_outcome(
             command=result["command"],
         )
     )
-    (folder / "comparison.html").write_text(page, encoding="utf-8")
+    write_whole(folder / "comparison.html", page)
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 
 from matplotlib.artist import Artist
@@ -60,9 +61,11 @@ def pareto_figure(rows: Sequence[Row], currency: str, swept: Mapping[str, str] |
     return figure
 
 
-def save_png(figure: Figure, path: str) -> None:
-    """Write the figure as PNG with reproducible bytes."""
-    figure.savefig(path, format="png", dpi=130, metadata={"Software": None})
+def png_bytes(figure: Figure) -> bytes:
+    """The figure as PNG with reproducible bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _panel(axis: Axes, rows: Sequence[Row], colour: Mapping[str, str], swept: Mapping[str, str]) -> None:

@@ -6,9 +6,7 @@ Files are written atomically, so a comparison can be stopped at any time and res
 from __future__ import annotations
 
 import json
-import os
 import re
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -56,17 +54,4 @@ class Store:
 
     def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
         """Store a cell's record atomically."""
-        write_atomically(self.cell_path(cell), record)
-
-
-def write_atomically(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON to a temporary file and move it to `path`."""
-    handle, aside = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
-    os.close(handle)
-    try:
-        write_json(Path(aside), content)
-        os.chmod(aside, 0o644)
-        os.replace(aside, path)
-    except BaseException:
-        Path(aside).unlink(missing_ok=True)
-        raise
+        write_json(self.cell_path(cell), record)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import statistics
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
@@ -15,6 +16,7 @@ from typing import Any
 from controllers.registry import build_controller, find_entry, has_gate
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError, ThermoForceError
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import Plant
@@ -47,8 +49,12 @@ def failure(cell: Cell, reason: str) -> dict[str, Any]:
 
 
 def _answer(channel: Connection, work: Callable[[], None]) -> None:
-    """Do `work` and send its outcome to the parent. SIGINT is ignored: the parent handles interrupts."""
+    """Do `work` and send its outcome to the parent.
+
+    SIGINT is ignored: the parent handles interrupts, and ends this process by SIGTERM.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the plant is released
     message: Message = (DONE, "")
     try:
         work()
@@ -74,7 +80,7 @@ def _identify(cell: Cell, store: Store) -> None:
         with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
             model = run_identification(task, plant)
     except DataError as error:
-        path.write_text(str(error), encoding="utf-8")
+        write_whole(path, str(error))
         return
     model.save(path, overwrite=path.exists())
 

@@ -12,6 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from thermoforce_mpc.data import HOUR_S, Layout, Names, PlanStatus
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
@@ -71,7 +72,7 @@ def write_report(
         sentences=_sentences(steps, names),
     )
     path = folder / "report.html"
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, page)
     return path
 
 

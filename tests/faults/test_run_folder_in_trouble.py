@@ -1,0 +1,169 @@
+"""A full disk, a folder removed or read-only, two runs in one folder: a named error, and nothing is damaged."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from simple_house import SimpleHouse
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.simulation import run as simulation_run
+from thermoforce_mpc.simulation.journal import read_journal
+
+WORDS = ("run", "--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "")
+
+
+class WatchedHouse(SimpleHouse):
+    """Calls `at_noon` once, on the first day."""
+
+    def __init__(self, at_noon=lambda: None) -> None:
+        super().__init__()
+        self.at_noon = at_noon
+
+    def advance(self, u, duration_s):
+        if self.now_s >= 10.5 * DAY_S and self.at_noon:
+            at_noon, self.at_noon = self.at_noon, None
+            at_noon()
+        return super().advance(u, duration_s)
+
+
+@pytest.fixture
+def call(monkeypatch):
+    """`tf-mpc` in this process on the house given; the result of the call."""
+
+    def called(house: SimpleHouse, *words: object):
+        monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: house)
+        return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
+
+    return called
+
+
+@contextmanager
+def files_of_at_most(n_bytes: int) -> Iterator[None]:
+    """The system refuses to make a file longer, as it does where the disk is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_ends_a_run_that_goes_on_when_there_is_room(call, tmp_path):
+    whole, folder = tmp_path / "whole", tmp_path / "full"
+    assert call(SimpleHouse(), *WORDS, "--days", 2, "--out", whole).exit_code == 0
+    house = SimpleHouse()
+    with files_of_at_most(100_000):
+        done = call(house, *WORDS, "--days", 2, "--out", folder)
+    assert isinstance(done.exception, StorageError)
+    assert "journal.jsonl: cannot be written" in str(done.exception)
+    assert house.closed
+    left = read_journal(folder / "journal.jsonl")
+    assert not left.torn
+    assert 90_000 < left.size <= 100_000
+    assert not list(folder.glob(".*"))
+    assert call(SimpleHouse(), "resume", folder).exit_code == 0
+    for name in ("trajectory.csv", "steps.csv", "journal.jsonl"):
+        ours, theirs = (folder / name).read_text(), (whole / name).read_text()
+        assert len(ours.splitlines()) == len(theirs.splitlines()), name
+    assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+    assert not (folder / "INCOMPLETE.txt").exists()
+
+
+def test_a_full_disk_before_the_first_step_leaves_nothing_behind(call, tmp_path):
+    house = SimpleHouse()
+    with files_of_at_most(100):
+        done = call(house, *WORDS, "--days", 1, "--out", tmp_path / "full")
+    assert isinstance(done.exception, StorageError)
+    assert not (tmp_path / "full").exists()
+
+
+def test_a_folder_removed_during_a_run_ends_it(call, tmp_path):
+    folder = tmp_path / "gone"
+    house = WatchedHouse(lambda: shutil.rmtree(folder))
+    done = call(house, *WORDS, "--days", 1, "--out", folder)
+    assert isinstance(done.exception, StorageError)
+    assert "journal.jsonl: was removed during the run" in str(done.exception)
+    assert house.closed
+    assert not folder.exists()
+
+
+def test_a_folder_that_becomes_read_only_ends_the_run(call, tmp_path, monkeypatch):
+    """As the system says it; root may write anywhere, so the refusal is made here."""
+    true_write, folder = os.write, tmp_path / "read_only"
+
+    def refused(handle: int, data: bytes) -> int:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    house = WatchedHouse(lambda: monkeypatch.setattr(os, "write", refused))
+    done = call(house, *WORDS, "--days", 1, "--out", folder)
+    monkeypatch.setattr(os, "write", true_write)
+    assert isinstance(done.exception, StorageError)
+    assert "Read-only file system" in str(done.exception)
+    assert house.closed
+    assert not read_journal(folder / "journal.jsonl").torn
+
+
+def test_a_folder_that_cannot_be_made_is_refused(call):
+    done = call(SimpleHouse(), *WORDS, "--days", 1, "--out", "/proc/self/run")
+    assert isinstance(done.exception, ConfigError)
+    assert "/proc/self/run" in str(done.exception)
+
+
+def test_a_second_run_in_the_same_folder_is_refused_and_the_first_is_whole(call, tmp_path):
+    folder, others = tmp_path / "shared", []
+
+    def begin_others() -> None:
+        for words in ((*WORDS, "--days", "1", "--out", str(folder)), ("resume", str(folder))):
+            # In a thread of its own: click's runner exchanges the streams of this one.
+            thread = threading.Thread(target=lambda w=words: others.append(_raised(w)))
+            thread.start()
+            thread.join()
+
+    assert call(WatchedHouse(begin_others), *WORDS, "--days", 1, "--out", folder).exit_code == 0
+    first, second = others
+    assert isinstance(first, ConfigError)
+    assert "exists already" in str(first)
+    assert isinstance(second, ConfigError)
+    assert "another run is using this folder" in str(second)
+    assert (folder / "report.html").exists()
+    assert not (folder / ".lock").exists()
+
+
+def _raised(words: tuple[str, ...]) -> BaseException | None:
+    try:
+        cli.main(list(words), standalone_mode=False)
+    except Exception as error:
+        return error
+    return None
+
+
+@pytest.mark.parametrize("before", [None, "as it was"])
+def test_a_file_is_whole_or_as_it_was(tmp_path, before):
+    path = tmp_path / "file.txt"
+    if before:
+        path.write_text(before)
+    with files_of_at_most(1000), pytest.raises(StorageError, match=r"file\.txt: cannot be written"):
+        write_whole(path, "x" * 2000)
+    assert (path.read_text() if path.exists() else None) == before
+    assert [file.name for file in tmp_path.iterdir()] == (["file.txt"] if before else [])
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "link.txt").symlink_to(Path("there") / "file.txt")
+    write_whole(tmp_path / "link.txt", "°C")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "there" / "file.txt").read_text(encoding="utf-8") == "°C"

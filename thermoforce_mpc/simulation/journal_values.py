@@ -1,0 +1,146 @@
+"""What travels between plant and controller, as JSON of a journal: exact, with null where there is no number.
+
+Long arrays are packed: float64 by rows, zlib, base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import (
+    ACTING,
+    CONDITIONS,
+    SIGNALS,
+    Array,
+    Block,
+    Boundary,
+    Measurement,
+    Names,
+    Period,
+    Plan,
+    Record,
+)
+
+Json = dict[str, Any]
+
+# Arrays of a plan that a journal keeps for people, to four digits or so: a resumed run plans again.
+PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
+
+
+def pack(rows: Array, dtype: str = "<f8") -> Json:
+    """An array as JSON."""
+    content = zlib.compress(np.ascontiguousarray(rows, dtype=dtype).tobytes(), 6)
+    return {"shape": list(rows.shape), "dtype": dtype, "zlib": base64.b64encode(content).decode()}
+
+
+def unpack(packed: Mapping[str, Any]) -> Array:
+    """The array of `pack`."""
+    content = zlib.decompress(base64.b64decode(packed["zlib"]))
+    found = np.frombuffer(content, dtype=packed["dtype"]).reshape(packed["shape"])
+    return np.asarray(found, dtype=np.float64)
+
+
+def number(value: float) -> float | str | None:
+    """A number as JSON: null for NaN, 'inf' and '-inf' in words."""
+    value = float(value)
+    return None if math.isnan(value) else value if math.isfinite(value) else str(value)
+
+
+def _number(told: float | str | None) -> float:
+    return math.nan if told is None else float(told)
+
+
+def names_json(names: Names) -> Json:
+    """Names of zones, actuators and machines."""
+    return {"zones": list(names.zones), "actuators": list(names.actuators), "machines": list(names.machines)}
+
+
+def names_of(told: Mapping[str, Any]) -> Names:
+    """The names of `names_json`."""
+    return Names(tuple(told["zones"]), tuple(told["actuators"]), tuple(told["machines"]))
+
+
+def measurement_json(measurement: Measurement) -> Json:
+    """A measurement without the plant's own points."""
+    found: Json = {name: number(getattr(measurement, name)) for name in ("time_s", "T_out_C", "solar_W_m2")}
+    for name in ("T_zone_C", *ACTING):
+        found[name] = [number(value) for value in getattr(measurement, name)]
+    return found
+
+
+def measurement_of(told: Mapping[str, Any], names: Names) -> Measurement:
+    """The measurement of `measurement_json`."""
+    one = {name: _number(told[name]) for name in ("time_s", "T_out_C", "solar_W_m2")}
+    rows = {name: np.array([_number(value) for value in told[name]]) for name in ("T_zone_C", *ACTING)}
+    return Measurement(**one, **rows, names=names)  # type: ignore[arg-type]
+
+
+def record_json(record: Record) -> Json:
+    """A record."""
+    return {name: pack(getattr(record, name)) for name in SIGNALS}
+
+
+def record_of(told: Mapping[str, Any], names: Names) -> Record:
+    """The record of `record_json`."""
+    return Record(**{name: unpack(told[name]) for name in SIGNALS}, names=names)
+
+
+def boundary_json(boundary: Boundary) -> Json:
+    """Boundary conditions, all rows in one packed array."""
+    return pack(np.vstack([np.atleast_2d(getattr(boundary, name)) for name in CONDITIONS]))
+
+
+def boundary_of(told: Mapping[str, Any], names: Names) -> Boundary:
+    """The boundary conditions of `boundary_json`."""
+    rows, found, at = unpack(told), {}, 0
+    for name in CONDITIONS:
+        n = 1 if name in ("time_s", "T_out_C", "solar_W_m2") else names.rows(name)
+        found[name] = rows[at] if name in ("time_s", "T_out_C", "solar_W_m2") else rows[at : at + n]
+        at += n
+    return Boundary(**found, names=names)
+
+
+def block_json(block: Block) -> Json:
+    """Levels, duration and, where there are any, room set-points."""
+    found: Json = {"u": list(block.u), "duration_s": float(block.duration_s)}
+    if any(band is not None for band in block.band_C):
+        found["band_C"] = [None if band is None else [float(value) for value in band] for band in block.band_C]
+    return found
+
+
+def block_of(told: Mapping[str, Any]) -> Block:
+    """The block of `block_json`."""
+    bands = told.get("band_C")
+    return Block(told["u"], told["duration_s"], bands and [band and (band[0], band[1]) for band in bands])
+
+
+def period_json(period: Period) -> Json:
+    """A scored window."""
+    return {
+        "name": period.name,
+        "start_s": float(period.start_s),
+        "scored_s": float(period.scored_s),
+        "warmup_s": float(period.warmup_s),
+    }
+
+
+def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
+    """A decision: who acted and why, what is applied, and the planned course."""
+    found: Json = {
+        "status": plan.status.value,
+        "acting": [status.value for status in plan.acting],
+        "why": plan.why,
+        "refused": refused,
+        "solver_status": plan.solver_status,
+        "iterations": int(plan.iterations),
+        "blocks": [block_json(block) for block in blocks],
+    }
+    if plan.u.size:
+        found["plan"] = {name: pack(getattr(plan, name), "<f4") for name in PLANNED}
+    return found

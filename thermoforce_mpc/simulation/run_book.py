@@ -1,0 +1,86 @@
+"""Folder and journal of one run: what is written as it goes on, and what a resumed run finds there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, Journal, JournalError, read_journal
+from thermoforce_mpc.simulation.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.run_folder import plain_json
+from thermoforce_mpc.version import VERSION
+
+
+@dataclass(frozen=True)
+class RunBook:
+    """A run in its folder; `told` are the records of a run that is resumed, after the first."""
+
+    folder: Path
+    scenario: Scenario
+    command: tuple[str, ...]
+    journal: Journal
+    told: tuple[Entry, ...] = ()
+
+    @classmethod
+    def begin(cls, folder: Path, scenario: Scenario, command: Sequence[str]) -> RunBook:
+        """Begin the journal of a run; raises `StorageError`, and then leaves no folder behind."""
+        journal = Journal(folder / NAME, durable=_is_real(scenario))
+        book = cls(folder, scenario, tuple(command), journal)
+        head = {"format": FORMAT, "version": VERSION, "command": list(command)}
+        try:
+            journal.write("run", head | {"scenario": scenario.model_dump(mode="json")})
+        except BaseException:
+            book.discard()
+            raise
+        return book
+
+    @classmethod
+    def reopen(cls, folder: Path) -> RunBook:
+        """Go on with the journal of a run.
+
+        Raises:
+            JournalError: there is none, it is damaged (names the line), or of another format.
+            StorageError: it cannot be written.
+        """
+        path = folder / NAME
+        read = read_journal(path)
+        first = read.entries[0] if read.entries else None
+        if first is None or first.kind != "run":
+            raise JournalError(f"{path}: holds no run: it was ended before it began; start it again")
+        if first.content.get("format") != FORMAT:
+            raise JournalError(f"{path}: format {first.content.get('format')!r}, this release reads {FORMAT}")
+        scenario = validate(Scenario, dict(first.content["scenario"]), f"{path}, line 1")
+        journal = Journal(path, read, durable=_is_real(scenario))
+        return cls(folder, scenario, tuple(first.content["command"]), journal, read.entries[1:])
+
+    def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
+        """The plant of the run; `build` makes it, or takes up the test of a service by its name."""
+        if self.told:
+            entry = self.told[0]
+            if entry.kind != "plant":
+                raise JournalError(f"{self.journal.path}, line {entry.line}: '{entry.kind}' before the plant")
+            return JournaledPlant(build(entry.content["info"]["details"].get("testid")), self.journal, self.told[1:])
+        plant = build(None)
+        try:
+            self.journal.write("plant", {"info": plain_json(asdict(plant.info))})
+        except BaseException:
+            plant.close()
+            raise
+        return JournaledPlant(plant, self.journal)
+
+    def discard(self) -> None:
+        """Remove journal and folder: nothing was done yet, and an empty run says nothing."""
+        self.journal.close()
+        for path in self.folder.iterdir():
+            if path.is_file():
+                path.unlink()
+        self.folder.rmdir()
+
+
+def _is_real(scenario: Scenario) -> bool:
+    """Whether the plant goes on while we are down, so that the journal must outlast a power failure."""
+    return scenario.plant.kind == "boptest"

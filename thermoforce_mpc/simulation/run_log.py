@@ -1,0 +1,92 @@
+"""Log of a run in its folder, `log.jsonl`: one JSON object a line, of messages and of every step with its reason.
+
+Warnings are told to people too.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from thermoforce_mpc.files import storage_errors
+from thermoforce_mpc.simulation.closed_loop import StepRecord
+
+NAME = "log.jsonl"
+_LOGGERS = ("thermoforce_mpc", "controllers", "boptest_client")
+_STEPS = logging.getLogger("thermoforce_mpc.step")
+
+
+class _JsonLines(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        """The record as one line of JSON; `fields` are those of a step."""
+        found = {
+            "at": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "from": record.name,
+            **getattr(record, "fields", {}),
+            "message": record.getMessage(),
+        }
+        if record.exc_info:
+            found["exception"] = self.formatException(record.exc_info)
+        return json.dumps(found, ensure_ascii=False)
+
+
+class _Told(logging.Handler):
+    """Says warnings, as they come."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._say = say
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say one."""
+        self._say(f"{record.levelname.lower()}: {record.getMessage()}")
+
+
+class _Lines(logging.FileHandler):
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Say nothing: where the disk is full the journal ends the run, and says so."""
+
+
+@contextmanager
+def logging_to(folder: Path, say: Callable[[str], None] = lambda text: None) -> Iterator[None]:
+    """Append what the package logs to `log.jsonl` in `folder`, and `say` warnings.
+
+    Raises:
+        StorageError: the file cannot be opened.
+    """
+    with storage_errors(folder / NAME):
+        handler = _Lines(folder / NAME, encoding="utf-8")
+    handler.setFormatter(_JsonLines())
+    handlers = (handler, _Told(say))
+    before = {name: logging.getLogger(name).level for name in _LOGGERS}
+    for name in _LOGGERS:
+        for one in handlers:
+            logging.getLogger(name).addHandler(one)
+        logging.getLogger(name).setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        for name, level in before.items():
+            for one in handlers:
+                logging.getLogger(name).removeHandler(one)
+            logging.getLogger(name).setLevel(level)
+        handler.close()
+
+
+def log_step(controller: str, step: StepRecord) -> None:
+    """Log one step: what acted, and why."""
+    fields = {
+        "controller": controller,
+        "step": step.index,
+        "time_s": step.time_s,
+        "status": step.plan.status.value,
+        "u": [list(sample.u_applied) for sample in step.samples],
+        "refused": step.refused,
+        "notes": list(step.notes),
+    }
+    _STEPS.info("%s", step.plan.why, extra={"fields": fields})
