@@ -1,0 +1,123 @@
+"""Every kind of trouble, made by the proxy or inside the controller: no run ends, no step is lost or doubled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from simple_house import simple_model
+
+from controllers.problem import MPCProblem
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.research.chaos import troubles as kinds
+from thermoforce_mpc.research.chaos.episode import Setting, run_episode
+from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, served
+from thermoforce_mpc.research.chaos.judging import jumps, wrong_inputs, wrong_steps
+from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.simulation.journal import Entry, read_journal
+
+ANYWHERE = (*kinds.REFUSALS, *kinds.BROKEN, *kinds.AWAY)
+# The model is of another house: what is tested here is that the run goes on, not how well it heats.
+QUICK = dict(OPTIONS) | {"gate": {"enabled": False}, "horizon_h": 12}
+
+
+@pytest.fixture(scope="module")
+def setting():
+    with served() as url:
+        yield Setting(url, load_testcase(TESTCASE), simple_model(), QUICK, "thermoforce_hourly", 16 * DAY_S, 0.25)
+
+
+@pytest.fixture(scope="module")
+def calm(setting):
+    return run_episode(setting, (), 0)
+
+
+def trouble(kind: str) -> Trouble:
+    """From the second hour on, some of the requests; what costs real time, or ends the test, once."""
+    slow = kind in (*kinds.SILENT, "late")
+    once = slow or kind.endswith("hangs") or kind in (*kinds.AWAY, kinds.RESTART)
+    at = "" if kind in ANYWHERE or kind == kinds.RESTART else "advance"
+    share = 1.0 if once or kind in (*kinds.INSIDE, *kinds.READINGS) else 0.6
+    return Trouble(kind, HOUR_S, 5 * HOUR_S, at, share, 1 if once else 99, 840.0 if kind in kinds.AWAY else 0.2)
+
+
+# A solver that calls NaN a solution, which no solver of ours does.
+LYING = pytest.param(
+    "solver nan",
+    marks=pytest.mark.xfail(not hasattr(MPCProblem, "unfit"), reason="solutions are not checked again", strict=True),
+)
+INSIDE = [LYING if kind == "solver nan" else kind for kind in kinds.INSIDE]
+
+
+@pytest.mark.parametrize("kind", [*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *INSIDE])
+def test_a_run_outlives(setting, calm, kind):
+    found = run_episode(setting, [trouble(kind)], seed=2, most_Kh=1.5 * calm.discomfort_Kh + 1.0)
+    assert found.faults == ()
+    assert found.made[kind] >= 1
+    assert found.ended == "done"
+    assert (found.jumps > 0) == (kind in kinds.TWICE)
+    assert found.steps + found.jumps >= 6
+
+
+def test_a_service_that_forgot_the_test_ends_it_with_a_named_error(setting, tmp_path):
+    found = run_episode(setting, [trouble(kinds.RESTART)], seed=2, folder=tmp_path / "kept")
+    assert found.faults == ()
+    assert found.ended == "plant failed"
+    assert "Invalid testid" in found.why
+    assert not read_journal(tmp_path / "kept" / "journal.jsonl").torn
+
+
+def test_the_same_seed_draws_the_same_troubles():
+    first, again = ([drawn(np.random.default_rng([7, n]), 2.0) for n in range(200)] for _ in range(2))
+    assert first == again
+    met = {trouble.kind for troubles in first for trouble in troubles}
+    every = (*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE, kinds.RESTART)
+    assert met == set(every), "two hundred episodes meet every kind"
+
+
+def journal(*ends_s: float, note: str = "") -> list[Entry]:
+    """A run of steps of 900 s from 0, that ended when told."""
+    entries = [Entry(1, "reset", {"answer": {"time_s": 0.0}})]
+    for i, end_s in enumerate(ends_s):
+        entries.append(Entry(2, "advance", {"asked": {"duration_s": 900.0}, "answer": {"time_s": end_s}}))
+        entries.append(Entry(3, "done", {"index": i, "notes": [note] if note else []}))
+    return entries
+
+
+@pytest.mark.parametrize(
+    ("ends_s", "simulated_s", "doubled", "note", "words"),
+    [
+        ((900, 1800), (900, 1800), False, "", None),
+        ((900, 1800), (900, 1800, 2700), False, "", "not in the journal"),
+        ((900, 1800, 2700), (900, 1800), False, "", "never simulated"),
+        ((900, 2700), (900, 1800, 2700), False, "", "nothing was doubled"),
+        ((900, 2700), (900, 1800, 2700), True, "", "no note says so"),
+        ((900, 2700), (900, 1800, 2700), True, "the plant's clock ran ahead by 900 s", None),
+        ((900, 900), (900,), False, "", "falls behind"),
+    ],
+)
+def test_lost_and_doubled_steps_are_found(ends_s, simulated_s, doubled, note, words):
+    entries = journal(*ends_s, note=note)
+    made = [Trouble("doubled", 0.0, 1.0)] if doubled else []
+    wrong = wrong_steps(entries, simulated_s, made, done=True)
+    assert wrong == [] if words is None else any(words in line for line in wrong)
+    assert len(jumps(entries)) == (2700 in ends_s and 1800 not in ends_s) + (ends_s == (900, 900))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -0.1, 1.01, None, "1"])
+def test_an_action_out_of_range_is_found(value):
+    assert wrong_inputs([{"oveHeaPumY_u": 0.5, "oveHeaPumY_activate": 1.0}]) == []
+    assert "oveHeaPumY_u" in wrong_inputs([{"oveHeaPumY_u": value, "oveHeaPumY_activate": 1.0}])[0]
+
+
+def test_the_command_prints_its_table(tmp_path):
+    simple_model().save(tmp_path / "model")
+    words = ["--episodes", "1", "--days", "0.25", "--controller", "thermoforce_hourly", "--seed", "3"]
+    done = CliRunner().invoke(cli, ["chaos", *words, "--model", str(tmp_path / "model"), "--keep", str(tmp_path / "k")])
+    assert done.exit_code in (0, 1), done.output
+    assert "episodes with an action out of range: 0" in done.output
+    assert (tmp_path / "k" / "0000" / "journal.jsonl").exists()

@@ -1,0 +1,1 @@
+"""Fault injection: a run of the controllers on a served plant, with everything between and inside them failing."""

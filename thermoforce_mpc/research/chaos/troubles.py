@@ -1,0 +1,78 @@
+"""What goes wrong in an episode: drawn from a seed, each between two instants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S
+
+# Single requests, with the endpoints they are drawn for ("" is any).
+REFUSALS = ("500", "500 after", "502", "503", "504", "429", "400")
+BROKEN = ("reset before", "reset after", "half answer", "html", "other json", "empty")
+TWICE = ("doubled", "late")
+SILENT = ("silent before", "silent after")
+READINGS = ("missing point", "nan", "stuck")
+INSIDE = tuple(f"{who} {what}" for who in ("solver", "forecaster") for what in ("raises", "nan", "hangs"))
+AWAY = ("refusing", "unavailable")
+RESTART = "restarted"
+
+# Kinds that cost real time: at most this many requests in an episode.
+_MOST_SLOW = 2
+_LONGEST_AWAY_S = 14.0 * 60.0
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """One kind of fault from `from_s` to `to_s` after the start of the window, s.
+
+    `at`: endpoint, "" for any; `share`: of its requests; `most`: requests at most; `seconds`: how long a service is
+    away, or something hangs, s.
+    """
+
+    kind: str
+    from_s: float
+    to_s: float
+    at: str = ""
+    share: float = 1.0
+    most: int = 10**9
+    seconds: float = 0.0
+
+    def in_words(self) -> str:
+        """For the table: kind, endpoint and hours."""
+        at = f" at {self.at}" if self.at else ""
+        away = f" for {self.seconds / 60:.0f} min" if self.kind in AWAY else ""
+        return f"{self.kind}{at}{away} ({self.from_s / HOUR_S:.0f} to {self.to_s / HOUR_S:.0f} h)"
+
+
+def drawn(rng: np.random.Generator, days: float) -> tuple[Trouble, ...]:
+    """One to three troubles of an episode; a service that forgets its tests comes last and alone of its kind."""
+    groups = (REFUSALS, BROKEN, TWICE, SILENT, READINGS, INSIDE, AWAY, (RESTART,))
+    weights = np.array([4, 4, 2, 1, 4, 4, 3, 0.5])
+    chosen = rng.choice(len(groups), size=int(rng.integers(1, 4)), replace=False, p=weights / weights.sum())
+    return tuple(_drawn(rng, str(rng.choice(groups[i])), days * DAY_S) for i in sorted(chosen))
+
+
+def _drawn(rng: np.random.Generator, kind: str, length_s: float) -> Trouble:
+    from_s = float(rng.uniform(0.0, 0.8)) * length_s
+    if kind == RESTART:
+        return Trouble(kind, from_s, length_s, most=1)
+    if kind in AWAY:
+        return Trouble(kind, from_s, length_s, most=1, seconds=float(rng.uniform(5.0, _LONGEST_AWAY_S)))
+    hours = float(rng.choice([1.0, 3.0, 6.0]))
+    to_s = min(from_s + hours * HOUR_S, length_s)
+    if kind in INSIDE:
+        slow = kind.endswith("hangs")
+        return Trouble(kind, from_s, to_s, most=_MOST_SLOW if slow else 10**9, seconds=1.0)
+    if kind in READINGS:
+        return Trouble(kind, from_s, to_s, at="advance")
+    if kind in SILENT or kind == "late":
+        return Trouble(kind, from_s, length_s, at=_endpoint(rng, kind), share=0.2, most=_MOST_SLOW)
+    return Trouble(kind, from_s, to_s, at=_endpoint(rng, kind), share=float(rng.choice([0.05, 0.3, 0.7])))
+
+
+def _endpoint(rng: np.random.Generator, kind: str) -> str:
+    if kind in TWICE:
+        return "advance"
+    return str(rng.choice(["", "advance", "forecast", "results"], p=[0.4, 0.3, 0.15, 0.15]))
