@@ -1,0 +1,115 @@
+"""`tf-mpc explain`: what a run decided at an instant, from its journal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from click.testing import CliRunner
+from simple_house import SimpleHouse, simple_model
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.simulation import report
+from thermoforce_mpc.simulation import run as simulation_run
+from thermoforce_mpc.simulation.explaining import decision_at, seconds_of, words_of
+from thermoforce_mpc.simulation.journal import JournalError
+
+
+def call(*words: object):
+    return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Half a day of the MPC and the thermostat on the simple house, from day 10."""
+    root = tmp_path_factory.mktemp("explained")
+    simple_model().save(root / "model")
+    words = ["--model", root / "model", "--baselines", "thermostat", "--days", "0.5", "--out", root / "run"]
+    settings = ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: SimpleHouse())
+        patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
+        done = call("run", "--testcase", "bestest_hydronic_heat_pump", *words, *settings)
+    assert done.exit_code == 0, done.output
+    return root / "run"
+
+
+def test_a_step_is_explained_as_it_was_recorded(folder, tmp_path):
+    steps = (folder / "steps.csv").read_text().splitlines()
+    done = call("explain", folder, "--at", "10 04:30", "--hours", "3", "--json", tmp_path / "told.json")
+    assert done.exit_code == 0, done.output
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert told["index"] == 4
+    assert told["time_s"] == 10 * DAY_S + 4 * HOUR_S
+    assert told["why"] in steps[5]
+    assert f"why: {told['why']}" in done.output
+    assert "step 4: day 10 04:00 (878400 s)" in done.output
+    assert "acted: solved" in done.output
+    assert sum("day 10 0" in line for line in done.output.splitlines()[-6:]) == 3, "three hours of the plan"
+    last = json.loads((folder / "kpis.json").read_text())
+    assert last["controller"] in done.output
+
+
+def test_the_plan_and_what_came_of_it_are_those_of_the_run(folder):
+    decision = decision_at(folder, "10 03:00")
+    later = decision_at(folder, "10 04:00")
+    assert decision.after[-1].time_s == later.time_s
+    assert decision.after[-1].T_zone_C == later.before.T_zone_C
+    # The house is the model's own, so the plan comes true where the block is a whole step.
+    assert decision.T_zone_C[0, 0] == pytest.approx(decision.after[-1].T_zone_C[0], abs=0.05)
+    assert any("comfort bound" in line for line in decision.bounds())
+    assert decision.boundary.time_s[0] == decision.time_s
+
+
+def test_the_last_step_and_other_controllers(folder):
+    assert "step 11" in call("explain", folder).output
+    done = call("explain", folder, "--controller", "thermostat", "--at", "10.25")
+    assert done.exit_code == 0
+    assert "acted: rule" in done.output
+    error = call("explain", folder, "--controller", "pi").exception
+    assert isinstance(error, InputError)
+    assert "there are thermoforce_mpc, thermostat" in str(error)
+
+
+def test_a_run_that_was_killed_is_explained(folder, tmp_path):
+    """After a decision and before it acted."""
+    lines = (folder / "journal.jsonl").read_bytes().split(b"\n")
+    at = [i for i, line in enumerate(lines) if b'"kind": "step"' in line][6]
+    (tmp_path / "journal.jsonl").write_bytes(b"\n".join(lines[: at + 1]) + b'\n{"n": 99, "ki')
+    done = call("explain", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert "step 6" in done.output
+    assert "the run ended here" in done.output
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("16 06:30", 16 * DAY_S + 6.5 * HOUR_S),
+        ("16.5", 16.5 * DAY_S),
+        ("16d 06:30", 16 * DAY_S + 6.5 * HOUR_S),
+        ("01-17 06:30", 16 * DAY_S + 6.5 * HOUR_S),
+        ("17 Jan 06:30", 16 * DAY_S + 6.5 * HOUR_S),
+        ("1405800s", 1405800.0),
+    ],
+)
+def test_times_as_people_write_them(text, seconds):
+    assert seconds_of(text) == seconds
+    assert seconds_of(words_of(seconds).removeprefix("day ")) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "noon", "16:30", "13-40 06:30", "-1"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(InputError, match="not a time"):
+        seconds_of(text)
+
+
+def test_times_outside_the_run_and_folders_without_one_are_refused(folder, tmp_path):
+    assert "ran from day 10 00:00 to day 10 12:00" in str(call("explain", folder, "--at", "44").exception)
+    assert isinstance(call("explain", tmp_path).exception, JournalError)
+    shutil.copy(folder / "journal.jsonl", tmp_path / "journal.jsonl")
+    (tmp_path / "journal.jsonl").write_bytes((folder / "journal.jsonl").read_bytes()[:200])
+    assert "no step was decided yet" in str(call("explain", tmp_path).exception)

@@ -1,0 +1,145 @@
+"""`tf-mpc explain`: what a run decided at an instant, and why."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.simulation.explaining import Decision, decision_at, words_of
+from thermoforce_mpc.simulation.run_folder import write_json
+
+_RUNGS = {
+    "solved": "the plan of the solver, checked",
+    "shifted": "fallback: the previous plan, shifted by a step",
+    "thermostat": "fallback: the thermostat rule",
+    "guard": "the comfort guard, which overrode the plan",
+    "gate": "the building's own control: the model is not competent",
+    "watch": "the building's own control or the rule: the model did not hold",
+    "rule": "a rule, no plan",
+}
+
+
+@click.command(short_help="Tell what a run decided at an instant, and why.")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
+)
+@click.option("--controller", metavar="NAME", help="Which of the run.  [default: the scenario's own]")
+@click.option("--hours", type=click.FloatRange(0.1), default=12.0, show_default=True, help="Hours of the plan to show.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all of it to this JSON file.")
+def command(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
+    """Tell what the run in folder RUN decided at an instant, and why: readings, forecast, plan, what bound, what acted.
+
+    Read from the journal, so that it works while a run is under way and after one that failed.
+
+    \b
+    Examples:
+      tf-mpc explain runs/my-run
+      tf-mpc explain runs/my-run --at '16 06:30' --hours 24
+    """
+    decision = decision_at(run, at, controller)
+    console = Console(highlight=False, soft_wrap=True)
+    for line in _lines(decision):
+        console.print(line, markup=False)
+    if decision.plan and decision.boundary is not None:
+        console.print(_table(decision, hours))
+    if json_file:
+        write_json(json_file, _json(decision))
+        console.print(f"JSON: {json_file}", markup=False)
+
+
+def _lines(decision: Decision) -> list[str]:
+    """The decision in words."""
+    told, names = decision.told, decision.names
+    lines = [f"{decision.controller}, step {told['index']}: {words_of(decision.time_s)} ({decision.time_s:.0f} s)"]
+    if decision.before is not None:
+        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, decision.before.T_zone_C, strict=True))
+        lines.append(
+            f"measured: {zones}; outdoors {_C(decision.before.T_out_C)}, sun {decision.before.solar_W_m2:.0f} W/m²"
+        )
+    lines += [f"in doubt: {note}" for note in decision.notes]
+    lines.append(f"acted: {told['status']} – {_RUNGS.get(told['status'], 'see docs/controller.md')}")
+    if len(set(told["acting"])) > 1:
+        acting = zip(names.actuators, told["acting"], strict=True)
+        lines.append("at each actuator: " + ", ".join(f"{name} {status}" for name, status in acting))
+    lines.append(f"why: {told['why']}")
+    if told["refused"]:
+        lines.append(f"refused before the plant: {told['refused']}")
+    if told["solver_status"]:
+        lines.append(f"solver: {told['solver_status']}, {told['iterations']} iterations")
+    lines += [f"bound: {bound}" for bound in decision.bounds()]
+    lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in told["blocks"]))
+    if decision.after:
+        last = decision.after[-1]
+        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, last.T_zone_C, strict=True))
+        planned = ""
+        if decision.plan:
+            planned = f" (planned {', '.join(_C(float(T)) for T in decision.T_zone_C[:, 0])})"
+        lines.append(f"came: {zones}{planned} at {words_of(last.time_s)}")
+    else:
+        lines.append("came: nothing is recorded, the run ended here")
+    return lines
+
+
+def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
+    """Levels of a block, by name where there are several actuators."""
+    levels = ["own control" if u is None else f"{u:.2f}" for u in block["u"]]
+    if len(levels) > 1:
+        levels = [f"{name} {level}" for name, level in zip(actuators, levels, strict=True)]
+    return f"{', '.join(levels)} for {block['duration_s'] / 60:g} min"
+
+
+def _table(decision: Decision, hours: float) -> Table:
+    """The planned course, hour by hour, with the forecast it was made on."""
+    boundary, names, plan = decision.boundary, decision.names, decision.plan
+    assert boundary is not None
+    table = Table(title="Plan", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    n = plan["u"].shape[-1]
+    every = max(1, round(HOUR_S / boundary.step_s))
+    columns = ["until", "outdoors °C", "sun W/m²", "price"]
+    columns += [f"u {name}".replace(" actuator", "") for name in names.actuators]
+    for zone in names.zones:
+        of = "" if names.single else f" {zone}"
+        columns += [f"T{of} °C", f"80 %{of}", f"bounds{of}"]
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    T = decision.T_zone_C
+    for end in range(every, min(n, round(hours * HOUR_S / boundary.step_s)) + 1, every):
+        step = slice(end - every, end)
+        row = [
+            words_of(boundary.time_s[end]),
+            f"{np.mean(boundary.T_out_C[step]):.1f}",
+            f"{np.mean(boundary.solar_W_m2[step]):.0f}",
+            f"{np.mean(boundary.price_per_kWh[0, step]):.3f}",
+        ]
+        row += [f"{np.mean(plan['u'][a, step]):.2f}" for a in range(len(names.actuators))]
+        for z in range(len(names.zones)):
+            forced = plan["T_forced_K"][z, end - 1]
+            low, high = (plan[name][z, end - 1] + forced for name in ("T_free_low_C", "T_free_high_C"))
+            bounds = f"{boundary.lower_C[z, end]:g}–{boundary.upper_C[z, end]:g}"
+            row += [f"{T[z, end - 1]:.2f}", f"{low:.1f}–{high:.1f}", bounds]
+        table.add_row(*row)
+    return table
+
+
+def _json(decision: Decision) -> dict[str, Any]:
+    """Everything, for programs."""
+    found = {key: value for key, value in decision.told.items() if key != "plan"}
+    found |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.notes)}
+    found["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
+    if decision.boundary is not None:
+        signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")
+        found["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}
+    return found
+
+
+def _C(value: float) -> str:
+    return "no reading" if math.isnan(value) else f"{value:.2f} °C"
