@@ -1,0 +1,271 @@
+"""Checks of an installation: each says what it found and, where something is wrong, what to do."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import requests
+from packaging.requirements import Requirement
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, SINGLE, Boundary, Observation, PlanStatus, Record
+from thermoforce_mpc.errors import ConfigError, ThermoForceError
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.scenario.settings import suggestion
+from thermoforce_mpc.version import VERSION
+
+State = Literal["ok", "warning", "failed", "skipped"]
+
+_PACKAGE = "thermoforce-mpc"
+# A season of one controller leaves a journal of some 200 MB, a comparison several.
+_LITTLE_SPACE_GB, _NO_SPACE_GB = 2.0, 0.2
+_CLOCK_OFF_S = 60.0
+_SLOW_SYNC_S = 0.2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of a check; `todo` says what to do where something is wrong."""
+
+    name: str
+    state: State
+    told: str
+    todo: str = ""
+    seconds: float = 0.0
+
+
+def examine(
+    *, testcase: str, url: str | None = None, folder: Path = Path("runs"), only: Collection[str] = ()
+) -> Iterator[Finding]:
+    """Run the checks, one finding after the other; whatever a check raises is its finding.
+
+    Args:
+        testcase: test case to look for at the service.
+        url: address of a BOPTEST service; without it that check is skipped.
+        folder: where runs are written.
+        only: names of the checks to run, by default all.
+
+    Raises:
+        ConfigError: there is no check of a name in `only`.
+    """
+    checks: dict[str, Callable[[], Finding]] = {
+        "Python": _python,
+        "packages": _packages,
+        "plant": _plant,
+        **{f"solver {name}": lambda name=name: _solver(name) for name in ("qp", "milp", "ipopt")},  # type: ignore[misc]
+        "backbone": _backbone,
+        "serving": _serving,
+        "service": lambda: _service(testcase, url),
+        "clock": lambda: _clock(url),
+        "disk": lambda: _disk(folder),
+    }
+    for name in only:
+        if name not in checks:
+            raise ConfigError(f"no check '{name}'{suggestion(name, checks)}; there are {', '.join(checks)}")
+    for name, check in checks.items():
+        if only and name not in only:
+            continue
+        began = time.perf_counter()
+        try:
+            found = check()
+        except ModuleNotFoundError as error:
+            found = Finding(name, "failed", f"{error.name} is not installed", "pip install --upgrade thermoforce-mpc")
+        except ThermoForceError as error:
+            found = Finding(name, "failed", str(error), "see the message")
+        except Exception as error:  # a broken installation may raise anything
+            told = f"{type(error).__name__}: {error}"
+            found = Finding(name, "failed", told, "install into a fresh virtual environment; if it stays, report it")
+        yield replace(found, name=name, seconds=time.perf_counter() - began)
+
+
+def _python() -> Finding:
+    told = f"{sys.version.split()[0]} at {sys.executable}, {_PACKAGE} {VERSION}"
+    if sys.prefix == sys.base_prefix:
+        return Finding("", "warning", f"{told}, no virtual environment", "python3 -m venv .venv, and install there")
+    return Finding("", "ok", told)
+
+
+def _packages() -> Finding:
+    """Versions of what the package requires, as its metadata say."""
+    wrong, n = [], 0
+    for line in requires(_PACKAGE) or ():
+        wanted = Requirement(line)
+        if wanted.marker and not wanted.marker.evaluate({"extra": ""}):
+            continue
+        n += 1
+        try:
+            found = version(wanted.name)
+        except PackageNotFoundError:
+            wrong.append(f"{wanted} is not installed")
+            continue
+        if not wanted.specifier.contains(found, prereleases=True):
+            wrong.append(f"{wanted.name} {found} is installed, {wanted.specifier} is required")
+    if wrong:
+        return Finding("", "failed", "; ".join(wrong), "pip install --upgrade thermoforce-mpc")
+    return Finding("", "ok", f"{n} required packages")
+
+
+def _plant() -> Finding:
+    """Two hours of the embedded plant."""
+    from thermoforce_mpc.boundary.weather import synthetic_weather
+    from thermoforce_mpc.plants.embedded import EmbeddedPlant
+
+    plant = EmbeddedPlant(synthetic_weather())
+    start = plant.reset(16 * DAY_S, HOUR_S)
+    end = plant.advance(1.0, 2 * HOUR_S)
+    off = plant.advance(0.0, 2 * HOUR_S)
+    if not (np.isfinite(end.T_zone_C).all() and end.power_W[0] > off.power_W[0]):
+        return Finding("", "failed", "the embedded plant computes nonsense", "reinstall numba and numpy")
+    return Finding("", "ok", f"embedded: {start.T_zone_C[0]:.2f} °C, {end.T_zone_C[0]:.2f} °C after 2 h at full level")
+
+
+def _solver(name: str) -> Finding:
+    """A cold house of the solver's kind: it must plan to heat."""
+    from controllers import ThermoForceMPC
+    from controllers.mpc_config import MPCConfig
+    from thermoforce_mpc.model.machine.load import MachineLoad
+    from thermoforce_mpc.model.machine.power import PowerModel
+    from thermoforce_mpc.model.operator.parameters import linear_operator
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+    power = PowerModel(MachineLoad((1600.0, 0.0, 2700.0, 0.0), (-20.0, 30.0), lowest_level=1.0))
+    model = ThermalModel.single(linear_operator(np.array([0.99]), np.array([0.4]), step_s=HOUR_S), power)
+    settings = {"solver": name, "step_s": HOUR_S, "horizon_h": 12.0, "free_response": {"name": "persistence"}}
+    config = MPCConfig.model_validate(settings | {"gate": {"enabled": False}, "guard": {"enabled": False}})
+    plan = ThermoForceMPC(model, config).plan(_cold_house())
+    if plan.status is not PlanStatus.SOLVED or not plan.u.size or plan.u.max() < 0.1:
+        return Finding(
+            "", "failed", f"no plan: {plan.why}", "pip install --force-reinstall casadi piqp clarabel highspy"
+        )
+    return Finding("", "ok", f"{plan.solver_status}, {plan.iterations} iterations")
+
+
+def _cold_house() -> Observation:
+    """Two days at 20.5 °C without heating, and a band from 21 °C on."""
+    at_s = HOUR_S * np.arange(49, dtype=np.float64)
+    same = np.ones(at_s.size)
+    none = np.zeros((1, at_s.size - 1))
+    record = Record(
+        time_s=at_s,
+        T_zone_C=20.5 * same[None],
+        T_out_C=0.0 * same,
+        solar_W_m2=0.0 * same,
+        u=none,
+        power_W=none,
+        heat_W=none,
+        names=SINGLE,
+    )
+    ahead = at_s[-1] + np.arange(14) * HOUR_S
+    one = np.ones(ahead.size)
+    boundary = Boundary(ahead, 0 * one, 0 * one, 0 * one, 21 * one, 24 * one, 0.25 * one, 0.2 * one)
+    return Observation(record, boundary)
+
+
+def _backbone() -> Finding:
+    from thermoforce_mpc.model.free_response.registry import build_free_response
+
+    try:
+        method = build_free_response("chronos")
+    except ModuleNotFoundError as error:
+        return Finding("", "failed", f"{error.name} is not installed", f"pip install {error.name}")
+    observation = _cold_house()
+    free_C = 20.0 + np.sin(np.arange(49) * 2 * np.pi / 24)
+    found = method.forecast(free_C, observation.history, observation.boundary)
+    if not np.isfinite(found.quantiles_C).all():
+        return Finding("", "failed", "the shipped forecaster returns no numbers", "pip install --force-reinstall torch")
+    return Finding("", "ok", f"shipped forecaster: {found.note}")
+
+
+def _serving() -> Finding:
+    missing = [name for name in ("flask", "waitress") if importlib.util.find_spec(name) is None]
+    if missing:
+        told = f"{', '.join(missing)} not installed: `tf-mpc serve` and `chaos` are not available"
+        return Finding("", "warning", told, "pip install 'thermoforce-mpc[serve]'")
+    return Finding("", "ok", "flask and waitress: `tf-mpc serve`")
+
+
+def _service(testcase: str, url: str | None) -> Finding:
+    """Select the test case, check its points, and stop it."""
+    if url is None:
+        return Finding("", "skipped", "no --url given")
+    from boptest_client import TransportConfig
+    from thermoforce_mpc.plants.boptest.plant import BoptestPlant
+
+    began = time.perf_counter()
+    try:
+        with BoptestPlant(url, load_testcase(testcase), config=TransportConfig(read_timeout_s=30.0)) as plant:
+            told = f"version {plant.info.version}, {testcase} selected, its points checked, stopped"
+    except ThermoForceError as error:
+        return Finding("", "failed", str(error), "is it running? `curl URL/version`; `tf-mpc testcases` lists names")
+    return Finding("", "ok", f"{told} in {time.perf_counter() - began:.1f} s")
+
+
+def _clock(url: str | None) -> Finding:
+    """Against the service's clock, the system's own verdict, and the time the package was installed."""
+    now = datetime.now(UTC)
+    told = f"{now:%Y-%m-%d %H:%M:%S} UTC"
+    todo = "set the clock: timedatectl set-ntp true"
+    if now.timestamp() < Path(__file__).stat().st_mtime - DAY_S:
+        return Finding("", "failed", f"{told}: before this package was installed", todo)
+    if url is not None:
+        try:
+            at = parsedate_to_datetime(requests.head(url, timeout=5, allow_redirects=False).headers["Date"])
+        except (requests.RequestException, KeyError, ValueError):
+            told += ", the service tells none"
+        else:
+            off_s = (now - at).total_seconds()
+            if abs(off_s) > _CLOCK_OFF_S:
+                return Finding("", "warning", f"{told}: {off_s:+.0f} s from the service's", todo)
+            told += ", as the service's"
+    synchronised = _synchronised()
+    if synchronised is False:
+        return Finding("", "warning", f"{told}, not synchronised", todo)
+    return Finding("", "ok", told + (", synchronised" if synchronised else ""))
+
+
+def _synchronised() -> bool | None:
+    """Whether the system says its clock is synchronised; None where it does not say."""
+    command = shutil.which("timedatectl")
+    if command is None:
+        return None
+    call = [command, "show", "--property=NTPSynchronized", "--value"]
+    try:
+        told = subprocess.run(call, capture_output=True, text=True, timeout=5, check=False).stdout.strip()
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return {"yes": True, "no": False}.get(told)
+
+
+def _disk(folder: Path) -> Finding:
+    """Room and permission where runs are written, and how long the disk takes to confirm."""
+    where = next(path for path in (folder.resolve(), *folder.resolve().parents) if path.is_dir())
+    todo = f"make room at {where}, or start runs elsewhere (--out)"
+    if not os.access(where, os.W_OK):
+        return Finding("", "failed", f"{where} cannot be written", todo)
+    free_GB = shutil.disk_usage(where).free / 1e9
+    with tempfile.TemporaryDirectory(prefix=".tf-mpc-doctor-", dir=where) as scratch:
+        began = time.perf_counter()
+        write_whole(Path(scratch) / "file", b"x" * 4096)
+        sync_s = time.perf_counter() - began
+    told = f"{where}: {free_GB:.1f} GB free, a record is safe after {1e3 * sync_s:.0f} ms"
+    if free_GB < _NO_SPACE_GB:
+        return Finding("", "failed", told, todo)
+    if free_GB < _LITTLE_SPACE_GB:
+        return Finding("", "warning", told, todo)
+    if sync_s > _SLOW_SYNC_S:
+        return Finding("", "warning", f"{told}, which is slow", "use a local disk for runs on a service")
+    return Finding("", "ok", told)
