@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.rooms import house_of_rooms
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -36,7 +37,7 @@ def test_every_shipped_building_of_several_zones_loads():
     assert load_testcase("energyplus:small_office").layout.mode(0) == "both"
     house = load_testcase("house:3rooms")
     assert len(house.layout.home) == 3
-    assert sum(house.layout.shares) == pytest.approx(1.0)
+    assert house.layout.shares == pytest.approx(house_of_rooms("house:3rooms").layout.shares)
     with pytest.raises(ConfigError, match="house:0rooms"):
         load_testcase("house:0rooms")
 
