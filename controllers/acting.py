@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
 from controllers.actuation import Actuation, ActuationState
-from controllers.actuators import Actuators
+from controllers.actuators import Acted, Actuators
 from controllers.fallback import FallbackConfig, FallbackPolicy
 from controllers.inputs import check_observation, checked_state
 from thermoforce_mpc.data import Layout, Observation
@@ -79,6 +79,15 @@ class Acting:
     def _ahead(self, observation: Observation) -> Observation:
         """The observation with the boundary forecast of the horizon only."""
         return Observation(observation.history, observation.boundary.head(self._n_steps))
+
+    def _excluded(self, acted: Acted) -> list[str]:
+        """Which actuators do not do what was asked of them, because another one acts."""
+        names = self._layout.names.actuators
+        return [
+            self._told(a, f"excluded by {names[by]}" + (", which is native: native control" if native else ""))
+            for a, by in acted.excluded.items()
+            for native in [acted.states[by].native]
+        ]
 
     def _told(self, a: int, why: str) -> str:
         """`why`, with the actuator's name where there are several."""

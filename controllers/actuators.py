@@ -4,12 +4,15 @@ Each actuator has its own `Actuation`. On/off blocks of actuators that share a m
 runs no longer than the longest of them: all at the start of a step while the machine runs, all at its end while it
 stands. Two such steps in a row join to one run. Minimum on and off times are those of the machine, whichever of its
 actuators is on: a valve may open and close while it runs.
+
+Of actuators that exclude one another one acts in a step, whoever asked: one that must stay on for its minimum time,
+else the one that is asked for most.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from controllers.actuation import Actuation, ActuationState
 from thermoforce_mpc.data import Block, Layout, Record
@@ -23,10 +26,14 @@ Demand = float | None | tuple[Block, ...]
 
 @dataclass(frozen=True)
 class Acted:
-    """Blocks of each actuator (A,), each of one actuator, and the states after them (A,)."""
+    """Blocks of each actuator (A,), each of one actuator, and the states after them (A,).
+
+    `excluded`: actuators that do not do what was asked of them, each with the one that excludes it.
+    """
 
     blocks: tuple[tuple[Block, ...], ...]
     states: tuple[ActuationState, ...]
+    excluded: Mapping[int, int] = field(default_factory=dict)
 
     def together(self) -> tuple[Block, ...]:
         """The blocks of all actuators: one wherever any of them changes."""
@@ -59,6 +66,11 @@ class Actuators:
 
     def realise(self, demands: Sequence[Demand], step_s: float, states: Sequence[ActuationState]) -> Acted:
         """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after."""
+        wanted = [self._wanted(a, demand, states[a]) for a, demand in enumerate(demands)]
+        excluded = self.layout.excluded(wanted)
+        native = {a for a in excluded if demands[excluded[a]] is None}
+        told = {a: by for a, by in excluded.items() if a in native or demands[a]}
+        demands = [None if a in native else 0.0 if a in excluded else demand for a, demand in enumerate(demands)]
         found = [self._alone(a, demand, step_s, states[a]) for a, demand in enumerate(demands)]
         for fed in self._shared:
             levels = {
@@ -67,9 +79,25 @@ class Actuators:
                 if isinstance(level := demands[a], float | int) and not self.each[a].modulates
             }
             if len(levels) > 1:
-                for a, one in self._aligned(levels, step_s, states).items():
+                for a, one in self._aligned(levels, step_s, states, excluded).items():
                     found[a] = one
-        return Acted(tuple(blocks for blocks, _ in found), tuple(state for _, state in found))
+        # Exclusion comes before minimum times, for which one may be on that nobody asked for.
+        acts = [
+            None if demands[a] is None else any(block.u[0] for block in blocks) * (1.0 + (wanted[a] or 0.0))
+            for a, (blocks, _) in enumerate(found)
+        ]
+        for a in self.layout.excluded(acts):
+            found[a] = (Block(0.0, step_s),), ActuationState(on=False, held_s=step_s)
+        told = {a: by for a, by in told.items() if not any(block.u[0] for block in found[a][0])}
+        return Acted(tuple(blocks for blocks, _ in found), tuple(state for _, state in found), told)
+
+    def _wanted(self, a: int, demand: Demand, state: ActuationState) -> float | None:
+        """How much actuator `a` is wanted, see `Layout.excluded`; one that has to stay on before all others."""
+        if demand is None or isinstance(demand, tuple):
+            return None if demand is None else max(abs(block.u[0] or 0.0) for block in demand)
+        actuation = self.each[a]
+        must_stay = not actuation.modulates and state.on and state.held_s < actuation.config.min_on_s
+        return demand / actuation.highest + must_stay
 
     def _alone(
         self, a: int, demand: Demand, step_s: float, state: ActuationState
@@ -79,14 +107,18 @@ class Actuators:
         return self.each[a].realise(demand, step_s, state)
 
     def _aligned(
-        self, levels: Mapping[int, float], step_s: float, states: Sequence[ActuationState]
+        self,
+        levels: Mapping[int, float],
+        step_s: float,
+        states: Sequence[ActuationState],
+        excluded: Collection[int],
     ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
         """Blocks of the actuators of one machine at mean `levels`, beside those of the one that is on longest."""
         wanted_s = {
             a: level / self.each[a].config.level * step_s + states[a].owed_s if level > 0 else 0.0
             for a, level in levels.items()
         }
-        lead = max(levels, key=lambda a: wanted_s[a])
+        lead = max(levels, key=lambda a: (wanted_s[a], a not in excluded, states[a].on))
         running = _machine_of([states[a] for a in levels])
         blocks, after = self.each[lead].realise(levels[lead], step_s, replace(running, owed_s=states[lead].owed_s))
         runs_s = sum(block.duration_s for block in blocks if block.u[0])

@@ -45,6 +45,7 @@ class Assembly:
             np.array(layout.machine_of),
             np.array(layout.shares),
             tuple(power is not None and power.modulates for power in model.power),
+            layout.exclusive,
         )
 
     def problem(

@@ -75,6 +75,10 @@ class FallingBack(Acting):
             why = f"{self._told(a, one.why)}: {who}; {why}"
             acting[a] = status = one.status or _named(demands[a])
         acted = self._actuators.realise(demands, self.step_s, plan.state.actuation)
+        for a in acted.excluded:
+            if acted.states[a].native:
+                acting[a] = PlanStatus.NATIVE
+        why = "; ".join(filter(None, [*self._excluded(acted), why]))
         state = replace(plan.state, actuation=acted.states)
         return replace(plan, blocks=acted.together(), status=status, acting=tuple(acting), why=why, state=state)
 
@@ -106,12 +110,18 @@ class FallingBack(Acting):
         if not found:
             return plan
         levels: list[Demand] = [found[a][0] if a in found else demand for a, demand in enumerate(demands)]
+        names, excluded = self._layout.names.actuators, []
+        for a, b in self._layout.excluding():
+            if levels[b] and a in found and found[a][0] > 0.0:  # also of the plan's, whatever their level
+                levels[b] = 0.0
+                found.pop(b, None)
+                excluded.append(self._told(b, f"excluded by {names[a]}"))
         # The plan is not followed, so it must not be shifted later.
         begun = replace(plan, why="", state=replace(now, good=now.good))
         guarded = self._acted(observation, begun, levels, held, T_zone_C)
         if guarded.blocks == plan.blocks:  # minimum on or off time: the machine cannot do more
             return plan
-        why = "; ".join([*(self._told(a, text) for a, (_, text) in found.items()), plan.why])
+        why = "; ".join([*(self._told(a, text) for a, (_, text) in found.items()), *excluded, plan.why])
         acting = tuple(PlanStatus.GUARD if a in found else status for a, status in enumerate(plan.acting))
         return replace(guarded, status=PlanStatus.GUARD, acting=acting, why=why)
 
@@ -125,6 +135,10 @@ class FallingBack(Acting):
             told.append(self._told(a, f"{held[a].why}: {who}"))
             acting.append(held[a].status or _named(demand))
         acted = self._actuators.realise(demands, self.step_s, now.actuation)
+        told += self._excluded(acted)
+        acting = [
+            PlanStatus.NATIVE if a in acted.excluded and acted.states[a].native else s for a, s in enumerate(acting)
+        ]
         status = PlanStatus.WATCH if PlanStatus.WATCH in acting else acting[0]
         # The plan before was not followed, so it must not be shifted later.
         state = replace(now, actuation=acted.states, good=None)

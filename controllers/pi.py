@@ -98,6 +98,7 @@ class PIController:
             integrals.append(integral)
             told.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
         acted = self._actuators.realise(demands, self.step_s, machines)
+        told += [f"{names.actuators[a]}: excluded by {names.actuators[by]}" for a, by in acted.excluded.items()]
         # Under native control of all, the law has not been applied.
         time_s = last.time_s if all(demand is None for demand in demands) else observation.time_s
         after = PIState(tuple(integrals), time_s, acted.states)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from controllers.errors import ControllerConfigError
@@ -57,7 +57,8 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
                 f"the model{of} was identified for {found}, test case '{testcase.name}' is for {wanted}: "
                 f"what the one does says nothing of the other; identify on data of {wanted}"
             )
-    return ThermoForceMPC(model, config, name=name)
+    # The test case says what may act together, also to a model that was identified before it did.
+    return ThermoForceMPC(replace(model, exclusive=testcase.layout.exclusive), config, name=name)
 
 
 def _mpc_entry(summary: str, **defaults: Any) -> Entry:

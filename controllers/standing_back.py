@@ -53,6 +53,7 @@ class StandingBack(Acting):
         told = "; ".join(self._told(a, one) for a, one in enumerate(who))
         if len(set(who)) == 1:
             told = who[0]
+        told = "; ".join([told, *self._excluded(acting)])
         why = f"gate: no model could be identified ({self.reason}): {told}"
         after = StandingBackState(acting.states)
         return Plan(acting.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)

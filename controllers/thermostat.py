@@ -96,6 +96,11 @@ class Thermostat:
             levels.append(None if found is None else self.config.level * found)
             on.append(last.on[a] if found is None else found)
             told.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+        wanted = [None if level is None else level * (1 + was) for level, was in zip(levels, last.on, strict=True)]
+        for a, by in self.layout.excluded(wanted).items():
+            levels[a] = None if levels[by] is None else 0.0
+            on[a] = False
+            told.append(f"{names.actuators[a]}: excluded by {names.actuators[by]}")
         block = Block(levels, self.step_s)
         return Plan((block,), PlanStatus.RULE, "; ".join(told), names=names, state=ThermostatState(tuple(on)))
 

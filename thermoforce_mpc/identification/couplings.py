@@ -104,7 +104,14 @@ def assembled(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
     )
     return ThermalModel(
-        operator, tuple(power), tuple(free), tuple(cards), layout.names.machines, layout.machine_of, layout.shares
+        operator,
+        tuple(power),
+        tuple(free),
+        tuple(cards),
+        layout.names.machines,
+        layout.machine_of,
+        layout.shares,
+        layout.exclusive,
     )
 
 

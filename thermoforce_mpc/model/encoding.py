@@ -41,6 +41,7 @@ def encode(
     machines: Sequence[str],
     machine_of: Sequence[int],
     shares: Sequence[float],
+    exclusive: Sequence[Sequence[int]] = (),
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the parts of a thermal model as values of a JSON document, and its arrays by name."""
     arrays: dict[str, Array] = {}
@@ -67,6 +68,7 @@ def encode(
             {"name": name, "power": None if one is None else dataclasses.asdict(one)}
             for name, one in zip(machines, power, strict=True)
         ],
+        "exclusive": [list(group) for group in exclusive],
         "n_trained": operator.n_trained,
         "pairs": pairs,
     }
@@ -113,6 +115,10 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
         "machines": tuple(text(machine["name"]) for machine in machines),
         "machine_of": tuple(whole(actuator["machine"], 0, len(machines) - 1) for actuator in actuators),
         "shares": tuple(number(actuator["share"]) for actuator in actuators),
+        "exclusive": tuple(
+            tuple(whole(a, 0, len(actuators) - 1) for a in listed(group))
+            for group in listed(content.get("exclusive", []))
+        ),
     }
 
 

@@ -36,6 +36,7 @@ class ThermalModel:
         machines: names of the machines (M,).
         machine_of: number of the machine that feeds each actuator (A,).
         shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
+        exclusive: groups of actuators (their numbers) of which at most one may act in a step.
 
     Raises:
         DataError: a part has not as many entries as there are zones, actuators or machines.
@@ -48,6 +49,7 @@ class ThermalModel:
     machines: tuple[str, ...] = SINGLE.machines
     machine_of: tuple[int, ...] = (0,)
     shares: tuple[float, ...] = (0.0,)
+    exclusive: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         zones, actuators, _ = self.operator.shape
@@ -62,6 +64,8 @@ class ThermalModel:
                 raise DataError(f"thermal model: {what} has {found} entries, expected {expected}")
         if not all(0 <= m < len(self.machines) for m in self.machine_of):
             raise DataError(f"thermal model: machine_of {self.machine_of}: there are {len(self.machines)} machines")
+        if self.exclusive:
+            _ = self.layout  # refuses groups that do not fit
 
     @classmethod
     def single(
@@ -97,6 +101,7 @@ class ThermalModel:
             tuple(head.heat_input.lowest for head in heads),
             self.shares,
             (float("nan"),) * len(self.operator.zones),
+            self.exclusive,
         )
 
     def with_actuators(self, zones: Sequence[ZoneModel]) -> ThermalModel:
@@ -203,7 +208,14 @@ class ThermalModel:
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
         content, arrays = encode(
-            self.operator, self.power, self.free, self.cards, self.machines, self.machine_of, self.shares
+            self.operator,
+            self.power,
+            self.free,
+            self.cards,
+            self.machines,
+            self.machine_of,
+            self.shares,
+            self.exclusive,
         )
         certificates = [
             {"zone": zone, "actuator": actuator, **proof.to_json()} for (zone, actuator), proof in proofs.items()

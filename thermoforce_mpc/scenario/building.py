@@ -181,6 +181,7 @@ def layout_of(
     zones: Mapping[str, Zone],
     actuators: Mapping[str, ZoneActuator | ZoneRoomSetpoints],
     machines: Mapping[str, Machine],
+    exclusive: Sequence[Sequence[str]] = (),
 ) -> Layout:
     """What acts where; raises `ValueError` naming the key of an actuator, zone or machine that fits nothing."""
     from thermoforce_mpc.data import Names
@@ -197,6 +198,22 @@ def layout_of(
     for machine, names in fed.items():
         if not names:
             raise ValueError(f"machines.{machine}: it feeds no actuator")
+    for i, group in enumerate(exclusive):
+        for name in group:
+            if name not in actuators:
+                raise ValueError(
+                    f"exclusive[{i}]: there is no actuator '{name}'{suggestion(name, actuators)}; "
+                    f"actuators: {', '.join(actuators)}"
+                )
+            if isinstance(actuators[name], RoomSetpoints):
+                raise ValueError(
+                    f"exclusive[{i}]: '{name}' is of kind room_setpoints, whose loops act when the zone asks for it: "
+                    "they cannot be excluded"
+                )
+            if list(group).count(name) > 1:
+                raise ValueError(f"exclusive[{i}]: '{name}' stands there twice: name each actuator once")
+        if len(group) < 2:
+            raise ValueError(f"exclusive[{i}]: {list(group)}: name two or more actuators that exclude one another")
 
     def share(one: ZoneActuator | ZoneRoomSetpoints) -> float:
         siblings = [actuators[name] for name in fed[one.machine]]
@@ -214,4 +231,5 @@ def layout_of(
         tuple(one.lowest if isinstance(one, RoomSetpoints) else 0.0 for one in actuators.values()),
         tuple(share(one) for one in actuators.values()),
         tuple(zone.floor_area_m2 for zone in zones.values()) or (math.nan,),
+        tuple(tuple(list(actuators).index(name) for name in group) for group in exclusive),
     )

@@ -122,6 +122,9 @@ class TestCase(StrictModel):
     zones: dict[str, Zone] = Field(default_factory=dict, description="zones of a building of several, by name")
     actuators: dict[str, AnyZoneActuator] = Field(default_factory=dict, description="their actuators, by name")
     machines: dict[str, Machine] = Field(default_factory=dict, description="what feeds the actuators, by name")
+    exclusive: tuple[tuple[str, ...], ...] = Field(
+        (), description="groups of actuators, by name, of which at most one may act in a control step"
+    )
     thermostat_C: float | None = Field(
         None, description="set-point of the baseline on/off thermostat, °C; default: that thermostat's own"
     )
@@ -149,7 +152,7 @@ class TestCase(StrictModel):
         weather = (self.measurements.outdoor_temperature, self.measurements.solar, f.outdoor_temperature, f.solar)
         if self.zones:
             return BuildingPoints(
-                layout_of(self.zones, self.actuators, self.machines),
+                layout_of(self.zones, self.actuators, self.machines, self.exclusive),
                 tuple(self.zones.values()),
                 tuple(
                     ActuatorPoints(one, HeatMeter(one.heat, self.zones[one.zone].temperature), f"actuators.{name}")
@@ -194,8 +197,8 @@ class TestCase(StrictModel):
     @model_validator(mode="after")
     def _one_form(self) -> TestCase:
         if not self.zones:
-            if self.actuators or self.machines:
-                raise ValueError("actuators and machines belong to zones: name the zones")
+            if self.actuators or self.machines or self.exclusive:
+                raise ValueError("actuators, machines and exclusive belong to zones: name the zones")
             if self.actuator is None or self.floor_area_m2 is None or not isinstance(self.measurements, Measurements):
                 raise ValueError(
                     "a building of one zone needs floor_area_m2, actuator and measurements.zone_temperature and "
@@ -209,7 +212,7 @@ class TestCase(StrictModel):
             )
         if not self.actuators:
             raise ValueError("actuators: name one or more, each with its zone and machine")
-        layout_of(self.zones, self.actuators, self.machines)
+        layout_of(self.zones, self.actuators, self.machines, self.exclusive)
         for name, one in self.actuators.items():
             if isinstance(one, RoomSetpoints) and not one.heat:
                 raise ValueError(f"actuators.{name}: room set-points need heat: the level is heat over full heat")

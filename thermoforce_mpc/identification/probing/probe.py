@@ -194,6 +194,13 @@ class Probing:
             band = soon if by_rooms[a] else day
             assert band is not None
             blocks.append(excites.next(own, band.part(zone), coming))
+        acted = self.record.u[:, -1] > 0.0 if done else np.zeros(len(blocks), dtype=bool)
+        # Of equal levels of actuators that exclude one another, the one that acts goes on.
+        for a in self._layout.excluded(
+            [(block.u[0] or 0.0) * (1 + on) for block, on in zip(blocks, acted, strict=True)]
+        ):
+            blocks[a] = Block(0.0, c.step_s)
+            self._excites[a].withheld()
         levels = tuple(block.u[0] for block in blocks)
         bands = tuple(block.band_C[0] for block in blocks)
         if any(bands):
@@ -215,6 +222,9 @@ class _Rooms:
     def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
         """Room set-points of the next step, for which `band` holds the bounds; `ahead` counts for levels only."""
         return self._excitation.next(float(record.T_zone_C[0, -1]), band.lower_C[0], band.upper_C[0], self._step_s)
+
+    def withheld(self) -> None:
+        """Room set-points exclude nothing, and nothing excludes them."""
 
     def learn(self, step: Record) -> None:
         """Nothing is learned: the plant's own loops keep the bounds."""
@@ -277,6 +287,10 @@ class _Levels:
             return tight
         low, high = sorted((tight, most))
         return float(np.clip(self._stays_C, low, high)) if self._sign * (most - tight) > 0 else tight
+
+    def withheld(self) -> None:
+        """The level was not applied: another actuator acts, which excludes this one."""
+        self._applied = 0.0
 
     def learn(self, step: Record) -> None:
         """Learn from the step that was just made."""
