@@ -95,13 +95,18 @@ def buildings_command(houses: int, seed: int, jobs: int, out: Path | None, quick
 @command.command("zones")
 @click.option("--fmus", type=_FOLDER, help="Folder with twozone_apartment_hydronic.fmu; without it, it is left out.")
 @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@click.option("--only-speed", is_flag=True, help="Time a step alone, without buildings.")
 @_QUICK
 @_JSON
-def zones_command(fmus: Path | None, jobs: int, quick: bool, json_file: Path | None) -> None:
-    """Run the default configuration on buildings of several zones, and time a step over the number of zones."""
+def zones_command(fmus: Path | None, jobs: int, only_speed: bool, quick: bool, json_file: Path | None) -> None:
+    """Run the default configuration on buildings of several zones, and time a step over the number of zones.
+
+    Five zones are solved in do-mpc too (extra [bench]).
+    """
     from thermoforce_mpc.research.bench.zones import run_zones_bench
 
-    show(run_zones_bench(fmus=fmus, jobs=jobs, quick=quick, progress=_progress), json_file)
+    result = run_zones_bench(fmus=fmus, jobs=jobs, quick=quick, only_speed=only_speed, progress=_progress)
+    show(result, json_file)
 
 
 @command.command("boptest")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
+from thermoforce_mpc.research.bench.zone_scaling import BesideDoMpc
 from thermoforce_mpc.research.bench.zones import APARTMENT, HOUSE, Case, Outcome, speed_targets, targets
 
 
@@ -39,6 +42,15 @@ def test_a_failed_case_meets_nothing():
 
 
 def test_growth_is_the_slope_in_logarithms():
-    exponent, five = speed_targets({1: 2.0, 5: 10.0, 10: 20.0})
+    beside = BesideDoMpc(ours_s=0.02, do_mpc_s=0.7, helped_s=0.5, worst_difference=2e-5)
+    exponent, five, faster, helped, same = speed_targets({1: 2.0, 5: 10.0, 10: 20.0}, beside)
+    assert (faster.value, helped.value) == pytest.approx((35.0, 25.0))
+    assert (faster.holds, helped.holds, same.holds) == (True, False, True)
     assert abs(exponent.value - 1.0) < 1e-9
     assert five.value == 10.0
+
+
+def test_without_do_mpc_its_targets_are_printed_as_not_met():
+    assert [target.holds for target in speed_targets({1: 2.0, 5: 10.0}, None)] == [
+        True, True, False, False, False,
+    ]  # fmt: skip

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from controllers.machinery import Machinery
-from controllers.problem import MPCProblem, PowerCap, ProblemShape, Weights, blocked_moves
+from controllers.problem import MPCProblem, PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.research.bench.do_mpc_building import DoMpcBuilding
 
 _STEP_S, _HORIZON_H, _FREE_H, _HOLD_H = 900.0, 48.0, 12.0, 1.0
 _TIME_CONSTANTS_H = (0.5, 3.0, 48.0)
@@ -71,7 +73,9 @@ def building_problem(operator: BuildingOperator, rng: np.random.Generator) -> MP
 def solve_times(
     sizes: Sequence[int] = (1, 2, 5, 10, 20), *, neighbours: int = 2, instances: int = 10, seed: int = 1
 ) -> dict[int, float]:
-    """Median time of a solve by number of zones, s, with move blocking and solvers as by default.
+    """Median CPU time of a solve by number of zones, s, with move blocking and solvers as by default.
+
+    The solver has one thread: its CPU time is what a step takes on an idle core, whatever else the machine does.
 
     Raises:
         RuntimeError: an instance is not solved.
@@ -85,15 +89,65 @@ def solve_times(
         solver = QPSolver(operator, ProblemShape(moves, problems[0].machinery, capped=True), QPConfig())
         seconds = []
         for problem in problems:
-            began = time.perf_counter()
+            began = time.process_time()
             solution = solver.solve(problem)
-            seconds.append(time.perf_counter() - began)
+            seconds.append(time.process_time() - began)
             if not solution.ok:
                 raise RuntimeError(f"{n_zones} zones: {solution.problem}")
         found[n_zones] = float(np.median(seconds))
     return found
 
 
-def exponent(seconds: dict[int, float]) -> float:
+@dataclass(frozen=True)
+class BesideDoMpc:
+    """Median CPU time of a solve, s, and the largest relative difference of the optimum to do-mpc's on one instance.
+
+    `ours_s`: what do-mpc solves, a move in every step; `helped_s`: do-mpc told that a zone's actuators share its modes.
+    """
+
+    ours_s: float
+    do_mpc_s: float
+    helped_s: float
+    worst_difference: float
+
+
+def beside_do_mpc(
+    n_zones: int = 5, *, neighbours: int = 2, instances: int = 10, repeats: int = 5, seed: int = 1
+) -> BesideDoMpc:
+    """Solve the instances of `solve_times` of `n_zones` zones, with a move in every step, and in do-mpc, in turn.
+
+    Ours is the median of `repeats` solves of each instance.
+
+    Raises:
+        ConfigError: do-mpc is not installed.
+        RuntimeError: an instance is not solved.
+    """
+    rng = np.random.default_rng([seed, n_zones])
+    operator = building_operator(n_zones, neighbours, rng)
+    problems = [building_problem(operator, rng) for _ in range(instances)]
+    machinery = problems[0].machinery
+    peers = [DoMpcBuilding(operator, problems[0], modes_shared=shared) for shared in (False, True)]
+    solver = QPSolver(operator, ProblemShape(every_step(problems[0].n_steps), machinery, capped=True), QPConfig())
+    ours, differences = list[float](), list[float]()
+    theirs: tuple[list[float], list[float]] = ([], [])
+    for problem in problems:
+        for _ in range(repeats):
+            began = time.process_time()
+            solution = solver.solve(problem)
+            ours.append(time.process_time() - began)
+            if not solution.ok:
+                raise RuntimeError(f"{n_zones} zones: {solution.problem}")
+        best = float(problem.cost(operator, solution.u))
+        for peer, seconds in zip(peers, theirs, strict=True):
+            began = time.process_time()
+            u = peer.solve(problem)
+            seconds.append(time.process_time() - began)
+            found = float(problem.cost(operator, np.clip(u, 0.0, machinery.u_max[:, None])))
+            differences.append(abs(found - best) / abs(best))
+    do_mpc_s, helped_s = (float(np.median(seconds)) for seconds in theirs)
+    return BesideDoMpc(float(np.median(ours)), do_mpc_s, helped_s, max(differences))
+
+
+def exponent(seconds: Mapping[int, float]) -> float:
     """Slope of log time over log number of zones, least squares: 1 is linear growth."""
     return float(np.polyfit(np.log(list(seconds)), np.log(list(seconds.values())), 1)[0])

@@ -18,13 +18,13 @@ import numpy as np
 from controllers.mpc_config import MPCConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Record
-from thermoforce_mpc.errors import DataError, ThermoForceError
+from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.research.bench.boptest import verdict_in_words
 from thermoforce_mpc.research.bench.processes import in_processes
-from thermoforce_mpc.research.bench.zone_scaling import solve_times
+from thermoforce_mpc.research.bench.zone_scaling import BesideDoMpc, beside_do_mpc, exponent, solve_times
 from thermoforce_mpc.research.zones.apart import OnePerZone
 from thermoforce_mpc.research.zones.effects import PairScore, score_pairs, worst
 from thermoforce_mpc.scenario.scenario import load_scenario
@@ -51,6 +51,8 @@ _QUICK_DAYS = 2.0
 _PROBING_DAYS = 3.0
 # Discomfort that counts as none, K·h per zone, and goals of the solve time: exponent, and ms for five zones.
 _COMFORTABLE_Kh, _LINEAR, _FIVE_ZONES_MS = 0.5, 1.0, 20.0
+# Goals beside do-mpc on five zones: times faster, and relative difference of the optima.
+_FASTER, _SAME_OPTIMUM = 30.0, 1e-4
 # Goals of the effects of single actuators: error over RMS, and share of the steps with the right sign.
 _EFFECT, _SIGN = 0.15, 0.98
 
@@ -116,6 +118,7 @@ def run_zones_bench(
     fmus: Path | None = None,
     jobs: int = 2,
     quick: bool = False,
+    only_speed: bool = False,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
     """Run the buildings of several zones, and time a step over the number of zones.
@@ -124,9 +127,10 @@ def run_zones_bench(
         fmus: folder with the FMU of the apartment; without it the apartment is left out.
         jobs: processes; the result does not depend on it.
         quick: two scored days of the first window of the house.
+        only_speed: time the step alone, on no building.
         progress: callback for progress lines.
     """
-    cases = _cases(fmus, quick)
+    cases = [] if only_speed else _cases(fmus, quick)
 
     def on_done(n: int, outcome: Outcome) -> None:
         row = outcome.row()
@@ -136,11 +140,27 @@ def run_zones_bench(
     outcomes = in_processes(run_case, cases, jobs, on_done)
     progress("timing a step over the number of zones")
     times = {zones: 1e3 * s for zones, s in solve_times((1, 2, 5) if quick else (1, 2, 5, 10, 20)).items()}
+    progress("solving five zones in do-mpc too")
+    try:
+        beside = beside_do_mpc(instances=2 if quick else 10)
+    except ConfigError as error:
+        progress(str(error))
+        beside = None
     rows: list[Row] = [*(o.row() for o in outcomes), *(row for o in outcomes for row in o.effect_rows())]
     rows += [
-        {"building": f"{zones} zones, solve of 48 h at 15 min", "window": f"{ms:.1f} ms"} for zones, ms in times.items()
+        {"building": f"{zones} zones, solve of 48 h at 15 min", "window": f"{ms:.1f} ms CPU"}
+        for zones, ms in times.items()
     ]
-    return bench_result("zones", rows, [*targets(outcomes), *speed_targets(times)])
+    if beside is not None:
+        rows += [
+            {"building": f"5 zones, a move in every step, {name}", "window": f"{1e3 * seconds:.1f} ms CPU"}
+            for name, seconds in (
+                ("ours", beside.ours_s),
+                ("do-mpc", beside.do_mpc_s),
+                ("do-mpc, modes shared", beside.helped_s),
+            )
+        ]
+    return bench_result("zones", rows, [*targets(outcomes), *speed_targets(times, beside)])
 
 
 def _cases(fmus: Path | None, quick: bool) -> list[Case]:
@@ -231,11 +251,17 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
     return found
 
 
-def speed_targets(times: Mapping[int, float]) -> list[Target]:
-    """Growth of the solve time with the number of zones, and that of five zones."""
-    zones, ms = np.array(list(times)), np.array(list(times.values()))
-    exponent = float(np.polyfit(np.log(zones), np.log(ms), 1)[0])
+def speed_targets(times: Mapping[int, float], beside: BesideDoMpc | None) -> list[Target]:
+    """Growth of the solve time (ms) with the number of zones, that of five zones, and do-mpc's on the same problem.
+
+    Without do-mpc its targets are not met.
+    """
+    nan = float("nan")
+    b = beside or BesideDoMpc(nan, nan, nan, nan)
     return [
-        Target("exponent of the solve time over zones", exponent, _LINEAR),
-        Target("solve of five zones, ms", float(times.get(5, float("nan"))), _FIVE_ZONES_MS),
+        Target("exponent of the solve time over zones", exponent(times), _LINEAR),
+        Target("solve of five zones, ms of CPU", float(times.get(5, nan)), _FIVE_ZONES_MS),
+        Target("five zones, the same problem: times faster than do-mpc", b.do_mpc_s / b.ours_s, _FASTER, "at least"),
+        Target("and than do-mpc with modes shared", b.helped_s / b.ours_s, _FASTER, "at least"),
+        Target("worst relative difference of the optimum to do-mpc's", b.worst_difference, _SAME_OPTIMUM),
     ]
