@@ -28,7 +28,7 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.service.server import build_server
 
 NAME = "bestest_hydronic_heat_pump"
-QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=60.0, retries=0)
+QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=60.0, patience_s=0.0)
 
 
 @pytest.fixture(scope="module")
