@@ -158,7 +158,8 @@ class BoptestClient:
                 return {}
             return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
 
-        found = self._put("scenario", scenario.as_json(), parse, refusals=0)
+        # A refusal of a named period is an answer: the service does not know it.
+        found = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
         self._transport.in_a_run = True
         return found
 
@@ -186,7 +187,7 @@ class BoptestClient:
 
     def set_step(self, step_s: float) -> None:
         """Set the length of a step, s."""
-        self._put("step", {"step": step_s}, lambda payload: None, refusals=0)
+        self._put("step", {"step": step_s}, lambda payload: None)
         self._step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
@@ -274,8 +275,8 @@ class BoptestClient:
 
         def parse(payload: Any) -> dict[str, float | None]:
             values = self._numbers("kpi", payload)
-            if not values:
-                raise ProtocolError(self._at("kpi"), "the answer contains no indicator")
+            if not any(name.endswith("_tot") for name in values):
+                raise ProtocolError(self._at("kpi"), f"the answer contains no indicator: {payload!r:.120}")
             return {key: None if math.isnan(value) else value for key, value in values.items()}
 
         return self._get("kpi", parse)
@@ -387,13 +388,18 @@ class BoptestClient:
         return f"{self.url}/{what}/{self.testid}"
 
     def _points(self, what: str) -> dict[str, Point]:
+        """Points of a list; one of them at least must tell its unit, which JSON of another kind does not."""
+        at = self._at(what)
 
         def parse(payload: Any) -> dict[str, Point]:
-            return {
-                name: Point.from_json(name, self._mapping(self._at(what), data or {}))
-                for name, data in self._mapping(self._at(what), payload).items()
+            told = {
+                name: self._mapping(f"{at}: {name}", data)
+                for name, data in self._mapping(at, payload).items()
                 if name != "time"
             }
+            if not any("Unit" in data for data in told.values()):
+                raise ProtocolError(at, f"not a list of points: {payload!r:.120}")
+            return {name: Point.from_json(name, data) for name, data in told.items()}
 
         return self._get(what, parse)
 

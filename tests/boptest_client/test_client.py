@@ -209,6 +209,18 @@ def test_a_refused_request_is_repeated_twice_only(client, service):
     assert service.count("forecast/") == 6
 
 
+def test_a_refused_step_length_is_set_again(client, service):
+    start = client.initialize(86400, 0)
+
+    def edit(payload):
+        raise Bare(400, {"message": "mangled", "payload": None})
+
+    service.faults.append(Fault("step/", "edited", times=2, edit=edit))
+    client.set_step(900)
+    assert service.count("step/") == 3
+    assert client.advance({})["time"] == start["time"] + 900
+
+
 def test_before_the_run_a_slow_answer_is_not_waited_for_long(client, service):
     service.faults.append(Fault("kpi/", "slow", times=9))
     with pytest.raises(ServiceTimeout, match=r"kpi/.*no answer within 0\.5 s"):
@@ -266,7 +278,27 @@ def test_measurements_without_a_time_are_a_protocol_error(client, service, odd):
     assert service.count("advance/") == 1
 
 
-@pytest.mark.parametrize("odd", [None, [], {}])
+FOREIGN = [{}, {"detail": None}, {"detail": {}}, {"detail": {"loc": ["body"]}}, {"time": "noon"}, {"x": 7}]
+
+
+@pytest.mark.parametrize("what", ["inputs", "measurements", "forecast_points"])
+@pytest.mark.parametrize("odd", FOREIGN, ids=repr)
+def test_json_of_another_kind_is_no_list_of_points(client, service, what, odd):
+    service.faults.append(Fault(f"{what}/", "edited", times=99, edit=lambda payload: odd))
+    with pytest.raises(ProtocolError, match=f"{what}/"):
+        getattr(client, what)()
+
+
+def test_after_json_of_another_kind_a_lost_step_is_read_with_the_points_of_the_test(client, service):
+    client.initialize(86400, 0)
+    client.set_step(900)
+    service.faults.append(Fault("advance/", "drop", after_work=True))
+    service.faults.append(Fault("measurements/", "edited", edit=lambda payload: {"detail": None}))
+    assert "reaTZon_y" in client.advance({})
+    assert service.count("measurements/") == 2
+
+
+@pytest.mark.parametrize("odd", [None, [], {}, {"detail": None}])
 def test_kpis_that_are_none_are_a_protocol_error(client, service, odd):
     service.faults.append(Fault("kpi/", "edited", times=99, edit=lambda payload: odd))
     with pytest.raises(ProtocolError, match="kpi/"):
