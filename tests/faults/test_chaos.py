@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -13,7 +14,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.research.chaos import troubles as kinds
 from thermoforce_mpc.research.chaos.episode import Setting, run_episode
-from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, served
+from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos, served
 from thermoforce_mpc.research.chaos.judging import jumps, wrong_inputs, wrong_steps
 from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_testcase
@@ -105,10 +106,31 @@ def test_an_action_out_of_range_is_found(value):
     assert "oveHeaPumY_u" in wrong_inputs([{"oveHeaPumY_u": value, "oveHeaPumY_activate": 1.0}])[0]
 
 
-def test_the_command_prints_its_table(tmp_path):
+def test_the_command_prints_its_table_whatever_the_number_of_processes(tmp_path):
     simple_model().save(tmp_path / "model")
-    words = ["--episodes", "1", "--days", "0.25", "--controller", "thermoforce_hourly", "--seed", "3"]
-    done = CliRunner().invoke(cli, ["chaos", *words, "--model", str(tmp_path / "model"), "--keep", str(tmp_path / "k")])
-    assert done.exit_code in (0, 1), done.output
-    assert "episodes with an action out of range: 0" in done.output
-    assert (tmp_path / "k" / "0000" / "journal.jsonl").exists()
+    words = ["--episodes", "2", "--days", "0.25", "--controller", "thermoforce_hourly", "--seed", "3"]
+    words += ["--model", str(tmp_path / "model")]
+    rows = []
+    for workers in ("1", "2"):
+        files = ["--keep", str(tmp_path / workers), "--json", str(tmp_path / f"{workers}.json")]
+        done = CliRunner().invoke(cli, ["chaos", *words, *files, "--workers", workers])
+        assert done.exit_code in (0, 1), done.output
+        assert "episodes with an action out of range: 0" in done.output
+        assert (tmp_path / workers / "0001" / "journal.jsonl").exists()
+        rows.append(json.loads((tmp_path / f"{workers}.json").read_text())["rows"])
+    assert rows[0] == rows[1]
+
+
+def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
+    told = []
+
+    def progress(line: str) -> None:
+        told.append(line)
+        if line.lstrip().startswith("1:"):
+            raise KeyboardInterrupt
+
+    found = run_chaos(
+        episodes=3, seed=3, days=0.25, controller="thermoforce_hourly", model=simple_model(), progress=progress
+    )
+    assert found["rows"][-1]["episodes"] == 1
+    assert told[-1] == "interrupted after 1 of 3 episodes"

@@ -19,6 +19,7 @@ import click
     help="An MPC (see `tf-mpc controllers`).",
 )
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
+@click.option("--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of processes.")
 @click.option("--keep", type=click.Path(path_type=Path), help="Keep the journal of every episode in this folder.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result to this JSON file.")
 def command(
@@ -27,6 +28,7 @@ def command(
     days: float,
     controller: str,
     model: Path | None,
+    workers: int,
     keep: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -35,17 +37,17 @@ def command(
     Each episode meets one to three troubles, drawn from the seed: errors (400, 429, 5xx), time-outs, connections reset
     before or after the request was handed on, half answers, doubled and late requests, JSON of another kind, a service
     away for up to 14 minutes or one that forgot its test, readings missing, NaN or stuck, and a solver or forecaster
-    that raises, hangs or returns NaN. Pauses of the client pass at once; the service runs in this process.
+    that raises, hangs or returns NaN. Pauses of the client pass at once; services run in these processes.
 
     Of every episode it is checked that no error ended it (a service that forgot its test may, with a named one), that
     every action sent was finite and in range, that the journal has every simulated step once, that the test was
     stopped, and that discomfort was at most 1.5 times that of the same run without faults and 1 K·h. Exit code 1 where
-    one of these does not hold.
+    one of these does not hold. After Ctrl-C the table is that of the episodes until then (exit code 130).
 
     \b
     Examples:
       tf-mpc chaos
-      tf-mpc chaos --episodes 200 --seed 7 --json chaos.json --keep chaos
+      tf-mpc chaos --episodes 200 --seed 7 --workers 4 --json chaos.json --keep chaos
     """
     from thermoforce_mpc.cli.bench import show
     from thermoforce_mpc.model.thermal_model import load_model
@@ -57,9 +59,12 @@ def command(
         days=days,
         controller=controller,
         model=load_model(model) if model else None,
+        workers=workers,
         keep=keep,
         progress=lambda line: click.echo(line, err=True),
     )
     show(found, json_file)
     if not all(target["holds"] for target in found["targets"]):
         raise SystemExit(1)
+    if found["rows"][-1]["episodes"] < episodes:
+        raise SystemExit(130)

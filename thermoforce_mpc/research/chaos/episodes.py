@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import multiprocessing
+import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +43,17 @@ def run_chaos(
     model: ThermalModel | None = None,
     options: Mapping[str, Any] = OPTIONS,
     keep: Path | None = None,
+    workers: int = 1,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Run `episodes` of `days` and judge each; the same seed gives the same troubles.
 
+    An interrupt (Ctrl-C) ends the run after the episodes under way; what was done until then is judged.
+
     Args:
         model: by default the embedded plant is probed for three days.
         keep: folder where journals are kept, one folder an episode.
+        workers: number of processes, each with a service of its own.
         progress: called with one line an episode.
     """
     testcase = load_testcase(TESTCASE)
@@ -53,20 +62,52 @@ def run_chaos(
         named = {"testcase": TESTCASE, "period": str(_START_DAY), "controller": {"name": controller}}
         plant = EmbeddedPlant(synthetic_weather())
         model = model_for(load_scenario(None, named), testcase, plant, controller)
-    with served() as url:
+    outcomes: list[Outcome] = []
+    with served() as url, ExitStack() as stack:
         setting = Setting(url, testcase, model, dict(options), controller, _START_DAY * DAY_S, days)
         calm = run_episode(setting, (), 0)
         progress(f"without faults: {_line(calm)}")
-        most_Kh = _FACTOR * calm.discomfort_Kh + _MORE_KH
-        outcomes = []
-        for n in range(episodes):
-            rng = np.random.default_rng([seed, n])
-            troubles = drawn(rng, days)
-            folder = keep / f"{n:04d}" if keep else None
-            outcome = run_episode(setting, troubles, int(rng.integers(2**31)), most_Kh, folder)
-            progress(f"{n + 1:4d}: {'; '.join(t.in_words() for t in troubles)}: {_line(outcome)}")
-            outcomes.append(outcome)
+        episode = _episode if workers == 1 else _episode_apart
+        each = functools.partial(episode, setting, _FACTOR * calm.discomfort_Kh + _MORE_KH, seed, keep)
+        try:
+            if workers == 1:
+                found: Iterator[Outcome] = map(each, range(episodes))
+            else:
+                context = multiprocessing.get_context("spawn")
+                pool = ProcessPoolExecutor(workers, context, _begin_worker)
+                stack.callback(pool.shutdown, cancel_futures=True)
+                found = pool.map(each, range(episodes))
+            for outcome in found:
+                outcomes.append(outcome)
+                told = "; ".join(trouble.in_words() for trouble in outcome.troubles)
+                progress(f"{len(outcomes):4d}: {told}: {_line(outcome)}")
+        except KeyboardInterrupt:
+            if not outcomes:
+                raise
+            progress(f"interrupted after {len(outcomes)} of {episodes} episodes")
     return bench_result("chaos", _rows(calm, outcomes), _targets(calm, outcomes))
+
+
+def _episode(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: int) -> Outcome:
+    rng = np.random.default_rng([seed, n])
+    troubles = drawn(rng, setting.days)
+    folder = keep / f"{n:04d}" if keep else None
+    return run_episode(setting, troubles, int(rng.integers(2**31)), most_Kh, folder)
+
+
+_worker_stack, _worker_url = ExitStack(), ""
+
+
+def _begin_worker() -> None:
+    """Serve the plant in this process until it ends; an interrupt is for the process that asked."""
+    global _worker_url
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _worker_url = _worker_stack.enter_context(served())
+
+
+def _episode_apart(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: int) -> Outcome:
+    """An episode on the service of this process."""
+    return _episode(replace(setting, url=_worker_url), most_Kh, seed, keep, n)
 
 
 @contextmanager
