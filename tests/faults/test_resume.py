@@ -17,9 +17,10 @@ from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.simulation import journal as journal_module
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
-from thermoforce_mpc.simulation.journal import Journal, JournalError, read_journal
+from thermoforce_mpc.simulation.journal import Journal, JournalError, JournalText, read_journal
 
 TESTCASE = "bestest_hydronic_heat_pump"
 
@@ -137,6 +138,77 @@ def test_the_journal_drops_a_torn_end_and_goes_on(tmp_path):
     journal.write("note", {"value": 0.2, "text": "°C"})
     journal.close()
     assert path.read_bytes() == whole
+
+
+def written(path: Path, n: int, after: JournalText | None = None) -> None:
+    journal = Journal(path, after)
+    for i in range(len(after.entries) if after else 0, n):
+        journal.write("note", {"value": i, "text": "°C" * 20})
+    journal.close()
+
+
+def test_a_journal_goes_on_in_parts_of_bounded_size(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
+    path = tmp_path / "journal.jsonl"
+    written(path, 30)
+    parts = sorted(tmp_path.iterdir(), key=lambda part: (len(part.name), part.name))
+    assert [part.name for part in parts[:3]] == ["journal.jsonl", "journal.0002.jsonl", "journal.0003.jsonl"]
+    assert all(500 <= part.stat().st_size < 700 for part in parts[:-1])
+    read = read_journal(path)
+    assert [entry.content["value"] for entry in read.entries] == list(range(30))
+    assert read.part == len(parts)
+    assert read.entries[-1].where.startswith(f"{parts[-1]}, line ")
+    whole = [part.read_bytes() for part in parts]
+    # Killed at any byte of the last two parts, and just after a part was begun.
+    for k in (len(parts) - 1, len(parts) - 2):
+        for later in parts[k + 1 :]:
+            later.unlink()
+        for cut in range(0, len(whole[k]), 7):
+            parts[k].write_bytes(whole[k][:cut])
+            kept = read_journal(path)
+            assert len(kept.entries) == b"".join([*whole[:k], whole[k][:cut]]).count(b"\n")
+            written(path, 30, kept)
+            assert [part.read_bytes() for part in parts] == whole
+            for later in parts[k + 1 :]:
+                later.unlink()
+
+
+@pytest.mark.parametrize("harm", ["torn", "changed", "missing", "exchanged"])
+def test_damage_in_a_part_that_is_not_the_last_is_refused(tmp_path, monkeypatch, harm):
+    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
+    path = tmp_path / "journal.jsonl"
+    written(path, 30)
+    second, third = (journal_module.part_of(path, number) for number in (2, 3))
+    content = second.read_bytes()
+    if harm == "torn":
+        second.write_bytes(content[:-5])
+    elif harm == "changed":
+        second.write_bytes(content.replace(b'"value": ', b'"value":  ', 1))
+    elif harm == "missing":
+        third.replace(second)
+        journal_module.part_of(path, 4).replace(third)
+    else:
+        second.write_bytes(third.read_bytes())
+        third.write_bytes(content)
+    with pytest.raises(JournalError, match=r"journal\.0002\.jsonl, line \d: the record is damaged"):
+        read_journal(path)
+
+
+def test_a_run_killed_in_a_later_part_goes_on_to_the_same_bytes(whole, tmp_path, monkeypatch):
+    size = (whole / "journal.jsonl").stat().st_size
+    monkeypatch.setattr(journal_module, "PART_BYTES", size // 4)
+    folder = killed(whole, size // 3, tmp_path / "killed")
+    done = call("resume", folder)
+    assert done.exit_code == 0, done.output
+    assert results(folder) == results(whole)
+    last = folder / "journal.0002.jsonl"
+    (folder / "journal.0003.jsonl").unlink()
+    last.write_bytes(last.read_bytes()[:-100])
+    for name in ("kpis.json", "manifest.json", "report.html"):
+        (folder / name).unlink()
+    again = call("resume", folder)
+    assert again.exit_code == 0, again.output
+    assert results(folder) == results(whole)
 
 
 def test_sigkill_and_sigterm_in_earnest(tmp_path):

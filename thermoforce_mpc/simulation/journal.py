@@ -3,6 +3,9 @@
 A line is `{"n": …, "kind": …, …, "crc": "…"}`; `crc` is the CRC-32 of the text before it, begun with the checksum of
 the line before, so that a changed, missing or exchanged line is found. A record is written at once and handed to the
 system: a killed process loses none. What a crash left half-written at the end is dropped when the journal is read.
+
+A file that has grown to `PART_BYTES` is closed, and the journal goes on in the next part: `journal.jsonl`,
+`journal.0002.jsonl`, … Counts and checksums go on through all parts.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from thermoforce_mpc.files import storage_errors
 
 NAME = "journal.jsonl"
 FORMAT = 1
+PART_BYTES = 32_000_000
 _CRC = ', "crc": "'
 
 
@@ -27,27 +31,42 @@ class JournalError(InputError):
 
 
 class Entry(NamedTuple):
-    """One record: its line in the file, from 1; its kind; and what it says."""
+    """One record: its line in its file, from 1; its kind; what it says; and the file."""
 
     line: int
     kind: str
     content: Mapping[str, Any]
+    path: Path = Path(NAME)
+
+    @property
+    def where(self) -> str:
+        """File and line, for an error message."""
+        return f"{self.path}, line {self.line}"
 
 
 class JournalText(NamedTuple):
-    """The records of a journal file; `size` in bytes and `crc` are those at the end of the last whole record."""
+    """The records of a journal; `part` is the number of its last part, from 1.
+
+    `size` of that part, bytes, and `crc` are those at the end of the last whole record.
+    """
 
     entries: tuple[Entry, ...]
+    part: int
     size: int
     crc: int
     torn: bool
 
 
+def part_of(path: Path, number: int) -> Path:
+    """File of a part of the journal that begins at `path`; the first is 1."""
+    return path if number == 1 else path.with_name(f"{path.stem}.{number:04d}{path.suffix}")
+
+
 class Journal:
-    """Appends records to a journal file."""
+    """Appends records to a journal, part by part."""
 
     def __init__(self, path: Path, after: JournalText | None = None, *, durable: bool = False) -> None:
-        """Begin a journal, or go on `after` what was read from it; a torn end is cut off.
+        """Begin a journal at `path`, or go on `after` what was read from it; a torn end is cut off.
 
         Args:
             durable: wait for the disk after every record, so that a power failure loses none either.
@@ -55,11 +74,12 @@ class Journal:
         Raises:
             StorageError: the file cannot be opened.
         """
-        self.path, self._durable = path, durable
-        self._n, self._size, self._crc = (len(after.entries), after.size, after.crc) if after else (0, 0, 0)
-        with storage_errors(path):
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-            os.ftruncate(self._file, self._size)
+        self._first, self._durable = path, durable
+        after = after or JournalText((), 1, 0, 0, False)
+        self._n, self._part, self._size, self._crc = len(after.entries), after.part, after.size, after.crc
+        self.path = part_of(path, self._part)
+        """File of the present part."""
+        self._file = _opened(self.path, self._size)
 
     def write(self, kind: str, content: Mapping[str, Any]) -> None:
         """Append one record.
@@ -70,6 +90,8 @@ class Journal:
         text = json.dumps({"n": self._n, "kind": kind, **content}, ensure_ascii=False, allow_nan=False)[:-1]
         crc = zlib.crc32(text.encode(), self._crc)
         line = f'{text}{_CRC}{crc:08x}"}}\n'.encode()
+        if self._size >= PART_BYTES:
+            self._turn_over()
         with storage_errors(self.path):
             if os.fstat(self._file).st_nlink == 0:
                 raise StorageError(f"{self.path}: was removed during the run; what follows cannot be recorded")
@@ -84,6 +106,15 @@ class Journal:
                 raise
         self._n, self._size, self._crc = self._n + 1, self._size + len(line), crc
 
+    def _turn_over(self) -> None:
+        """Go on in the next part, once this one is safe on the disk: a part that is not the last is never torn."""
+        path = part_of(self._first, self._part + 1)
+        with storage_errors(self.path):
+            os.fsync(self._file)
+        file = _opened(path, 0)
+        os.close(self._file)
+        self._file, self.path, self._part, self._size = file, path, self._part + 1, 0
+
     def close(self) -> None:
         """Close the file; safe to call twice."""
         if self._file >= 0:
@@ -92,32 +123,56 @@ class Journal:
 
 
 def read_journal(path: Path) -> JournalText:
-    """Read and check a journal; a last record that is not whole is left out.
+    """Read and check all parts of the journal at `path`; a last record that is not whole is left out.
 
     Raises:
-        JournalError: there is no journal, or a record before the last is damaged; names the line.
+        JournalError: there is no journal, or a record before the last is damaged; names file and line.
     """
+    entries: list[Entry] = []
+    number, crc = 1, 0
+    while True:
+        part, last = part_of(path, number), not part_of(path, number + 1).exists()
+        size, crc, torn = _read_part(part, entries, crc, may_be_torn=last)
+        if last:
+            return JournalText(tuple(entries), number, size, crc, torn)
+        number += 1
+
+
+def _read_part(path: Path, entries: list[Entry], crc: int, *, may_be_torn: bool) -> tuple[int, int, bool]:
+    """Append the records of one part to `entries`; size and checksum at the last whole one, and whether it is torn."""
     try:
         raw = path.read_bytes()
     except OSError as error:
         raise JournalError(f"{path}: cannot be read ({error.strerror or error})") from error
     lines = raw.split(b"\n")
-    entries: list[Entry] = []
-    size, crc = 0, 0
+    size = 0
     last = len(lines) - (2 if lines[-1] == b"" else 1)
     for i, line in enumerate(lines[: last + 1]):
-        found = _checked(line, crc, i) if i < len(lines) - 1 else None
+        found = _checked(line, crc, len(entries)) if i < len(lines) - 1 else None
         if found is None:
-            if i < last:
+            if i < last or not may_be_torn:
                 raise JournalError(
                     f"{path}, line {i + 1}: the record is damaged, its checksum does not hold; what comes after cannot "
                     "be relied on: start the run again"
                 )
-            return JournalText(tuple(entries), size, crc, True)
+            return size, crc, True
         content, crc = found
-        entries.append(Entry(i + 1, str(content.pop("kind")), content))
+        entries.append(Entry(i + 1, str(content.pop("kind")), content, path))
         size += len(line) + 1
-    return JournalText(tuple(entries), size, crc, False)
+    return size, crc, False
+
+
+def _opened(path: Path, size: int) -> int:
+    """Descriptor of a file to append to, cut to `size` bytes; made where it is not there, in a folder that knows it."""
+    with storage_errors(path):
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        os.ftruncate(file, size)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    return file
 
 
 def _checked(line: bytes, before: int, n: int) -> tuple[dict[str, Any], int] | None:

@@ -203,7 +203,7 @@ class JournaledPlant:
             entry = self._next(kind, asked)
             if not self._outlives and to_json(ask()) != entry.content["answer"]:
                 raise JournalError(
-                    f"{self._journal.path}, line {entry.line}: the plant answers '{kind}' otherwise than it did then. "
+                    f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
                     "Was the run made with another version, weather file or machine? Start it again"
                 )
             return from_json(entry.content["answer"])
@@ -226,6 +226,6 @@ class JournaledPlant:
     def _another(self, entry: Entry, now: str) -> JournalError:
         then = f"'{entry.kind}' {entry.content.get('asked', '')}"
         return JournalError(
-            f"{self._journal.path}, line {entry.line}: then it was {then}, now it is {now}: the run does not repeat "
+            f"{entry.where}: then it was {then}, now it is {now}: the run does not repeat "
             "itself. Was it made with another version or other files? Start it again"
         )

@@ -62,7 +62,7 @@ class RunBook:
         if self.told:
             entry = self.told[0]
             if entry.kind != "plant":
-                raise JournalError(f"{self.journal.path}, line {entry.line}: '{entry.kind}' before the plant")
+                raise JournalError(f"{entry.where}: '{entry.kind}' before the plant")
             return JournaledPlant(build(entry.content["info"]["details"].get("testid")), self.journal, self.told[1:])
         plant = build(None)
         try:
