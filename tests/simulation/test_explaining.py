@@ -49,6 +49,7 @@ def test_a_step_is_explained_as_it_was_recorded(folder, tmp_path):
     assert "step 4: day 10 04:00 (878400 s)" in done.output
     assert "acted: solved" in done.output
     assert sum("day 10 0" in line for line in done.output.splitlines()[-6:]) == 3, "three hours of the plan"
+    assert "…" not in done.output, "no figure is cut off in a narrow terminal"
     last = json.loads((folder / "kpis.json").read_text())
     assert last["controller"] in done.output
 

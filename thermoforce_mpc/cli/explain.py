@@ -16,10 +16,15 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.simulation.explaining import Decision, decision_at, words_of
 from thermoforce_mpc.simulation.run_folder import write_json
 
+# Widest table, characters.
+_WIDEST = 1000
 _RUNGS = {
     "solved": "the plan of the solver, checked",
+    "bridged": "the plan of the solver, checked, with a substitute for a reading or a forecast (see the notes)",
+    "acceptable": "fallback: levels of a solver that did not reach its optimum, checked",
     "shifted": "fallback: the previous plan, shifted by a step",
     "thermostat": "fallback: the thermostat rule",
+    "native": "fallback: the plant's own control, where nothing is known to act on",
     "guard": "the comfort guard, which overrode the plan",
     "gate": "the building's own control: the model is not competent",
     "watch": "the building's own control or the rule: the model did not hold",
@@ -50,7 +55,10 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
     for line in _lines(decision):
         console.print(line, markup=False)
     if decision.plan and decision.boundary is not None:
-        console.print(_table(decision, hours))
+        table = _table(decision, hours)
+        # Wider than a narrow terminal rather than with figures cut off.
+        wide = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
+        Console(highlight=False, width=max(console.width, wide)).print(table)
     if json_file:
         write_json(json_file, _json(decision))
         console.print(f"JSON: {json_file}", markup=False)
@@ -104,11 +112,11 @@ def _table(decision: Decision, hours: float) -> Table:
     table = Table(title="Plan", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
     n = plan["u"].shape[-1]
     every = max(1, round(HOUR_S / boundary.step_s))
-    columns = ["until", "outdoors °C", "sun W/m²", "price"]
-    columns += [f"u {name}".replace(" actuator", "") for name in names.actuators]
+    columns = ["until", "outdoors\n°C", "sun\nW/m²", "price\nper kWh"]
+    columns += ["u" if names.single else f"u\n{name}" for name in names.actuators]
     for zone in names.zones:
-        of = "" if names.single else f" {zone}"
-        columns += [f"T{of} °C", f"80 %{of}", f"bounds{of}"]
+        of = "" if names.single else f"\n{zone}"
+        columns += [f"T{of or chr(10) + '°C'}", f"80 %{of}", f"bounds{of}"]
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True)
     T = decision.T_zone_C
