@@ -30,7 +30,6 @@ class Assembly:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s = model.cards, model.operator.step_s
         layout, each = self._layout, actuators.each
-        self._weights = [share or 1.0 for share in layout.shares]
         # A machine that feeds several is switched with them: its power is that of full level for a share of the step.
         self.power = tuple(
             _measured(power).at_lowest_level(each[fed[0]].lowest_level if len(fed) == 1 else 1.0)
@@ -82,7 +81,7 @@ class Assembly:
         per_u_W = np.stack(
             [
                 weight * np.broadcast_to(parts[m][1], T_out.shape)
-                for weight, m in zip(self._weights, layout.machine_of, strict=True)
+                for weight, m in zip(self._layout.weights, layout.machine_of, strict=True)
             ]
         )
         lower_C, upper_C = self._bounds_C(operator, context)
@@ -155,7 +154,7 @@ class Assembly:
             return None
         full = np.ones(boundary.n_steps)
         per_u_W = []
-        for lowest, m, weight in zip(self._layout.lowest, self._layout.machine_of, self._weights, strict=True):
+        for lowest, m, weight in zip(self._layout.lowest, self._layout.machine_of, self._layout.weights, strict=True):
             load = self.power[m].cooling if lowest < 0.0 else None
             per_u_W.append(0.0 * full if load is None else weight * load(full, boundary.T_out_C[:-1]))
         return Cooling(price[list(self._layout.machine_of)], np.stack(per_u_W))
@@ -182,12 +181,12 @@ class Assembly:
 
         At `terminal_value` 1 a kelvin of an actuator's home zone is worth its production cost in the last step.
         """
-        value = np.zeros(operator.shape)
+        value, weights = np.zeros(operator.shape), self._layout.weights
         if not self._config.objective.terminal_value:
             return value
         for a, (z, m) in enumerate(zip(self._layout.home, self._layout.machine_of, strict=True)):
             pair = operator.of_actuator(a)
-            cost_per_kW_h = float(price[m, -1] * (self._weights[a] * fixed_W[m, -1] + per_u_W[a, -1]))
+            cost_per_kW_h = float(price[m, -1] * (weights[a] * fixed_W[m, -1] + per_u_W[a, -1]))
             drive = float(pair.drive(np.array([self._actuators.each[a].highest]), features[z][None])[0])
             per_step = cost_per_kW_h / 1000.0 * self._step_s / HOUR_S
             stored = pair.gains[-1] * drive

@@ -173,6 +173,11 @@ class Layout:
         """The actuators that a machine feeds."""
         return [a for a, m in enumerate(self.machine_of) if m == machine]
 
+    @property
+    def weights(self) -> Array:
+        """What each actuator counts for in the level of its machine: its share, 1 where it is the only one (A,)."""
+        return np.array([share or 1.0 for share in self.shares])
+
     def excluding(self) -> list[tuple[int, int]]:
         """Every pair of actuators of which the first excludes the second."""
         return [(a, b) for group in self.exclusive for a in group for b in group if a != b]

@@ -93,18 +93,26 @@ def power_of_machine(
     """Return the power model of a machine over its own level; None if measured in less than half of the steps."""
     fed, records = layout.fed_by(machine), [machine_record(h, layout, machine) for h in histories]
     signed = any(layout.lowest[a] < 0.0 for a in fed)
-    measured = np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() >= _MEASURED
-    if not (signed and measured and len(fed) > 1):
-        together = power_model(records, config, signed=signed)
-        if together is None or signed or len(fed) == 1:
-            return together
-        longest = [replace(r, u=h.u[fed].max(axis=0)) for r, h in zip(records, histories, strict=True)]
-        alone = power_model(longest, config)
-        # Which law holds shows in the record: power by what they take together, or by the longest of them.
-        return replace(together, modulates=alone is None or together.rmse_W < alone.rmse_W)
-    weights = np.array([layout.shares[a] or 1.0 for a in fed])
-    u = np.concatenate([h.u[fed] for h in histories], axis=1)
-    return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
+    if len(fed) == 1:
+        return power_model(records, config, signed=signed)
+    if signed:
+        if not _power_is_known(records):
+            return None
+        weights = layout.weights[fed]
+        u = np.concatenate([h.u[fed] for h in histories], axis=1)
+        return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
+    together = power_model(records, config)
+    if together is None:
+        return None
+    # Which law holds shows in the record: power by what they take together, or by the longest of them.
+    longest = [replace(r, u=h.u[fed].max(axis=0)) for r, h in zip(records, histories, strict=True)]
+    alone = power_model(longest, config)
+    return replace(together, modulates=alone is None or together.rmse_W < alone.rmse_W)
+
+
+def _power_is_known(histories: Sequence[Record]) -> bool:
+    """Whether power was measured in enough steps."""
+    return bool(np.isfinite(np.concatenate([h.power_W[0] for h in histories])).mean() >= _MEASURED)
 
 
 def power_model(
@@ -114,7 +122,7 @@ def power_model(
 
     `signed`: levels below 0 cool, with a power of their own.
     """
-    if np.isfinite(np.concatenate([h.power_W[0] for h in histories])).mean() < _MEASURED:
+    if not _power_is_known(histories):
         return None
     if signed:
         return fit_signed_power(histories)
@@ -133,8 +141,7 @@ def machine_record(record: Record, layout: Layout, machine: int) -> Record:
     part = record.part(layout.home[fed[0]], fed[:1], [machine])
     if len(fed) == 1:
         return part
-    weights = np.array([layout.shares[a] or 1.0 for a in fed])
-    level = np.clip(weights @ record.u[fed], min(0.0, *(layout.lowest[a] for a in fed)), 1.0)
+    level = np.clip(layout.weights[fed] @ record.u[fed], min(0.0, *(layout.lowest[a] for a in fed)), 1.0)
     return replace(part, u=level, heat_W=record.heat_W[fed].sum(axis=0))
 
 
