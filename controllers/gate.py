@@ -1,4 +1,4 @@
-"""Competence gate: a controller does not act on a model that is below the bar (docs/competence.md)."""
+"""Competence gate: a controller does not act on a model that is below the bar (docs/how-it-works/competence.md)."""
 
 from __future__ import annotations
 

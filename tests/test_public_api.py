@@ -51,7 +51,7 @@ def blocks(page: str) -> list[str]:
 
 @pytest.mark.parametrize(
     ("page", "number"),
-    [("README.md", 0), ("docs/python.md", 0), ("docs/python.md", 1)],
+    [("README.md", 0), ("docs/reference/python.md", 0), ("docs/reference/python.md", 1)],
     ids=["readme", "table", "loop"],
 )
 def test_documented_code_runs(page, number, tables, tmp_path):

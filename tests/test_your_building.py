@@ -15,7 +15,7 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "your_building.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "own-data.md"
 
 
 def test_the_guide_leads_from_a_table_to_a_plan(tmp_path):

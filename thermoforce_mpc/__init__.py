@@ -1,7 +1,7 @@
 """ThermoForce-MPC: predictive control of buildings over a free and a forced response.
 
-The public names below are loaded on first use, so that `import thermoforce_mpc` is quick. `docs/python.md` shows them
-at work.
+The public names below are loaded on first use, so that `import thermoforce_mpc` is quick.
+`docs/reference/python.md` shows them at work.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import yaml
 import thermoforce_mpc as tf
 from thermoforce_mpc.identification.operating import findings, telling_part, tellings
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "your_building.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "own-data.md"
 
 
 def guide_map(name: str) -> dict[str, Any]:

@@ -45,10 +45,10 @@ def command(**options: Any) -> None:
 
     A building that can be run is probed for a few days. The probing signal is designed for identifiability and keeps
     the zone near its comfort band. The probing days end where the warm-up of --period begins. If the model is then
-    below the bar (docs/competence.md), probing goes on day by day, up to identification.most_days (10).
+    below the bar (docs/how-it-works/competence.md), probing goes on day by day, up to identification.most_days (10).
 
     With --data the model is identified from measurements in CSV or Parquet files, as --map says
-    (docs/your_building.md); of long ones the 28 days that tell most about acting are used.
+    (docs/how-to/own-data.md); of long ones the 28 days that tell most about acting are used.
 
     A model that stays below the bar is saved, but the controllers do not act on it; the exit code is then 4, and the
     verdict says what to do. The folder also holds a plot of the fit and of the step response with its 90 % band.

@@ -19,7 +19,7 @@ def command() -> None:
         plants = ships or f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
-    click.echo("      plant: its own, nothing to install (docs/rooms_house.md)")
+    click.echo("      plant: its own, nothing to install (docs/evidence/house-of-rooms.md)")
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():
         click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")

@@ -1,4 +1,4 @@
-"""Verdict on an identified model from its held-out data, and the bar that it must reach (docs/competence.md).
+"""Verdict on an identified model from its held-out data, and the bar to reach (docs/how-it-works/competence.md).
 
 The fit to the training rows predicts the held-out rows 1, 6 and 24 h ahead with known weather, from every row that far
 before them. The free part is predicted as in `likelihood`: given the temperatures until the start, its gains and

@@ -30,7 +30,7 @@ from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.identifying import identification_settings, identify_on
 
-# Population that is reported; development uses other seeds, see docs/houses.md.
+# Population that is reported; development uses other seeds, see docs/evidence/generated-houses.md.
 REPORTED_SEED = 2026
 CONTROLLER, THERMOSTAT, NATIVE = "thermoforce_mpc", "thermostat", "native"
 PROBED_DAYS, SCORED_DAYS = 3.0, 7.0

@@ -53,7 +53,8 @@ _PERIODS: dict[str, tuple[int, tuple[str, ...]]] = {
 # Goals: noticed within a day of the change; discomfort beside that without the watch, K·h.
 _NOTICED_H, _MORE_KH = 24.0, 1.0
 # A fault has consequences from these on, each beside the same days without a fault: RMS error of predictions 6 h ahead,
-# K; discomfort, K·h; share of the cost. The first is half of what a competent model may have (docs/competence.md).
+# K; discomfort, K·h; share of the cost. The first is half of what a competent model may have
+# (docs/how-it-works/competence.md).
 _ERROR_K, _DISCOMFORT_KH, _COST_SHARE = 0.5, 1.0, 0.1
 
 Row = dict[str, Any]

@@ -1,7 +1,7 @@
 """Control-free temperature series for the free-response bench, none from the generator of the training series.
 
-A reference folder has the layout of docs/plant.md (records of the real BOPTEST test case); a folder of houses holds the
-measured Mons house (Candanedo, Feldheim and Deramaix 2018). The embedded plant needs no folder.
+A reference folder has the layout of docs/how-it-works/plant.md (records of the real BOPTEST test case); a folder of
+houses holds the measured Mons house (Candanedo, Feldheim and Deramaix 2018). The embedded plant needs no folder.
 """
 
 from __future__ import annotations
@@ -158,5 +158,7 @@ def _mode_states(heat_W: Array, step_h: float, start_W: Array) -> Array:
 
 def _existing(path: Path) -> Path:
     if not path.is_file():
-        raise DataError(f"{path} is missing: give a folder of reference data in the layout of docs/plant.md")
+        raise DataError(
+            f"{path} is missing: give a folder of reference data in the layout of docs/how-it-works/plant.md"
+        )
     return path
