@@ -30,9 +30,8 @@ class Assembly:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s = model.cards, model.operator.step_s
         layout, each = self._layout, actuators.each
-        # A machine that feeds several is switched with them: its power is that of full level for a share of the step.
         self.power = tuple(
-            _measured(power).at_lowest_level(each[fed[0]].lowest_level if len(fed) == 1 else 1.0)
+            _measured(power).at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else _measured(power)
             for power, fed in ((power, layout.fed_by(m)) for m, power in enumerate(model.power))
         )
         self.machinery = Machinery(
@@ -43,7 +42,7 @@ class Assembly:
             np.array(layout.lowest),
             np.array(layout.machine_of),
             np.array(layout.shares),
-            tuple(power is not None and power.modulates for power in model.power),
+            tuple(power.load.lowest_level if power.load.lowest_level < 1.0 else 0.0 for power in self.power),
             layout.exclusive,
         )
 

@@ -72,6 +72,8 @@ class IpoptSolver:
         peak, over = ca.SX.sym("peak", int(shape.peak)), ca.SX.sym("over", 1, n if shape.capped else 0)
         shared = np.flatnonzero(machinery.shared)
         runs = ca.SX.sym("runs", shared.size, m)
+        asks = machinery.runs_for
+        theta, excess = ca.SX.sym("theta", shared.size, m), ca.SX.sym("excess", A if shared.size else 0, m)
         given = {
             "F_now": ca.SX.sym("F_now", len(pairs) * r),
             "features": ca.SX.sym("features", Z * N_FEATURES, n),
@@ -107,8 +109,11 @@ class IpoptSolver:
             loads = sum(float(machinery.share[a]) * heat[a, :] for a in fed)
             if number in shared:
                 runs_m = runs[int(np.flatnonzero(shared == number)[0]), of_step]
-                longest = () if machinery.by_load[number] else (on[a] for a in fed)
-                constraints += [ca.vec(runs_m - share) for share in (*longest, loads)]
+                reached = theta[int(np.flatnonzero(shared == number)[0]), of_step]
+                beyond = {a: excess[a, of_step] for a in fed}
+                constraints += [ca.vec(reached + beyond[a] - on[a]) for a in fed]
+                constraints += [ca.vec(runs_m - reached - sum(float(asks[a]) * beyond[a] for a in fed))]
+                constraints += [ca.vec(runs_m - loads)]
             else:
                 runs_m = on[fed[0]]
             if machinery.share[fed].any():
@@ -128,7 +133,7 @@ class IpoptSolver:
         if shape.capped:
             objective += weights[2] * POWER_UNIT_W * ca.sum2(over)
             constraints.append(ca.vec(over + (given["limit"] - power) / POWER_UNIT_W))
-        decisions = [v, cold, F, slack, peak, over, runs]
+        decisions = [v, cold, F, slack, peak, over, runs, theta, excess]
         options: dict[str, Any] = {
             "print_time": False,
             "ipopt": {
@@ -151,7 +156,7 @@ class IpoptSolver:
         self._solver = ca.nlpsol("thermoforce_mpc", "ipopt", nlp, options)
         self._order, self._pairs, self._max_seconds = list(given), pairs, config.max_seconds
         zeros, free = np.zeros, np.full(len(pairs) * r * n, np.inf)
-        others = [part.numel() for part in (slack, peak, over, runs)]
+        others = [part.numel() for part in (slack, peak, over, runs, theta, excess)]
         self._lbx = np.concatenate([zeros(A * m + S.size * m), -free, zeros(sum(others))])
         self._ubx = np.concatenate(
             [np.tile(machinery.u_max, m), np.tile(-machinery.u_min[S], m), free, np.full(sum(others), np.inf)]
@@ -261,6 +266,9 @@ class IpoptSolver:
         if shape.capped and problem.power_cap is not None:
             parts.append(np.maximum(power - problem.power_cap.limit_W, 0.0) / POWER_UNIT_W)
         parts.append(runs[:, shape.first_steps])
+        if shape.machinery.shared.any():
+            on = problem.on_share(u)[:, shape.first_steps]
+            parts += [np.zeros(runs[:, shape.first_steps].shape), on]
         return np.concatenate([part.ravel(order="F") for part in parts])
 
 

@@ -26,8 +26,8 @@ class Machinery:
         machine_of: number of the machine that feeds each actuator (A,).
         share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
             the actuators of a machine of share · u is at most 1.
-        modulates: of each machine that feeds several, whether it delivers what they take together, (M,): its share of
-            running is then the sum of share · u; otherwise it runs in full as long as the longest of them acts.
+        cycles_below: load below which each machine that feeds several cycles, as a share of its capacity, (M,); 0, the
+            default: it runs in full as long as the longest of them acts (`model.machine.running`).
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
 
     Raises:
@@ -41,7 +41,7 @@ class Machinery:
     u_min: Array
     machine_of: NDArray[np.intp]
     share: Array
-    modulates: tuple[bool, ...] = ()
+    cycles_below: tuple[float, ...] = ()
     exclusive: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -64,8 +64,10 @@ class Machinery:
                 )
             if not 0 <= self.machine_of[a] < M:
                 raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
-        if self.modulates and len(self.modulates) != M:
-            raise ControllerConfigError(f"modulates of {M} machines: found {len(self.modulates)} values")
+        if self.cycles_below and (len(self.cycles_below) != M or not all(0 <= one <= 1 for one in self.cycles_below)):
+            raise ControllerConfigError(
+                f"cycles_below of {M} machines: found {self.cycles_below}, expected 0 to 1 each"
+            )
         idle = [name for m, name in enumerate(self.machines) if m not in self.machine_of]
         if idle:
             raise ControllerConfigError(f"machine {', '.join(idle)} feeds no actuator")
@@ -107,9 +109,12 @@ class Machinery:
         return np.asarray(np.bincount(self.machine_of, minlength=len(self.machines)) > 1)
 
     @cached_property
-    def by_load(self) -> NDArray[np.bool_]:
-        """Whether each machine runs for the share of a step that its shared load asks, (M,)."""
-        return self.shared & np.array(self.modulates or [False] * len(self.machines))
+    def runs_for(self) -> Array:
+        """Share of the time that its machine runs while only that actuator is on, (A,)."""
+        below = np.array(self.cycles_below or [0.0] * len(self.machines))[self.machine_of]
+        load = self.share * self.u_max
+        known = self.shared[self.machine_of] & (load > 0.0) & (below > load)
+        return np.where(known, load / np.where(known, below, 1.0), 1.0)
 
     @cached_property
     def fed_by(self) -> Array:

@@ -7,8 +7,8 @@ For zones z, actuators a and machines m, over steps k,
     subject to  F_za,k+1 = A_za F_za,k + g_za m(x_ak) v(u_ak)     forced response of each pair (paper eq:operator)
                 lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   u_min,a ≤ u_ak ≤ u_max,a
                 P_mk = fixed_mk · on_mk + Σ_{a of m} per_u_ak u_ak
-                on_mk = max( max_{a of m} on_ak,  Σ_{a of m} share_a u_ak ),   on_ak = min(u_ak / lowest_a, 1)
-                on_mk = Σ_{a of m} share_a u_ak where a shared machine modulates
+                on_mk = max( min_{θ ≥ 0} θ + Σ_{a of m} w_a max(on_ak − θ, 0),  Σ_{a of m} share_a u_ak )
+                on_ak = min(u_ak / lowest_a, 1)
                 Σ_{a of m} share_a u_ak ≤ 1                      capacity of a machine
                 Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
@@ -17,9 +17,9 @@ For zones z, actuators a and machines m, over steps k,
                 held levels: u_ak = 0 or at least lowest_a; of actuators that exclude one another one acts in a step
 
 The free response T_free enters as fixed vectors. The slack s makes every instance feasible. λ is the value of the heat
-stored in the building at the end of the horizon. The on-blocks of a machine's actuators start together, so a shared
-machine that does not modulate runs as long as the longest of them, or as its capacity asks; with one actuator on_m is
-that actuator's share.
+stored in the building at the end of the horizon. The on-blocks of a machine's actuators start together; w_a is the
+share of the time it runs while only actuator a is on (`model.machine.running`), and it runs at least as long as its
+capacity asks. With one actuator on_m is that actuator's share.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from controllers.errors import ControllerConfigError
 from controllers.machinery import Machinery
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import N_FEATURES
 
@@ -275,11 +276,8 @@ class MPCProblem:
         running = []
         for number in range(len(m.machines)):
             fed = m.machine_of == number
-            if m.by_load[number] and loads is not None:
-                running.append(loads[..., fed, :].sum(axis=-2))
-                continue
-            longest = on[..., fed, :].max(axis=-2)
-            running.append(longest if loads is None else np.maximum(longest, loads[..., fed, :].sum(axis=-2)))
+            asked = running_share(on[..., fed, :], m.runs_for[fed]) if fed.sum() > 1 else on[..., fed, :][..., 0, :]
+            running.append(asked if loads is None else np.maximum(asked, loads[..., fed, :].sum(axis=-2)))
         return np.stack(running, axis=-2)
 
     def power_W(self, u: Array) -> Array:

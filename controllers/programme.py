@@ -16,6 +16,7 @@ power and heat, affine in the level, have their fixed parts times b.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,8 +100,9 @@ class Programme:
     """The programme of one operator and shape.
 
     Variables: moves v (A, moves), responses y (groups of pairs, N), slack s (Z, N), cooling moves n (signed actuators,
-    moves), peak power, power above the cap (N), running share of shared machines (machines, moves), and choices b
-    (actuators with choices, first moves). `choices` are the numbers of the latter.
+    moves), peak power, power above the cap (N), running share of shared machines (machines, moves), choices b
+    (actuators with choices, first moves), and of shared machines that cycle at part load the time θ above it (machines,
+    moves) and the longer on-times of actuators with less load (actuators, moves). `choices` are the numbers of b.
     """
 
     def __init__(self, operator: BuildingOperator, shape: ProblemShape) -> None:
@@ -131,6 +133,11 @@ class Programme:
 
         sizes = [A * m, G * n, Z * n, self._signed.size * m, int(shape.peak), n if shape.capped else 0]
         sizes += [self._shared.size * m, self._chosen.size * self._h]
+        # Where together they exceed the load at which the machine cycles, but not each of them alone.
+        asks, fed_by = machinery.runs_for, machinery.fed_by[self._shared]
+        self._splits = self._shared[(fed_by @ asks > 1.0) & (fed_by @ (asks < 1.0) > 0.0)]
+        self._partial = np.flatnonzero((asks < 1.0) & np.isin(machinery.machine_of, self._splits))
+        sizes += [self._splits.size * m, self._partial.size * m]
         ends = np.cumsum(sizes)
         numbers = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
         self.n_variables = int(ends[-1])
@@ -138,6 +145,8 @@ class Programme:
         self._n, self._peak, self._over = numbers[3].reshape(self._signed.size, m), numbers[4], numbers[5]
         self._runs, self.choices = numbers[6].reshape(self._shared.size, m), numbers[7]
         self._b = self.choices.reshape(self._chosen.size, self._h)
+        self._theta = numbers[8].reshape(self._splits.size, m)
+        self._excess = numbers[9].reshape(self._partial.size, m)
 
         # Share of a step that an actuator runs per unit of v, (A, moves); 0 where the choice b says it.
         lowest = np.broadcast_to(machinery.switched_at(n, shape.n_held if self._h else 0), (A, n))[:, shape.first_steps]
@@ -169,7 +178,7 @@ class Programme:
         )[:, None]
         x_high[self._n] = -machinery.u_min[self._signed, None]
         # What they need is at most 1; the bound only matters where running costs nothing, and must not be active.
-        x_high[self._runs] = 2.0
+        x_high[self._runs] = x_high[self._theta] = x_high[self._excess] = 2.0
         x_high[self.choices] = 1.0
         self._x_low, self._x_high = x_low, x_high
         self._counts = np.bincount(self._move, minlength=m).astype(np.float64)
@@ -241,13 +250,7 @@ class Programme:
                 row(moves, shares, -np.inf, 1.0)
             if any(shares):
                 row([self._runs[i], *moves], [1.0, *(-share for share in shares)], 0.0, np.inf)
-            for a in () if machinery.by_load[number] else fed:
-                held = self._held_moves[a]
-                for j in (np.flatnonzero(~held), np.flatnonzero(held)):
-                    if j.size and not held[j[0]]:
-                        row([self._runs[i, j], self._v[a, j]], [1.0, -float(self._on_per_v[a, j[0]])], 0.0, np.inf)
-                    elif j.size:
-                        row([self._runs[i, j], self._b[self._chosen == a][0]], [1.0, -1.0], 0.0, np.inf)
+            self._runs_as_on(i, fed, row)
         later = np.arange(self._h, m)
         for group in machinery.exclusive:
             if self._h:
@@ -266,6 +269,38 @@ class Programme:
             if a in self._signed:
                 row([self._n[self._signed == a][0, early], b], [1.0, float(machinery.u_min[a])], -np.inf, 0.0)
         return _joined(parts), np.concatenate(low), np.concatenate(high)
+
+    def _runs_as_on(self, i: int, fed: Index, row: Callable[[list[Index], list[float], float, float], None]) -> None:
+        """Rows by which shared machine `i` runs for the on-times of the actuators it feeds, by `row`."""
+        asks, held = self.shape.machinery.runs_for, self._held_moves.any(axis=0)
+        for moves in (np.flatnonzero(held), np.flatnonzero(~held)):
+            if not moves.size:
+                continue
+            runs, on = self._runs[i, moves], {a: self._on(a, moves) for a in fed}
+            split = np.flatnonzero(self._splits == self._shared[i])
+            if not split.size and float(asks[fed].sum()) <= 1.0:
+                row(
+                    [runs, *(x for x, _ in on.values())],
+                    [1.0, *(-asks[a] * f for a, (_, f) in on.items())],
+                    0.0,
+                    np.inf,
+                )
+            elif not split.size:
+                for x, factor in on.values():
+                    row([runs, x], [1.0, -factor], 0.0, np.inf)
+            else:
+                theta, partial = self._theta[split[0], moves], [a for a in fed if asks[a] < 1.0]
+                excess = {a: self._excess[np.flatnonzero(self._partial == a)[0], moves] for a in partial}
+                for a, (x, factor) in on.items():
+                    above = [excess[a]] if a in excess else []
+                    row([theta, *above, x], [1.0, *(1.0 for _ in above), -factor], 0.0, np.inf)
+                row([runs, theta, *excess.values()], [1.0, -1.0, *(-float(asks[a]) for a in partial)], 0.0, np.inf)
+
+    def _on(self, a: int, moves: Index) -> tuple[Index, float]:
+        """Column whose value times the factor is the share of `moves` that actuator `a` is on."""
+        if self._held_moves[a, moves[0]]:
+            return self._b[self._chosen == a][0][moves], 1.0
+        return self._v[a, moves], float(self._on_per_v[a, moves[0]])
 
     def _power(self, first_row: int) -> _Entries:
         """Minus the building's power over each step, in rows from `first_row`; in the order of `_power_parts`."""

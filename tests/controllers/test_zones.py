@@ -155,23 +155,33 @@ def test_a_shared_machine_runs_as_long_as_the_longest_and_pays_its_fixed_part_on
     np.testing.assert_allclose(unlimited.running(u)[0, :3], [0.6, 0.6, 0.0])
 
 
-def test_a_shared_machine_that_modulates_runs_as_its_load_asks():
+def test_a_shared_machine_cycles_below_its_lowest_load():
     rng = np.random.default_rng(5)
     operator = random_building(rng, 2, (1, 1))
-    machinery = machinery_of(operator, (0, 0), share=np.array([0.3, 0.5]), modulates=(True,))
+    machinery = machinery_of(operator, (0, 0), share=np.array([0.2, 0.3]), cycles_below=(0.4,))
     problem = random_building_problem(rng, operator, machinery)
     u = np.zeros((2, N))
-    u[:, 0], u[:, 1] = (1.0, 0.2), (1.0, 0.6)
-    np.testing.assert_allclose(problem.running(u)[0, :3], [0.3 + 0.5 * 0.2, 0.3 + 0.5 * 0.6, 0.0])
-    # Not so where it runs in full for the longest: there the second valve is open for nothing.
+    u[:, 0], u[:, 1], u[:, 2] = (1.0, 0.2), (0.5, 1.0), (1.0, 1.0)
+    # Both open: above its lowest load. One alone asks for 0.2 / 0.4 or 0.3 / 0.4 of the time.
+    np.testing.assert_allclose(problem.running(u)[0, :4], [0.2 + 0.8 * 0.5, 0.5 + 0.5 * 0.75, 1.0, 0.0])
+    # Where it does not cycle, it runs for the longest of them.
     in_full = replace(problem, machinery=machinery_of(operator, (0, 0), share=machinery.share))
-    np.testing.assert_allclose(in_full.running(u)[0, :2], [1.0, 1.0])
-    shape = ProblemShape(every_step(N), machinery)
+    np.testing.assert_allclose(in_full.running(u)[0, :4], [1.0, 1.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("below", [0.1, 0.25, 0.35, 0.6, 1.0])
+def test_the_optimum_for_a_machine_that_cycles_is_ipopts(below):
+    rng = np.random.default_rng(15)
+    operator = random_building(rng, 3, (1, 1, 1))
+    machinery = machinery_of(operator, (0, 0, 0), share=np.array([0.15, 0.3, 0.4]), cycles_below=(below,))
+    problem = random_building_problem(rng, operator, machinery)
+    shape = ProblemShape(blocked_moves(N, 3600.0, 6.0, 2.0), machinery)
     ours = QPSolver(operator, shape, QPConfig()).solve(problem)
     reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
-    assert ours.ok
-    assert reference.ok
-    assert float(problem.cost(operator, ours.u)) == pytest.approx(float(problem.cost(operator, reference.u)), rel=1e-6)
+    assert ours.ok, ours.problem
+    assert reference.ok, reference.problem
+    best = float(problem.cost(operator, reference.u))
+    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
 
 
 def test_a_machine_of_one_actuator_needs_no_variable_of_its_own():

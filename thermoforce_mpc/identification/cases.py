@@ -15,6 +15,7 @@ from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power, fit_signed_power
+from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -22,6 +23,8 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 _MEASURED = 0.5
 # Level from which full actuation counts as excited.
 _NEARLY_FULL = 0.9
+# Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
+_CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
 # Lower limit of the features' scale: °C, °C, W/m², 1.
 LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
 
@@ -101,13 +104,23 @@ def power_of_machine(
         weights = layout.weights[fed]
         u = np.concatenate([h.u[fed] for h in histories], axis=1)
         return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
-    together = power_model(records, config)
-    if together is None:
+    if not _power_is_known(records):
         return None
-    # Which law holds shows in the record: power by what they take together, or by the longest of them.
-    longest = [replace(r, u=h.u[fed].max(axis=0)) for r, h in zip(records, histories, strict=True)]
-    alone = power_model(longest, config)
-    return replace(together, modulates=alone is None or together.rmse_W < alone.rmse_W)
+    u, weights = np.concatenate([h.u[fed] for h in histories], axis=1), layout.weights[fed]
+    return fit_power(records, running=_running(u, weights, config.lowest_level))
+
+
+def _running(u: Array, weights: Array, lowest_level: float | None) -> list[tuple[float, Array]]:
+    """Loads below which a machine may cycle, each with the share of each step (n,) that it then runs.
+
+    Levels `u` (A, n) may have been held for the step, or made of on-times that begin together: both are tried.
+    """
+    load, found = np.minimum(weights @ u, 1.0), []
+    for lowest in _CYCLES_BELOW if lowest_level is None else (lowest_level,):
+        found.append((lowest, np.minimum(load / lowest, 1.0)))
+        if lowest < 1.0:
+            found.append((lowest, running_share(u, np.minimum(weights / lowest, 1.0))))
+    return found
 
 
 def _power_is_known(histories: Sequence[Record]) -> bool:

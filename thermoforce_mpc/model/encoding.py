@@ -162,7 +162,6 @@ def _power(data: Mapping[str, Any] | None) -> PowerModel | None:
     return PowerModel(
         _load(data["load"]), number_or_nan(data["rmse_W"]), number_or_nan(data["r2"]), text(data["source"]),
         _water(data["water"]), None if data.get("cooling") is None else _load(data["cooling"]),
-        truth(data["modulates"]),
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from thermoforce_mpc.reading import parse_json, read_bounded
 from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"

@@ -42,7 +42,7 @@ class Counterfactual:
         certified_low_K, certified_high_K: bounds that the certificate proves for the model's effect, whatever the
             weather and the state (Z, N), K.
         energy_kWh, energy_other_kWh: by the model's power for levels applied and asked about (M,), NaN where a machine
-            has no power model or feeds several actuators.
+            has no power model, or heats and cools and feeds several actuators.
     """
 
     time_s: Array
@@ -227,9 +227,11 @@ def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
     found = np.full(len(model.machines), np.nan)
     for m, power in enumerate(model.power):
         fed = [a for a, machine in enumerate(model.machine_of) if machine == m]
-        if power is not None and len(fed) == 1:
-            watts = power(u[fed[0]], stretch.T_out_C[:-1])
-            found[m] = float(watts.sum()) * stretch.step_s / _JOULE_PER_KWH
+        if power is None or (len(fed) > 1 and power.cooling is not None):
+            continue
+        T_out_C, weights = stretch.T_out_C[:-1], model.layout.weights[fed]
+        watts = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
+        found[m] = float(watts.sum()) * stretch.step_s / _JOULE_PER_KWH
     return found
 
 

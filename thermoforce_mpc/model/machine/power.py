@@ -29,6 +29,7 @@ from thermoforce_mpc.model.machine.load_regression import (
     usable_steps,
 )
 from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_water
+from thermoforce_mpc.model.machine.running import running_share
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ class PowerModel:
     """Electric power P(u, T_out, T_return) in W with the quality of its fit; `load.coefficients` are (c0 … c3).
 
     `water`: dependence on the return water temperature; None if that was not measured. `cooling`: load over −u at
-    levels below 0, where levels are signed; `load` then holds above 0. `modulates`: of a machine that feeds several,
-    whether its power follows what they take together rather than the longest of them.
+    levels below 0, where levels are signed; `load` then holds above 0. The level of a machine that feeds several is
+    what they take together, as a share of its capacity; below `load.lowest_level` it cycles (`running_share`).
     """
 
     load: MachineLoad
@@ -69,7 +70,6 @@ class PowerModel:
     source: str = "given"
     water: ReturnWater | None = None
     cooling: MachineLoad | None = None
-    modulates: bool = False
 
     def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
         """Return the mean electric power over a step for `u` in [0, 1] at `T_out_C` and `T_return_C` °C, W.
@@ -79,6 +79,15 @@ class PowerModel:
         if self.cooling is not None:
             return self.load(np.maximum(u, 0.0), T_out_C) + self.cooling(np.maximum(-np.asarray(u), 0.0), T_out_C)
         return np.asarray(self.load(u, T_out_C) * self._factor(T_return_C))
+
+    def of_actuators(self, u: Array, weights: Array, T_out_C: Array) -> Array:
+        """Return the mean power of a machine for levels `u` (A, N) of its actuators, in [0, 1], W, shape (N,).
+
+        `weights` (A,): what each takes of the capacity at level 1. On-times begin together.
+        """
+        fixed, per_u = self.parts(T_out_C)
+        runs = running_share(u, np.minimum(np.asarray(weights) / self.load.lowest_level, 1.0))
+        return np.asarray(fixed * runs + per_u * np.minimum(weights @ u, 1.0))
 
     def parts(self, T_out_C: Array, T_return_C: Array | float = float("nan")) -> tuple[Array, Array]:
         """Return the fixed part while on and the part per unit of u, both W; see `MachineLoad.parts`."""
@@ -101,7 +110,11 @@ class PowerModel:
 
 
 def fit_power(
-    histories: Sequence[Record], *, lowest_level: float | None = None, slope: SlopePrior = POWER_SLOPE
+    histories: Sequence[Record],
+    *,
+    lowest_level: float | None = None,
+    slope: SlopePrior = POWER_SLOPE,
+    running: Sequence[tuple[float, Array]] | None = None,
 ) -> PowerModel:
     """Fit the power model to the measured power of records; see `fit_load` for arguments and errors."""
     u, T_out, power, T_return, T_zone = (
@@ -117,7 +130,9 @@ def fit_power(
 
     def fit(factor: Array) -> LoadFit:
         what = "electric power"
-        return fit_load(u, T_out, power, what=what, lowest_level=lowest_level, slope=slope, factor=factor)
+        return fit_load(
+            u, T_out, power, what=what, lowest_level=lowest_level, slope=slope, factor=factor, running=running
+        )
 
     plain = fit(np.ones_like(u))
     full_W = float(np.nanmax(power))
@@ -204,6 +219,7 @@ def fit_load(
     lowest_level: float | None = None,
     slope: SlopePrior | None = None,
     factor: Array | None = None,
+    running: Sequence[tuple[float, Array]] | None = None,
 ) -> LoadFit:
     """Fit a `MachineLoad` by least squares, both parts nonnegative over its outdoor range.
 
@@ -216,19 +232,24 @@ def fit_load(
             proportional part are one) and one with the lowest level in the data are tried, and the better fit kept.
         slope: prior of the dependence on T_out; default: none.
         factor: known factor on the load in each step, shape (n,); default: 1.
+        running: lowest levels to try instead, each with the share of each step that the machine runs, shape (n,).
 
     Raises:
         DataError: fewer than ten usable steps, or the load was on in fewer than five.
     """
     steps = usable_steps(u, T_out_C, load_W, what)
     times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]
-    fits = [_fit_at(steps, times, lowest, slope) for lowest in levels_to_try(steps, lowest_level)]
+    if running is None:
+        runs = [(lowest, np.minimum(steps.u / lowest, 1.0)) for lowest in levels_to_try(steps, lowest_level)]
+    else:
+        runs = [(lowest, share[steps.kept]) for lowest, share in running]
+    fits = [_fit_at(steps, times, lowest, on, slope) for lowest, on in runs]
     return min(fits, key=lambda fit: fit.quality.rmse_W)
 
 
-def _fit_at(steps: Steps, times: Array, lowest_level: float, slope: SlopePrior | None) -> LoadFit:
+def _fit_at(steps: Steps, times: Array, lowest_level: float, on: Array, slope: SlopePrior | None) -> LoadFit:
     ends = EndValues.around(steps)
-    on, level = times * np.minimum(steps.u / lowest_level, 1.0), times * steps.u
+    on, level = times * on, times * steps.u
     carriers = [on, level] if lowest_level < 1.0 else [level]
     design = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
     full = float(np.max(steps.load_W[steps.running]))

@@ -38,7 +38,7 @@ class DoMpcBuilding:
         apart = any(not np.array_equal(pair.poles, poles[z]) for z, _, pair in operator.each())
         if (
             len(machinery.machines) > 1
-            or machinery.modulates[:1] == (True,)
+            or np.any(machinery.runs_for < 1.0)
             or machinery.held.any()
             or machinery.signed.size
             or machinery.exclusive
