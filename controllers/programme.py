@@ -20,72 +20,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
-from scipy.signal import lfilter
 
 from controllers.errors import ControllerConfigError
 from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape
 from controllers.qp_backends import QPData
+from controllers.responses import groups_of
+from controllers.sparse_entries import Entries, Index, SparsePattern, entries, joined, nothing
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
-Index = NDArray[np.intp]
 # Of parts that a programme has not.
 _NONE = np.zeros((0, 0))
-
-
-class SparsePattern:
-    """Sparse matrix with constant structure and changing values.
-
-    Entries are addressed in the order given; entries at the same position are summed.
-    """
-
-    def __init__(self, rows: Index, columns: Index, shape: tuple[int, int]) -> None:
-        places, self._slot = np.unique(columns * shape[0] + rows, return_inverse=True)
-        starts = np.searchsorted(places, np.arange(shape[1] + 1) * shape[0])
-        self._matrix = sparse.csc_matrix((np.zeros(places.size), places % shape[0], starts), shape=shape)
-
-    def filled(self, values: Array) -> sparse.csc_matrix:
-        """The matrix with `values`, one per entry in the order given at construction; valid until the next call."""
-        self._matrix.data[:] = np.bincount(self._slot, weights=values, minlength=self._matrix.data.size)
-        return self._matrix
-
-
-@dataclass(frozen=True)
-class _Entries:
-    """Entries of a sparse matrix: value `factor` times the element `of` of a vector of numbers of the instance."""
-
-    rows: Index
-    columns: Index
-    factor: Array
-    of: Index
-
-
-def _joined(parts: list[_Entries]) -> _Entries:
-    return _Entries(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "columns", "factor", "of"))
-    )
-
-
-def _entries(rows: Index, columns: Index, factor: Array | float, of: Index | int) -> _Entries:
-    rows, columns, factor, of = np.broadcast_arrays(rows, columns, np.asarray(factor, dtype=np.float64), of)
-    return _Entries(rows.ravel(), columns.ravel(), factor.ravel(), of.ravel())
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Pairs of a zone with the same poles, which share one response variable per step.
-
-    `pairs`: their actuators; `actuators`: those of the rows of `numerators`.
-    """
-
-    zone: int
-    pairs: Index
-    actuators: Index
-    denominator: Array
-    numerators: Array
-    begin: Array
 
 
 @dataclass(frozen=True)
@@ -112,9 +58,8 @@ class Programme:
         A, n, m = len(machinery.actuators), shape.n_steps, shape.n_moves
         Z = len(operator.zones)
         self._step, self._move = np.arange(n), shape.move_of_step
-        self._groups = _groups(operator, n)
         power_couples = bool(shape.peak or shape.capped or machinery.shared.any())
-        self._groups = _filled(self._groups, (Z, A), power_couples=power_couples)
+        self._groups = groups_of(operator, n, power_couples=power_couples)
         G = len(self._groups)
         self._signed = machinery.signed
         self._shared = np.flatnonzero(machinery.shared)
@@ -184,53 +129,53 @@ class Programme:
         self._counts = np.bincount(self._move, minlength=m).astype(np.float64)
         self._quadratic = sparse.csc_matrix(sparse.diags(np.ones(self.n_variables)))
 
-    def _dynamics(self) -> _Entries:
+    def _dynamics(self) -> Entries:
         """Difference equations of the responses, row by row; numbers of the instance: 1, drive per u, onset."""
         (A, _), n, step, move = self.shape.machinery.shape, self.shape.n_steps, self._step, self._move
         order = self.operator.shape[2]
-        parts: list[_Entries] = []
+        parts: list[Entries] = []
         for g, group in enumerate(self._groups):
             for lag in range(min(order, n - 1) + 1):
                 now, then = g * n + step[lag:], step[: n - lag]
-                parts.append(_entries(now, self._y[g, then], group.denominator[lag], 0))
+                parts.append(entries(now, self._y[g, then], group.denominator[lag], 0))
                 if lag == order:
                     continue
                 of, numerator = group.actuators, group.numerators[:, lag, None]
                 of_drive = 1 + of[:, None] * n + then
-                parts.append(_entries(now, self._v[of][:, move[then]], -numerator, of_drive))
+                parts.append(entries(now, self._v[of][:, move[then]], -numerator, of_drive))
                 for i, a in enumerate(self._signed):
                     if a in of:
                         at = np.flatnonzero(of == a)
-                        parts.append(_entries(now, self._n[i, move[then]], numerator[at], of_drive[at]))
+                        parts.append(entries(now, self._n[i, move[then]], numerator[at], of_drive[at]))
                 for i, a in enumerate(self._chosen):
                     if a in of and self._held[a]:
                         at, early = np.flatnonzero(of == a), move[then] < self._h
-                        chosen = _entries(
+                        chosen = entries(
                             now[early],
                             self._b[i, move[then][early]],
                             -numerator[at],
                             A * n + of_drive[at][:, early],
                         )
                         parts.append(chosen)
-        return _joined(parts) if parts else _nothing()
+        return joined(parts) if parts else nothing()
 
-    def _bounds(self) -> tuple[_Entries, Array, Array]:
+    def _bounds(self) -> tuple[Entries, Array, Array]:
         """Inequalities: comfort first, then power, then constants. Numbers of the instance: 1, then power parts."""
         shape, machinery, n, m = self.shape, self.shape.machinery, self.shape.n_steps, self.shape.n_moves
         Z, step = self._s.shape[0], self._step
-        parts: list[_Entries] = []
+        parts: list[Entries] = []
         # y_k + s_k ≥ lower_k − T_free,k and y_k − s_k ≤ upper_k − T_free,k.
         of_zone = np.array([group.zone for group in self._groups], dtype=np.intp)
         for first, sign in ((0, 1.0), (Z * n, -1.0)):
             if of_zone.size:
-                parts.append(_entries(first + of_zone[:, None] * n + step, self._y, 1.0, 0))
-            parts.append(_entries(first + np.arange(Z * n), self._s.ravel(), sign, 0))
+                parts.append(entries(first + of_zone[:, None] * n + step, self._y, 1.0, 0))
+            parts.append(entries(first + np.arange(Z * n), self._s.ravel(), sign, 0))
         rows = 2 * Z * n
         if shape.peak:
-            parts += [_entries(rows + step, self._peak, 1.0, 0), self._power(rows)]
+            parts += [entries(rows + step, self._peak, 1.0, 0), self._power(rows)]
             rows += n
         if shape.capped:
-            parts += [_entries(rows + step, self._over, 1.0, 0), self._power(rows)]
+            parts += [entries(rows + step, self._over, 1.0, 0), self._power(rows)]
             rows += n
         low, high = [np.full(rows, -np.inf)], [np.full(rows, np.inf)]
 
@@ -238,7 +183,7 @@ class Programme:
             """A row for each of the columns side by side: Σ factor · column between the two."""
             nonlocal rows
             count = np.size(columns[0])
-            parts.extend(_entries(rows + np.arange(count), c, f, 0) for c, f in zip(columns, factors, strict=True))
+            parts.extend(entries(rows + np.arange(count), c, f, 0) for c, f in zip(columns, factors, strict=True))
             low.append(np.full(count, at_least))
             high.append(np.full(count, at_most))
             rows += count
@@ -268,7 +213,7 @@ class Programme:
                 row([self._v[a, early], b], [1.0, -float(machinery.lowest_level[a])], 0.0, np.inf)
             if a in self._signed:
                 row([self._n[self._signed == a][0, early], b], [1.0, float(machinery.u_min[a])], -np.inf, 0.0)
-        return _joined(parts), np.concatenate(low), np.concatenate(high)
+        return joined(parts), np.concatenate(low), np.concatenate(high)
 
     def _runs_as_on(self, i: int, fed: Index, row: Callable[[list[Index], list[float], float, float], None]) -> None:
         """Rows by which shared machine `i` runs for the on-times of the actuators it feeds, by `row`."""
@@ -302,26 +247,26 @@ class Programme:
             return self._b[self._chosen == a][0][moves], 1.0
         return self._v[a, moves], float(self._on_per_v[a, moves[0]])
 
-    def _power(self, first_row: int) -> _Entries:
+    def _power(self, first_row: int) -> Entries:
         """Minus the building's power over each step, in rows from `first_row`; in the order of `_power_parts`."""
         n, step, move = self.shape.n_steps, self._step, self._move
         (A, _), S, H = self.shape.machinery.shape, self._signed.size, self._shared.size
         rows, parts = (
             first_row + step,
-            [_entries(first_row + step, self._v[:, move], -1.0, 1 + np.arange(A)[:, None] * n + step)],
+            [entries(first_row + step, self._v[:, move], -1.0, 1 + np.arange(A)[:, None] * n + step)],
         )
         at = 1 + A * n
         if S:
-            parts.append(_entries(rows, self._n[:, move], -1.0, at + np.arange(S)[:, None] * n + step))
+            parts.append(entries(rows, self._n[:, move], -1.0, at + np.arange(S)[:, None] * n + step))
         at += S * n
         if H:
-            parts.append(_entries(rows, self._runs[:, move], -1.0, at + np.arange(H)[:, None] * n + step))
+            parts.append(entries(rows, self._runs[:, move], -1.0, at + np.arange(H)[:, None] * n + step))
         at += H * n
         if self._h:
             early = np.flatnonzero(move < self._h)
             of = at + self._chosen[:, None] * n + early
-            parts.append(_entries(rows[early], self._b[:, move[early]], -1.0, of))
-        return _joined(parts)
+            parts.append(entries(rows[early], self._b[:, move[early]], -1.0, of))
+        return joined(parts)
 
     def _power_parts(self, p: MPCProblem) -> tuple[Array, Array, Array, Array]:
         """Power, W, per unit of v (A, N), n (signed, N), running share (shared, N) and choice (A, N)."""
@@ -388,8 +333,8 @@ class Programme:
         """The numbers of one instance."""
         machinery, n, firsts = self.shape.machinery, self.shape.n_steps, self._firsts
         values = np.concatenate([[1.0], drive.per_u.ravel(), drive.onset.ravel()])
-        entries = self._dynamics_entries
-        A = self._A.filled(entries.factor * values[entries.of])
+        dynamics = self._dynamics_entries
+        A = self._A.filled(dynamics.factor * values[dynamics.of])
         b = np.zeros(len(self._groups) * n)
         for g, group in enumerate(self._groups):
             # The first r equations contain the free decay of the initial modes.
@@ -447,58 +392,3 @@ class Programme:
         self._quadratic.data[:] = curvature / unit
         constant = -float((left * self._faded * p.forced_state_K).sum())  # independent of the moves
         return QPData(self._quadratic, linear / unit, A, b, G, low, high, self._x_low, self._x_high, unit, constant)
-
-
-def _nothing() -> _Entries:
-    none = np.zeros(0, dtype=np.intp)
-    return _Entries(none, none, np.zeros(0), none)
-
-
-def _groups(operator: BuildingOperator, n_steps: int) -> list[_Group]:
-    """Pairs of each zone by poles."""
-    found: dict[tuple[int, tuple[float, ...]], list[int]] = {}
-    for z, a, pair in operator.each():
-        found.setdefault((z, tuple(pair.poles.tolist())), []).append(a)
-    groups, gains = [], operator.gains
-    for (z, key), actuators in found.items():
-        poles = np.array(key)
-        numerators = np.array([transfer_function(poles, gains[z, a])[1] for a in actuators])
-        denominator = np.asarray(np.poly(poles), dtype=np.float64)
-        faded = poles ** np.arange(1, min(poles.size, n_steps) + 1)[:, None]
-        begin = lfilter(denominator, [1.0], faded, axis=0)
-        of = np.array(actuators, dtype=np.intp)
-        groups.append(_Group(z, of, of, denominator, numerators, begin))
-    return groups
-
-
-def _filled(groups: list[_Group], shape: tuple[int, int], *, power_couples: bool) -> list[_Group]:
-    """The groups with numerators of 0 for actuators without an effect, where that helps the solver.
-
-    Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones the
-    factorisation takes up to three times as long. Buildings without cross-effects, and sparse ones in which power
-    couples nothing, are faster as they are.
-    """
-    Z, A = shape
-    pairs = sum(group.actuators.size for group in groups)
-    if len(groups) > Z or pairs <= max(Z, A) or not (power_couples or pairs > 0.25 * Z * A):
-        return groups
-    filled = []
-    for group in groups:
-        numerators = np.zeros((A, group.numerators.shape[1]))
-        numerators[group.actuators] = group.numerators
-        filled.append(replace(group, actuators=np.arange(A), numerators=numerators))
-    return filled
-
-
-def transfer_function(poles: Array, gains: Array) -> tuple[Array, Array]:
-    """Σ g_i / (1 − a_i q⁻¹) over a common denominator.
-
-    Args:
-        poles: a_i, shape (r,).
-        gains: g_i, shape (r,).
-
-    Returns:
-        Coefficients of 1, q⁻¹, q⁻² … of the denominator, shape (r + 1,), and of the numerator, shape (r,).
-    """
-    numerator = sum(gain * np.atleast_1d(np.poly(np.delete(poles, i))) for i, gain in enumerate(gains))
-    return np.asarray(np.poly(poles), dtype=np.float64), np.asarray(numerator, dtype=np.float64)

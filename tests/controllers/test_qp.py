@@ -14,9 +14,9 @@ from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.machinery import Machinery
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
-from controllers.programme import transfer_function
 from controllers.qp import QPSolver
 from controllers.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
+from controllers.responses import transfer_function
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
