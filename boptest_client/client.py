@@ -28,6 +28,7 @@ from boptest_client.types import Point, Scenario
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
 _CLOCK_TOLERANCE_S = 1e-3
+_STATUSES = ("Running", "Queued")
 # A test is not waited for longer than this to be stopped, s: the service drops it when idle.
 _STOPPING_S = 10.0
 # After these, it is not known whether the service acted on the request.
@@ -98,35 +99,33 @@ class BoptestClient:
         endpoint = f"GET {self.url}/version"
 
         def parse(payload: Any) -> str:
-            answer = self._mapping(endpoint, payload)
-            if "version" not in answer:
-                raise ProtocolError(endpoint, f"no version in {answer!r}")
-            return str(answer["version"])
+            return self._text(endpoint, self._mapping(endpoint, payload).get("version"), "version")
 
         return self._transport.patiently(lambda: parse(self._transport.call("GET", "version").payload))
 
     def testcases(self) -> tuple[str, ...]:
         """Names of the available test cases."""
-        answer = self._transport.call("GET", "testcases").payload
-        try:
-            return tuple(sorted(str(item["testcaseid"]) for item in answer))
-        except (TypeError, KeyError) as error:
-            raise ProtocolError(f"GET {self.url}/testcases", f"not a list of test cases: {answer!r:.120}") from error
+        endpoint, answer = f"GET {self.url}/testcases", self._transport.call("GET", "testcases").payload
+        if not isinstance(answer, list):
+            raise ProtocolError(endpoint, f"not a list of test cases: {answer!r:.120}")
+        found = [self._mapping(endpoint, item).get("testcaseid") for item in answer]
+        return tuple(sorted(self._text(endpoint, name, "testcaseid") for name in found))
 
     def name(self) -> str:
         """Name of the test case as reported by the service."""
 
-        def parse(payload: Any) -> str:
-            answer = self._mapping(self._at("name"), payload)
-            if "name" not in answer:
-                raise ProtocolError(self._at("name"), f"no name in {answer!r}")
-            return str(answer["name"])
-
-        return self._get("name", parse)
+        at = self._at("name")
+        return self._get("name", lambda answer: self._text(at, self._mapping(at, answer).get("name"), "name"))
 
     def status(self) -> str:
         """'Running' or 'Queued'."""
-        return self._get("status", str)
+
+        def parse(answer: Any) -> str:
+            if answer not in _STATUSES:
+                raise ProtocolError(self._at("status"), f"expected {' or '.join(_STATUSES)}, got {answer!r:.120}")
+            return str(answer)
+
+        return self._get("status", parse)
 
     def inputs(self) -> dict[str, Point]:
         """Inputs by name: `<point>_u` and `<point>_activate`."""
@@ -142,7 +141,17 @@ class BoptestClient:
 
     def scenario(self) -> Scenario:
         """Current scenario."""
-        return self._get("scenario", lambda answer: Scenario.from_json(self._mapping(self._at("scenario"), answer)))
+
+        def parse(answer: Any) -> Scenario:
+            at = self._at("scenario")
+            told = self._mapping(at, answer)
+            for name in Scenario.__dataclass_fields__:
+                kind = int if name == "seed" else str
+                if not (told.get(name) is None or (isinstance(told[name], kind) and told[name] is not True)):
+                    raise ProtocolError(at, f"{name} is {told[name]!r:.120}, expected {kind.__name__} or null")
+            return Scenario.from_json(told)
+
+        return self._get("scenario", parse)
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
         """Set the scenario.
@@ -178,10 +187,10 @@ class BoptestClient:
         """Length of a step, s."""
 
         def parse(answer: Any) -> float:
-            try:
-                return float(answer)
-            except (TypeError, ValueError, OverflowError) as error:
-                raise ProtocolError(self._at("step"), f"not a number: {answer!r:.120}") from error
+            found = self._number(self._at("step"), answer)
+            if not (math.isfinite(found) and found > 0.0):
+                raise ProtocolError(self._at("step"), f"not a length of a step: {answer!r:.120}")
+            return found
 
         return self._get("step", parse)
 
@@ -241,8 +250,13 @@ class BoptestClient:
         found = self._state_after(lost)
         return self._timed("results", found) if found else {}
 
-    def forecast(self, point_names: Sequence[str], horizon_s: float, interval_s: float) -> dict[str, list[float]]:
-        """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`."""
+    def forecast(
+        self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
+    ) -> dict[str, list[float]]:
+        """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`.
+
+        Where it is not asked for `patiently`, a request that failed is not repeated.
+        """
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
 
         def parse(payload: Any) -> dict[str, list[float]]:
@@ -260,7 +274,9 @@ class BoptestClient:
                 )
             return series
 
-        return self._put("forecast", body, parse)
+        if patiently:
+            return self._put("forecast", body, parse)
+        return self._put("forecast", body, parse, refusals=0, most_s=0.0)
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
         """Recorded values of each point and 'time', s, between two times, warm-up included, at 30-s samples.
@@ -320,15 +336,14 @@ class BoptestClient:
             answer = self._transport.patiently(
                 lambda: self._transport.call("POST", path, {}), passing=(ConnectError,), refusals=0
             ).payload
-            if not isinstance(answer, dict) or "testid" not in answer:
-                raise ProtocolError(f"POST {self.url}/{path}", f"no testid in {answer!r:.120}")
+            testid = self._text(f"POST {self.url}/{path}", self._mapping(path, answer).get("testid"), "testid")
         except UnknownTest as error:
             offered = self._offered()
             raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
         except BaseException:
             self._transport.close()
             raise
-        return str(answer["testid"])
+        return testid
 
     def _offered(self) -> str:
         """Available test cases, for an error message; empty if the service does not list them."""
@@ -376,11 +391,18 @@ class BoptestClient:
         """The parsed answer to a GET request, repeated while it fails or is nonsense."""
         return self._transport.patiently(lambda: parse(self._transport.call("GET", f"{what}/{self.testid}").payload))
 
-    def _put(self, what: str, body: dict[str, Any], parse: Callable[[Any], _Parsed], refusals: int = 2) -> _Parsed:
+    def _put(
+        self,
+        what: str,
+        body: dict[str, Any],
+        parse: Callable[[Any], _Parsed],
+        refusals: int = 2,
+        most_s: float = math.inf,
+    ) -> _Parsed:
         """The same for PUT; all PUT requests of the protocol may be repeated."""
         path = f"{what}/{self.testid}"
         return self._transport.patiently(
-            lambda: parse(self._transport.call("PUT", path, body).payload), refusals=refusals
+            lambda: parse(self._transport.call("PUT", path, body).payload), refusals=refusals, most_s=most_s
         )
 
     def _at(self, what: str) -> str:
@@ -408,15 +430,25 @@ class BoptestClient:
             raise ProtocolError(endpoint, f"expected names and values, got {answer!r:.120}")
         return answer
 
-    def _numbers(self, what: str, answer: Any) -> dict[str, float]:
-        # JSON has no NaN; the service writes null.
+    def _text(self, endpoint: str, answer: Any, what: str) -> str:
+        if not isinstance(answer, str) or not answer:
+            raise ProtocolError(endpoint, f"no {what} in the answer ({answer!r:.120})")
+        return answer
+
+    def _number(self, endpoint: str, answer: Any) -> float:
+        """A number, which services also write as text; NaN for null, since JSON has no NaN."""
+        if answer is None:
+            return math.nan
         try:
-            return {
-                key: math.nan if value is None else float(value)
-                for key, value in self._mapping(self._at(what), answer).items()
-            }
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ProtocolError(self._at(what), f"a value is not a number ({error!s:.200})") from error
+            if not isinstance(answer, bool):
+                return float(answer)
+        except (TypeError, ValueError, OverflowError):
+            pass
+        raise ProtocolError(endpoint, f"a value is not a number ({answer!r:.120})")
+
+    def _numbers(self, what: str, answer: Any) -> dict[str, float]:
+        at = self._at(what)
+        return {key: self._number(at, value) for key, value in self._mapping(at, answer).items()}
 
     def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
         """Values of `names` at the instants 'time', which never fall; none where nothing is told."""
@@ -425,10 +457,10 @@ class BoptestClient:
         missing = [name for name in names if name not in mapping]
         if missing:
             raise ProtocolError(endpoint, f"no values for {', '.join(missing)}")
-        try:
-            series = {name: [math.nan if v is None else float(v) for v in mapping[name]] for name in names}
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ProtocolError(endpoint, f"a value is not a number ({error!s:.200})") from error
+        for name in names:
+            if not isinstance(mapping[name], list):
+                raise ProtocolError(endpoint, f"{name} is not a list of numbers: {mapping[name]!r:.120}")
+        series = {name: [self._number(endpoint, value) for value in mapping[name]] for name in names}
         if any(len(values) != len(series["time"]) for values in series.values()):
             raise ProtocolError(endpoint, "series differ in length")
         clock = series["time"]

@@ -298,6 +298,31 @@ def test_after_json_of_another_kind_a_lost_step_is_read_with_the_points_of_the_t
     assert service.count("measurements/") == 2
 
 
+@pytest.mark.parametrize(
+    ("path", "call", "odd"),
+    [
+        ("status", BoptestClient.status, ["Running"]),
+        ("status", BoptestClient.status, {"status": "Running"}),
+        ("status", BoptestClient.status, "Please log in"),
+        ("version", BoptestClient.version, {"version": None}),
+        ("version", BoptestClient.version, {"version": {"major": 1}}),
+        ("name", BoptestClient.name, {"name": 7}),
+        ("testcases", BoptestClient.testcases, {"testcaseid": NAME}),
+        ("testcases", BoptestClient.testcases, [{"testcaseid": None}]),
+        ("scenario", BoptestClient.scenario, {"time_period": 3}),
+        ("scenario", BoptestClient.scenario, {"seed": "one"}),
+        ("step", BoptestClient.step, -900),
+        ("step", BoptestClient.step, True),
+        ("step", BoptestClient.step, None),
+        ("kpi", BoptestClient.kpi, {"tdis_tot": True}),
+    ],
+)
+def test_an_answer_of_another_type_is_a_protocol_error_that_names_the_endpoint(client, service, path, call, odd):
+    service.answer = lambda *request: odd
+    with pytest.raises(ProtocolError, match=path):
+        call(client)
+
+
 @pytest.mark.parametrize("odd", [None, [], {}, {"detail": None}])
 def test_kpis_that_are_none_are_a_protocol_error(client, service, odd):
     service.faults.append(Fault("kpi/", "edited", times=99, edit=lambda payload: odd))
