@@ -39,6 +39,14 @@ class PlantError(ThermoForceError):
     """The plant or the service behind it failed (exit code 3)."""
 
 
+class NoForecast(PlantError):
+    """The plant gave no forecast, while it may still be controlled. `past`: read from the journal of a resumed run."""
+
+    def __init__(self, message: str, *, past: bool = False) -> None:
+        super().__init__(message)
+        self.past = past
+
+
 class StorageError(ThermoForceError):
     """A file could not be written: disk full, folder read-only or removed (exit code 6)."""
 

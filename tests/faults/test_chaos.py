@@ -18,7 +18,8 @@ from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos
 from thermoforce_mpc.research.chaos.judging import jumps, wrong_inputs, wrong_steps
 from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.journal import Entry, read_journal
+from thermoforce_mpc.simulation.journal import Entry, read_journal, read_run
+from thermoforce_mpc.simulation.told_steps import told_loops, told_steps
 
 ANYWHERE = (*kinds.REFUSALS, *kinds.BROKEN, *kinds.AWAY)
 # The model is of another house: what is tested here is that the run goes on, not how well it heats.
@@ -45,6 +46,23 @@ def trouble(kind: str) -> Trouble:
     return Trouble(kind, HOUR_S, 5 * HOUR_S, at, share, 1 if once else 99, 840.0 if kind in kinds.AWAY else 0.2)
 
 
+def test_a_forecast_endpoint_that_fails_for_good_is_bridged(setting, calm, tmp_path):
+    gone = Trouble(kinds.NO_FORECAST, 2 * HOUR_S, 1e9, at="forecast")
+    found = run_episode(setting, [gone], seed=2, most_Kh=1.5 * calm.discomfort_Kh + 1.0, folder=tmp_path)
+    assert found.ended == "done"
+    assert found.faults == ()
+    (loop,) = told_loops(read_run(tmp_path / "journal.jsonl").entries).values()
+    steps = list(told_steps(loop))
+    without = [step for step in steps if step.given is None]
+    assert len(without) == len(steps) - 2
+    assert all("gives no forecast" in " ".join(step.notes) and step.told["status"] == "bridged" for step in without)
+    assert all("the last forecast" in step.told["why"] for step in without)
+    log = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert sum("stands in, for up to 48 h" in line["message"] for line in log) == 1, "said once"
+    # Once it has failed it is asked once a step, so that steps do not wait for it.
+    assert found.made[kinds.NO_FORECAST] < 100, "a patient request is repeated 65 times"
+
+
 @pytest.mark.parametrize("kind", [*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE])
 def test_a_run_outlives(setting, calm, kind):
     found = run_episode(setting, [trouble(kind)], seed=2, most_Kh=1.5 * calm.discomfort_Kh + 1.0)
@@ -67,7 +85,7 @@ def test_the_same_seed_draws_the_same_troubles():
     first, again = ([drawn(np.random.default_rng([7, n]), 2.0) for n in range(200)] for _ in range(2))
     assert first == again
     met = {trouble.kind for troubles in first for trouble in troubles}
-    every = (*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE, kinds.RESTART)
+    every = (*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE, kinds.NO_FORECAST, kinds.RESTART)
     assert met == set(every), "two hundred episodes meet every kind"
 
 
@@ -75,8 +93,8 @@ def journal(*ends_s: float, note: str = "") -> list[Entry]:
     """A run of steps of 900 s from 0, that ended when told."""
     entries = [Entry(1, "reset", {"answer": {"time_s": 0.0}})]
     for i, end_s in enumerate(ends_s):
-        entries.append(Entry(2, "advance", {"asked": {"duration_s": 900.0}, "answer": {"time_s": end_s}}))
-        entries.append(Entry(3, "done", {"index": i, "notes": [note] if note else []}))
+        advance = {"asked": {"duration_s": 900.0}, "answer": {"time_s": end_s}}
+        entries.append(Entry(2, "done", {"index": i, "advances": [advance], "notes": [note] if note else []}))
     return entries
 
 

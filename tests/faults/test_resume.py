@@ -75,9 +75,9 @@ def test_a_run_killed_at_any_instant_goes_on_to_the_same_bytes(whole, tmp_path, 
 
 
 def test_a_run_killed_between_two_records_goes_on_to_the_same_bytes(whole, tmp_path):
-    """After a decision and before it acted; after it acted and before the step was closed."""
+    """After a decision and before it acted (or before that was recorded); after the step was closed."""
     lines = (whole / "journal.jsonl").read_bytes().split(b"\n")
-    for kind in (b"step", b"advance"):
+    for kind in (b"step", b"done"):
         last = [i for i, line in enumerate(lines) if b'"kind": "%s"' % kind in line][20]
         folder = killed(whole, sum(len(line) + 1 for line in lines[: last + 1]), tmp_path / kind.decode())
         assert call("resume", folder).exit_code == 0

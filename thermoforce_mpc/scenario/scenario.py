@@ -30,6 +30,9 @@ class PlantSpec(StrictModel):
     patience_min: float = Field(
         15.0, ge=0, le=1440, description="how long a service may be away before the run ends, min (kind: boptest)"
     )
+    forecast_outage_h: float = Field(
+        48.0, ge=0, le=720, description="how long the plant may give no forecast before the run ends, h"
+    )
     prices_file: str | None = Field(None, description="CSV with your own highly dynamic tariff (kind: embedded)")
 
     @model_validator(mode="after")

@@ -11,9 +11,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from thermoforce_mpc.data import (
-    CONDITIONS,
     DAY_S,
-    HOUR_S,
     SINGLE,
     Array,
     Block,
@@ -25,9 +23,9 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
 )
-from thermoforce_mpc.model.forecast_gaps import lengthened
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
+from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 
 # Tolerance on times, s: shorter remainders are rounding errors of the clock.
@@ -36,8 +34,6 @@ _CLOCK_TOLERANCE_S = 1e-6
 _CLOCK_JUMP_S = 0.01
 # Controllers are told the record of these latest days. It is cut once a day.
 _RECORD_DAYS = 35.0
-# Signals of a forecast that a plan needs.
-_NEEDED = tuple(name for name in CONDITIONS if name not in ("occupancy", "emission_kg_per_kWh"))
 
 
 @dataclass(frozen=True)
@@ -79,7 +75,8 @@ class Sample:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One control step: zone temperatures (Z,), °C, plan, boundary forecast, applied blocks and computing times, s.
+    """One control step: zone temperatures (Z,), °C, plan, boundary forecast (holes filled, see `notes`), applied blocks
+    and computing times, s.
 
     `notes` lists the readings of the step that were missing or rejected (in the first step also those of the record
     before it); `samples` holds the readings as reported by the plant.
@@ -178,6 +175,7 @@ def run_closed_loop(
     keeper: StepKeeper | None = None,
     steps: KeptSteps[StepRecord] | None = None,
     record_days: float = _RECORD_DAYS,
+    outage_h: float = OUTAGE_H,
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
@@ -191,6 +189,7 @@ def run_closed_loop(
         keeper: keeps a journal of the steps.
         steps: where the steps are kept, also if the plant fails; empty.
         record_days: controllers are told the record of these latest days, or up to a day more.
+        outage_h: how long the plant may give no forecast before the run ends, h; see `Forecasts`.
 
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
@@ -204,13 +203,13 @@ def run_closed_loop(
     now_s = start.time_s
     kept: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
     state: object = None
+    forecasts = Forecasts(plant, controller.horizon_s, controller.step_s, outage_h)
     while end_s - now_s > _CLOCK_TOLERANCE_S:
         t0 = time.perf_counter()
-        boundary = plant.forecast(controller.horizon_s, controller.step_s)
-        # A forecast that ends early has holes: the controller fills them, and says so.
-        boundary = lengthened(boundary, round(controller.horizon_s / controller.step_s), controller.step_s)
+        given, boundary, gaps = forecasts.now(history)
         t1 = time.perf_counter()
-        observation = Observation(history, boundary)
+        # The controller fills holes of the forecast itself, and says so.
+        observation = Observation(history, given)
         plan = controller.plan(observation, state)
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
@@ -218,14 +217,14 @@ def run_closed_loop(
         blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, lowest, history.names)
         if keeper:
             blocks = tuple(keeper.decided(len(kept), observation.time_s, plan, blocks, refused))
-        doubts += holes(boundary)
+        doubts += gaps
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
         ahead_s = 0.0
         for block in blocks:
             reported = advanced(plant, block)
             measurement, notes = screened(reported, allowed, history)
-            parts.append((block.duration_s, _with_level(measurement, block)))
+            parts.append((block.duration_s, with_level(measurement, block)))
             doubts += notes
             samples.append(_sample(now_s, block, reported, boundary))
             ahead_s += reported.time_s - now_s - block.duration_s
@@ -264,22 +263,6 @@ def run_closed_loop(
     time_rat = math.fsum(step.plan_seconds for step in kept) / len(kept) / controller.step_s if kept else math.nan
     kpis = plant.kpis() | {"time_rat": time_rat}
     return RunResult(period, controller.name, kpis, kept, start, time.perf_counter() - began, state)
-
-
-def holes(boundary: Boundary) -> tuple[str, ...]:
-    """One note per signal of a forecast that has no value at some instants."""
-    notes = []
-    for name in _NEEDED:
-        for row, values in enumerate(np.atleast_2d(getattr(boundary, name))):
-            missing = np.flatnonzero(~np.isfinite(values))
-            if missing.size:
-                label = name if np.ndim(getattr(boundary, name)) == 1 else boundary.names.label(name, row)
-                ahead_h = (boundary.time_s[missing[0]] - boundary.time_s[0]) / HOUR_S
-                notes.append(
-                    f"the forecast of {label} has no value at {missing.size} of {values.size} instants, first "
-                    f"{ahead_h:g} h ahead"
-                )
-    return tuple(notes)
 
 
 def advanced(plant: Plant, block: Block) -> Measurement:
@@ -333,7 +316,7 @@ def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
     return ""
 
 
-def _with_level(measurement: Measurement, block: Block) -> Measurement:
+def with_level(measurement: Measurement, block: Block) -> Measurement:
     """The measurement with the applied levels where u was not measured; u stays NaN where native control acts."""
     told = np.array([band is None for band in block.band_C])
     return replace(measurement, u=np.where(np.isnan(measurement.u) & told, block.as_array(), measurement.u))

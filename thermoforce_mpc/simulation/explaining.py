@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, SINGLE, Array, Boundary, Measurement, Names
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Names, Observation
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.simulation.journal import NAME, Entry, JournalError, read_journal
-from thermoforce_mpc.simulation.journal_values import boundary_of, measurement_of, names_of, unpack
+from thermoforce_mpc.model.forecast_gaps import completed, whole
+from thermoforce_mpc.simulation.forecasts import empty_forecast
+from thermoforce_mpc.simulation.journal import NAME, JournalError, read_run
+from thermoforce_mpc.simulation.journal_values import unpack
+from thermoforce_mpc.simulation.told_steps import ToldStep, history_before, told_loops, told_steps
 
 # A planned temperature nearer to its bound than this is bound by it, K.
 _BINDING_K = 0.05
@@ -24,24 +27,54 @@ _BINDING_K = 0.05
 class Decision:
     """One step of a run: what was known, planned, decided and done.
 
-    `told` is the step's record in the journal, `before` the readings it began with, `boundary` the forecast it was made
-    on, `plan` the planned courses by name (rows as in `Plan`), `after` the readings at the end of each block; `notes`
-    what was doubtful.
+    `steps` are those of the loop until then, this one last; `boundary` the forecast it was made on, gaps filled as in
+    the run; `plan` the planned courses by name (rows as in `Plan`).
     """
 
     controller: str
-    told: Mapping[str, Any]
-    names: Names
-    before: Measurement | None
-    boundary: Boundary | None
+    steps: tuple[ToldStep, ...]
+    boundary: Boundary
     plan: Mapping[str, Array]
-    after: tuple[Measurement, ...] = ()
-    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def step(self) -> ToldStep:
+        """The step."""
+        return self.steps[-1]
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        """Its record in the journal."""
+        return self.step.told
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self.step.names
+
+    @property
+    def before(self) -> Measurement | None:
+        """The readings it began with."""
+        return self.step.before
+
+    @property
+    def after(self) -> tuple[Measurement, ...]:
+        """The readings at the end of each block."""
+        return self.step.after
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was doubtful."""
+        return self.step.notes
+
+    @property
+    def observation(self) -> Observation:
+        """What it was made on."""
+        return Observation(history_before(self.steps), self.boundary)
 
     @property
     def time_s(self) -> float:
         """Its begin, s since 1 January."""
-        return float(self.told["time_s"])
+        return self.step.time_s
 
     @property
     def T_zone_C(self) -> Array:
@@ -50,7 +83,7 @@ class Decision:
 
     def bounds(self) -> list[str]:
         """What binds in the plan, zone by zone: the comfort bound it touches first, and what it violates."""
-        if self.boundary is None or not self.plan:
+        if not self.plan:
             return []
         found = []
         n = self.T_zone_C.shape[-1]
@@ -89,27 +122,40 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
         JournalError: there is no journal, or it is damaged.
         InputError: `at` is no time or outside the run, or `controller` did not run.
     """
-    entries = read_journal(folder / NAME).entries
-    loops = _loops(entries)
+    loops = told_loops(read_run(folder / NAME).entries)
     if not loops:
         raise JournalError(f"{folder / NAME}: no step was decided yet")
     name = controller or next(iter(loops))
     if name not in loops:
         raise InputError(f"--controller {name}: did not run; there are {', '.join(loops)}")
-    decisions = list(_decisions(name, loops[name]))
-    if not decisions:
+    steps = list(told_steps(loops[name]))
+    if not steps:
         raise JournalError(f"{folder / NAME}: {name} has not decided anything yet")
-    if at is None:
-        return decisions[-1]
-    seconds = seconds_of(at)
-    first, last = decisions[0].time_s, decisions[-1].time_s
-    step_s = decisions[1].time_s - first if len(decisions) > 1 else 3600.0
-    if not first <= seconds < last + step_s:
-        raise InputError(
-            f"--at {at}: {name} ran from {words_of(first)} to {words_of(last + step_s)} ({first:.0f} to "
-            f"{last + step_s:.0f} s)"
-        )
-    return [decision for decision in decisions if decision.time_s <= seconds][-1]
+    if at is not None:
+        seconds = seconds_of(at)
+        first, last = steps[0].time_s, steps[-1].time_s
+        step_s = steps[1].time_s - first if len(steps) > 1 else 3600.0
+        if not first <= seconds < last + step_s:
+            raise InputError(
+                f"--at {at}: {name} ran from {words_of(first)} to {words_of(last + step_s)} ({first:.0f} to "
+                f"{last + step_s:.0f} s)"
+            )
+        steps = [step for step in steps if step.time_s <= seconds]
+    plan = {key: unpack(packed) for key, packed in steps[-1].told.get("plan", {}).items()}
+    return Decision(name, tuple(steps), _forecast_of(steps), plan)
+
+
+def _forecast_of(steps: Sequence[ToldStep]) -> Boundary:
+    """The forecast of the last of `steps`, its gaps filled."""
+    given = steps[-1].given
+    if given is not None and whole(given):
+        return given
+    history, asked = history_before(steps), steps[-1].told["asked"]
+    if given is None:
+        step_s = float(asked["interval_s"])
+        given = empty_forecast(history, round(float(asked["horizon_s"]) / step_s), step_s)
+    earlier = (found for step in reversed(steps[:-1]) if (found := step.given) is not None and whole(found))
+    return completed(given, history, next(earlier, None))[0]
 
 
 def seconds_of(at: str) -> float:
@@ -136,38 +182,3 @@ def words_of(time_s: float) -> str:
     """A time for people: day from 0 and clock."""
     minutes = round(time_s % DAY_S / 60.0)
     return f"day {int(time_s // DAY_S)} {minutes // 60:02d}:{minutes % 60:02d}"
-
-
-def _loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    """The records of each closed loop, by controller."""
-    found: dict[str, list[Entry]] = {}
-    for entry in entries:
-        if entry.kind == "loop":
-            found[str(entry.content["controller"])] = []
-        elif found:
-            next(reversed(found.values())).append(entry)
-    return found
-
-
-def _decisions(controller: str, entries: Sequence[Entry]) -> Iterator[Decision]:
-    names, before, boundary = SINGLE, None, None
-    for i, entry in enumerate(entries):
-        if entry.kind == "reset":
-            names = names_of(entry.content["answer"]["names"])
-            before = measurement_of(entry.content["answer"], names)
-        elif entry.kind == "advance":
-            before = measurement_of(entry.content["answer"], names)
-        elif entry.kind == "forecast":
-            boundary = boundary_of(entry.content["answer"], names)
-        elif entry.kind == "step":
-            after: list[Measurement] = []
-            notes: tuple[str, ...] = ()
-            for later in entries[i + 1 :]:
-                if later.kind == "advance":
-                    after.append(measurement_of(later.content["answer"], names))
-                if later.kind == "done":
-                    notes = tuple(later.content["notes"])
-                if later.kind in ("done", "step"):
-                    break
-            plan = {name: unpack(packed) for name, packed in entry.content.get("plan", {}).items()}
-            yield Decision(controller, entry.content, names, before, boundary, plan, tuple(after), notes)

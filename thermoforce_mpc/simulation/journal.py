@@ -21,7 +21,7 @@ from thermoforce_mpc.errors import InputError, StorageError
 from thermoforce_mpc.files import storage_errors
 
 NAME = "journal.jsonl"
-FORMAT = 1
+FORMAT = 2
 PART_BYTES = 32_000_000
 _CRC = ', "crc": "'
 
@@ -120,6 +120,25 @@ class Journal:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
+
+
+def read_run(path: Path) -> JournalText:
+    """Read the journal of a run, as `read_journal`, and check that this release can make sense of it.
+
+    Raises:
+        JournalError: as `read_journal`, or it holds no run, or one of another format.
+    """
+    read = read_journal(path)
+    first = read.entries[0] if read.entries else None
+    if first is None or first.kind != "run":
+        raise JournalError(f"{path}: holds no run: it was ended before it began; start it again")
+    found = first.content.get("format")
+    if found != FORMAT:
+        raise JournalError(
+            f"{path}: is of format {found!r}, written by thermoforce-mpc {first.content.get('version', '(unknown)')}; "
+            f"this release reads format {FORMAT}: use that release, or start the run again"
+        )
+    return read
 
 
 def read_journal(path: Path) -> JournalText:

@@ -30,7 +30,7 @@ from thermoforce_mpc.data import (
 Json = dict[str, Any]
 
 # Arrays of a plan that a journal keeps for people, to four digits or so: a resumed run plans again.
-PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
+PLANNED = ("u", "T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
 
 
 def pack(rows: Array, dtype: str = "<f8") -> Json:

@@ -2,6 +2,10 @@
 
 Everything that a controller is told passes through here, and the same observations give the same plans. A resumed run
 therefore plans again what was planned, and its state is that of the run that was killed, whatever controller it is.
+
+A step has two records: `step`, the forecast and the decision, written before it acts, and `done`, what came of it. One
+would not do: who resumes must know what a plant that outlives the process was told to do. There, each block of a step
+but the last has a record `advance` of its own between the two, so that the plant is never more than one ahead.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
+from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
 from thermoforce_mpc.simulation.closed_loop import StepRecord
 from thermoforce_mpc.simulation.journal import Entry, Journal, JournalError
@@ -62,6 +67,9 @@ class JournaledPlant:
         self._periods: dict[str, Period] = {}
         self._reset: Json = {}
         self._last: Measurement | None = None
+        self._ahead: Json = {}
+        self._to_come = 0
+        self._answers: list[Json] = []
         self.differing = 0
         """Steps that were planned again otherwise than then: a solve that the clock had cut."""
 
@@ -113,19 +121,50 @@ class JournaledPlant:
             return cast(RoomSetpointPlant, self._plant).advance(u, duration_s, band_C)
 
         asked = block_json(Block(u, duration_s, band_C))
-        self._last = self._answered(
-            "advance", asked, ask, measurement_json, lambda told: measurement_of(told, self._names)
-        )
+        done = self._told[0] if self._told and self._told[0].kind == "done" else None
+        if done or (not self._told and (self._to_come <= 1 or not self._outlives)):
+            answer = self._closing(asked, ask, done)
+        else:
+            answer = self._answered("advance", asked, lambda: measurement_json(ask()), dict, dict)
+        self._to_come -= 1
+        self._last = measurement_of(answer, self._names)
         return self._last
 
+    def _closing(self, asked: Json, ask: Callable[[], Measurement], done: Entry | None) -> Mapping[str, Any]:
+        """The answer to a block that is recorded where the step is `done`, from there while catching up."""
+        if done is None:
+            self._catch_up()
+            self._answers.append({"asked": asked, "answer": measurement_json(ask())})
+            return cast(Mapping[str, Any], self._answers[-1]["answer"])
+        told = (done.content["advances"][len(self._answers) :] or [{}])[0]
+        if told.get("asked") != asked:
+            raise self._another(done, f"'advance' {asked}")
+        self._compared(done, "advance", told["answer"], lambda: measurement_json(ask()))
+        self._answers.append(told)
+        return cast(Mapping[str, Any], told["answer"])
+
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """See `Plant.forecast`."""
+        """See `Plant.forecast`; recorded with the decision that it is made for, also where there was none."""
         asked = {"horizon_s": float(horizon_s), "interval_s": float(interval_s)}
 
-        def ask() -> Boundary:
-            return self._plant.forecast(horizon_s, interval_s)
+        def ask() -> Json:
+            try:
+                return {"asked": asked, "forecast": boundary_json(self._plant.forecast(horizon_s, interval_s))}
+            except NoForecast as error:
+                return {"asked": asked, "forecast": None, "no_forecast": str(error)}
 
-        return self._answered("forecast", asked, ask, boundary_json, lambda told: boundary_of(told, self._names))
+        if self._told:
+            entry = self._told[0]
+            if entry.kind != "step" or entry.content["asked"] != asked:
+                raise self._another(entry, f"'forecast' {asked}")
+            self._compared(entry, "forecast", entry.content["forecast"], lambda: ask()["forecast"])
+            self._ahead = {name: entry.content.get(name) for name in ("asked", "forecast", "no_forecast")}
+        else:
+            self._catch_up()
+            self._ahead = ask()
+        if self._ahead["forecast"] is None:
+            raise NoForecast(str(self._ahead["no_forecast"]), past=bool(self._told))
+        return boundary_of(self._ahead["forecast"], self._names)
 
     def past(self, step_s: float) -> Record:
         """See `Plant.past`."""
@@ -165,15 +204,17 @@ class JournaledPlant:
 
     def decided(self, index: int, time_s: float, plan: Plan, blocks: Sequence[Block], refused: str) -> Sequence[Block]:
         """Record a decision before it acts; while catching up, what acted then acts again."""
-        said = {"index": index, "time_s": float(time_s), **plan_json(plan, blocks, refused)}
+        said = {"index": index, "time_s": float(time_s), **self._ahead, **plan_json(plan, blocks, refused)}
+        self._answers, self._to_come = [], len(blocks)
         if not self._told:
             self._journal.write("step", said)
             return blocks
-        entry = self._next("step", {})
+        entry = self._next("step", self._ahead["asked"])
         if entry.content["index"] != index or entry.content["time_s"] != said["time_s"]:
             raise self._another(entry, f"step {index} at {time_s:.10g} s")
         if entry.content["blocks"] != said["blocks"]:
             self.differing += 1
+        self._to_come = len(entry.content["blocks"])
         return tuple(block_of(told) for told in entry.content["blocks"])
 
     def ended(self, record: StepRecord) -> StepRecord:
@@ -181,9 +222,8 @@ class JournaledPlant:
         seconds = {name: getattr(record, name) for name in ("plan_seconds", "forecast_seconds", "plant_seconds")}
         if not self._told:
             parts = {name: float(value) for name, value in record.plan.seconds.items()}
-            self._journal.write(
-                "done", {"index": record.index, "notes": list(record.notes), **seconds, "seconds": parts}
-            )
+            said = {"index": record.index, "advances": self._answers, "notes": list(record.notes)}
+            self._journal.write("done", {**said, **seconds, "seconds": parts})
             return record
         entry = self._next("done", {})
         plan = replace(record.plan, seconds=dict(entry.content["seconds"]))
@@ -201,20 +241,28 @@ class JournaledPlant:
         """The answer to a request: the journal's while catching up, else the plant's, which is then recorded."""
         if self._told:
             entry = self._next(kind, asked)
-            if not self._outlives and to_json(ask()) != entry.content["answer"]:
-                raise JournalError(
-                    f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
-                    "Was the run made with another version, weather file or machine? Start it again"
-                )
+            self._compared(entry, kind, entry.content["answer"], lambda: to_json(ask()))
             return from_json(entry.content["answer"])
+        self._catch_up()
+        found = to_json(ask())
+        self._journal.write(kind, {"asked": asked, "answer": found})
+        return from_json(found)
+
+    def _compared(self, entry: Entry, kind: str, then: object, ask: Callable[[], object]) -> None:
+        """Have a simulated plant answer again, as it did then; one that outlives the process is not asked."""
+        if not self._outlives and ask() != then:
+            raise JournalError(
+                f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
+                "Was the run made with another version, weather file or machine? Start it again"
+            )
+
+    def _catch_up(self) -> None:
+        """Take up a plant that outlived the process, before the first new request."""
         if self._away:
             assert isinstance(self._plant, OutlivingPlant)
             if self._last is not None:
                 self._plant.go_on(self._last, periods=self._periods, **self._reset)
             self._away = False
-        answer = ask()
-        self._journal.write(kind, {"asked": asked, "answer": to_json(answer)})
-        return answer
 
     def _next(self, kind: str, asked: Mapping[str, Any]) -> Entry:
         """The next record, which must be of `kind` and answer what is asked."""

@@ -303,7 +303,18 @@ def _follow(
 
         allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
         lowest = testcase.layout.lowest
-        return run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest, keeper, steps)
+        return run_closed_loop(
+            plant,
+            controller,
+            period,
+            scenario.price,
+            on_step,
+            allowed,
+            lowest,
+            keeper,
+            steps,
+            outage_h=scenario.plant.forecast_outage_h,
+        )
 
 
 def _weight_hash(controller: Controller) -> str | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, Journal, JournalError, read_journal
+from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, Journal, JournalError, read_run
 from thermoforce_mpc.simulation.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.run_folder import plain_json
 from thermoforce_mpc.version import VERSION
@@ -47,12 +47,8 @@ class RunBook:
             StorageError: it cannot be written.
         """
         path = folder / NAME
-        read = read_journal(path)
-        first = read.entries[0] if read.entries else None
-        if first is None or first.kind != "run":
-            raise JournalError(f"{path}: holds no run: it was ended before it began; start it again")
-        if first.content.get("format") != FORMAT:
-            raise JournalError(f"{path}: format {first.content.get('format')!r}, this release reads {FORMAT}")
+        read = read_run(path)
+        first = read.entries[0]
         scenario = validate(Scenario, dict(first.content["scenario"]), f"{path}, line 1")
         journal = Journal(path, read, durable=_is_real(scenario))
         return cls(folder, scenario, tuple(first.content["command"]), journal, read.entries[1:])

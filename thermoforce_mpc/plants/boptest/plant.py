@@ -22,7 +22,7 @@ from boptest_client import (
     UnknownTest,
 )
 from thermoforce_mpc.data import DAY_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.errors import ConfigError, InputError, NoSuchTest, PlantError
+from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times
 from thermoforce_mpc.plants.records import (
@@ -102,6 +102,7 @@ class BoptestPlant:
         self._end_s = math.inf
         self._final_kpis: dict[str, float] | None = None
         self._missed: dict[str, float] = {}
+        self._forecasts = True
         self._client = self._select(testid)
         try:
             with _failures():
@@ -206,14 +207,22 @@ class BoptestPlant:
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-            PlantError: the service failed (with forecast uncertainty it refuses horizons beyond 48 h), or returned
-                other instants than requested.
+            NoForecast: it failed (with forecast uncertainty it refuses horizons beyond 48 h), or returned other
+                instants than requested. After that it is asked without patience, until it answers again.
+            PlantError: the test is gone, or stands at another time.
         """
         instants = forecast_times(self._now_s, horizon_s, interval_s)
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
         names = self._points.forecast(tariff)
         with _failures():
-            data = self._client.forecast(list(names), horizon_s, interval_s)
+            try:
+                data = self._client.forecast(list(names), horizon_s, interval_s, patiently=self._forecasts)
+            except UnknownTest:
+                raise
+            except BoptestError as error:
+                self._forecasts = False
+                raise NoForecast(f"BOPTEST service: {error}") from error
+        self._forecasts = True
         series = {name: np.array(values) for name, values in data.items()}
         if abs(series["time"][0] - self._now_s) > _CLOCK_TOLERANCE_S:
             raise PlantError(

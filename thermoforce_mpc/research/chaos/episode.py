@@ -97,6 +97,7 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
             ):
                 allowed = limits_of(controller, setting.testcase.area_m2, 0.0)
                 lowest = setting.testcase.layout.lowest
+                plant.noted("loop", lambda: {"controller": controller.name})
                 run_closed_loop(
                     plant,
                     controller,

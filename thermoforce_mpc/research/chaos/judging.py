@@ -29,9 +29,9 @@ def _advances(entries: Sequence[Entry]) -> list[tuple[float, float]]:
     for entry in entries:
         if entry.kind == "reset":
             before = float(entry.content["answer"]["time_s"])
-        elif entry.kind == "advance":
-            end = float(entry.content["answer"]["time_s"])
-            found.append((before + float(entry.content["asked"]["duration_s"]), end))
+        for one in [entry.content] if entry.kind == "advance" else entry.content.get("advances", ()):
+            end = float(one["answer"]["time_s"])
+            found.append((before + float(one["asked"]["duration_s"]), end))
             before = end
     return found
 

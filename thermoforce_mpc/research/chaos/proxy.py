@@ -15,7 +15,17 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from thermoforce_mpc.research.chaos.troubles import AWAY, BROKEN, INSIDE, READINGS, REFUSALS, RESTART, SILENT, Trouble
+from thermoforce_mpc.research.chaos.troubles import (
+    AWAY,
+    BROKEN,
+    INSIDE,
+    NO_FORECAST,
+    READINGS,
+    REFUSALS,
+    RESTART,
+    SILENT,
+    Trouble,
+)
 
 # A client may take a request that is refused (400) three times on end for a wrong one.
 _MOST_400_ON_END = 2
@@ -89,6 +99,8 @@ class Proxy:
         if kind in SILENT or kind == "late":
             self._silent(kind, method, path, body, verb)
             return None
+        if kind == NO_FORECAST:
+            return _refusal(500)
         self._refused_on_end = self._refused_on_end + 1 if kind == "400" else 0
         if kind in REFUSALS:
             if kind.endswith("after"):

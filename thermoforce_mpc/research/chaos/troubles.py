@@ -16,6 +16,7 @@ SILENT = ("silent before", "silent after")
 READINGS = ("missing point", "nan", "stuck")
 INSIDE = tuple(f"{who} {what}" for who in ("solver", "forecaster") for what in ("raises", "nan", "hangs"))
 AWAY = ("refusing", "unavailable")
+NO_FORECAST = "no forecast"
 RESTART = "restarted"
 
 # Kinds that cost real time: at most this many requests in an episode.
@@ -48,8 +49,8 @@ class Trouble:
 
 def drawn(rng: np.random.Generator, days: float) -> tuple[Trouble, ...]:
     """One to three troubles of an episode; a service that forgets its tests comes last and alone of its kind."""
-    groups = (REFUSALS, BROKEN, TWICE, SILENT, READINGS, INSIDE, AWAY, (RESTART,))
-    weights = np.array([4, 4, 2, 1, 4, 4, 3, 0.5])
+    groups = (REFUSALS, BROKEN, TWICE, SILENT, READINGS, INSIDE, AWAY, (NO_FORECAST,), (RESTART,))
+    weights = np.array([4, 4, 2, 1, 4, 4, 3, 1, 0.5])
     chosen = rng.choice(len(groups), size=int(rng.integers(1, 4)), replace=False, p=weights / weights.sum())
     return tuple(_drawn(rng, str(rng.choice(groups[i])), days * DAY_S) for i in sorted(chosen))
 
@@ -65,6 +66,8 @@ def _drawn(rng: np.random.Generator, kind: str, length_s: float) -> Trouble:
     if kind in INSIDE:
         slow = kind.endswith("hangs")
         return Trouble(kind, from_s, to_s, most=_MOST_SLOW if slow else 10**9, seconds=1.0)
+    if kind == NO_FORECAST:  # for good, or for a while
+        return Trouble(kind, from_s, length_s if rng.random() < 0.5 else to_s, at="forecast")
     if kind in READINGS:
         return Trouble(kind, from_s, to_s, at="advance")
     if kind in SILENT or kind == "late":

@@ -1,0 +1,127 @@
+"""The steps of a run, as its journal tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import SIGNALS, SINGLE, Boundary, Measurement, Names, Record
+from thermoforce_mpc.model.screening import Limits, screened_history
+from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.journal import Entry, JournalError
+from thermoforce_mpc.simulation.journal_values import block_of, boundary_of, measurement_of, names_of, record_of
+
+Json = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ToldStep:
+    """One step.
+
+    `told` is its record of kind `step`; `before` the readings it began with; `advances` what was asked of the plant in
+    it, and its answers, in order; `done` the record that closed it, None while it goes on or where the run ended in it.
+    `past` is the plant's record, where it was asked for between the step before and this one.
+    """
+
+    told: Json
+    names: Names
+    before: Measurement | None
+    advances: tuple[Json, ...] = ()
+    done: Json | None = None
+    past: Json | None = None
+
+    @property
+    def time_s(self) -> float:
+        """Its begin, s since 1 January."""
+        return float(self.told["time_s"])
+
+    @property
+    def given(self) -> Boundary | None:
+        """The forecast as the plant gave it; None where it gave none."""
+        packed = self.told.get("forecast")
+        return None if packed is None else boundary_of(packed, self.names)
+
+    @property
+    def after(self) -> tuple[Measurement, ...]:
+        """The readings at the end of each block."""
+        return tuple(measurement_of(one["answer"], self.names) for one in self.advances)
+
+    @property
+    def record(self) -> Record | None:
+        """The plant's record of `past`."""
+        return None if self.past is None else record_of(self.past, self.names)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was in doubt."""
+        return () if self.done is None else tuple(self.done["notes"])
+
+
+def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+    """The records of each closed loop, by controller."""
+    found: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if entry.kind == "loop":
+            found[str(entry.content["controller"])] = []
+        elif found:
+            next(reversed(found.values())).append(entry)
+    return found
+
+
+def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
+    """The steps of a closed loop, in order."""
+    names, before, past = SINGLE, None, None
+    step: Json | None = None
+    advances: list[Json] = []
+    for entry in entries:
+        content = entry.content
+        if entry.kind == "reset":
+            names = names_of(content["answer"]["names"])
+            before = measurement_of(content["answer"], names)
+        elif entry.kind == "past":
+            past = content["answer"]
+        elif entry.kind == "step":
+            step, advances = content, []
+        elif entry.kind == "advance":
+            advances.append(content)
+        elif entry.kind == "done" and step is not None:
+            advances += content["advances"]
+            found = ToldStep(step, names, before, tuple(advances), content, past)
+            yield found
+            before, past, step = (found.after or (before,))[-1], None, None
+    if step is not None:
+        yield ToldStep(step, names, before, tuple(advances), None, past)
+
+
+def history_before(steps: Sequence[ToldStep]) -> Record:
+    """The record that the last of `steps` (all of a loop until then) was decided on, implausible readings left out.
+
+    Raises:
+        JournalError: the journal does not hold the plant's record before the loop.
+    """
+    first = max((i for i, step in enumerate(steps) if step.past is not None), default=None)
+    if first is None:
+        raise JournalError("the journal does not hold the record that the run began with")
+    record = steps[first].record
+    assert record is not None
+    ends = [_end_of(step) for step in steps[first:-1]]
+    if ends:
+        columns = {
+            name: np.concatenate(
+                [getattr(record, name), np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1)], axis=-1
+            )
+            for name in SIGNALS
+        }
+        record = Record(**columns, names=record.names)
+    # Limits that need a model or a floor area are left to the notes of the run.
+    return screened_history(record, Limits(lowest=-1.0))[0]
+
+
+def _end_of(step: ToldStep) -> Measurement:
+    """The readings at the end of a step, with its mean levels, as the run saw them."""
+    blocks = [block_of(one["asked"]) for one in step.advances]
+    parts = [(b.duration_s, with_level(found, b)) for b, found in zip(blocks, step.after, strict=True)]
+    return parts[-1][1].averaged_with(parts)
