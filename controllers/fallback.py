@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import HOUR_S, Array, Observation
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Set-points of the on/off rule stay within this, whatever the bounds say, °C.
@@ -114,13 +114,18 @@ class FallbackPolicy:
         `T_zone_C` (Z,), °C: temperatures to act on where they are not those of the observation. The level is None
         (native control) while the zone temperature is unknown. Where no bound is known, `safe_C` takes their place.
         """
+        T = float((observation.T_zone_C if T_zone_C is None else T_zone_C)[self.zone])
+        return self.rule_at(T, observation.boundary, observation.time_s)
+
+    def rule_at(self, T_zone_C: float, bounds: Boundary, time_s: float) -> tuple[float | None, str]:
+        """The same for a temperature of the zone, °C, at a time within `bounds`, s."""
+        T = T_zone_C
         if self.mode == "both":
             return None, "native control"
-        T = float((observation.T_zone_C if T_zone_C is None else T_zone_C)[self.zone])
         if not math.isfinite(T):
             return None, "zone temperature unknown: native control"
-        heating, bounds = self.mode == "heating", observation.boundary
-        ahead = bounds.time_s <= observation.time_s + self.config.look_ahead_h * HOUR_S
+        heating = self.mode == "heating"
+        ahead = (bounds.time_s >= time_s - 1.0) & (bounds.time_s <= time_s + self.config.look_ahead_h * HOUR_S)
         known = (bounds.lower_C if heating else bounds.upper_C)[self.zone, ahead]
         known = known[np.isfinite(known)]
         inside_K = self.config.setpoint_above_bound_K

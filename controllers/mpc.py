@@ -14,7 +14,7 @@ from controllers.actuation_choice import choose_actuation
 from controllers.assembly import Assembly
 from controllers.bounded import BoundedCalls, Overdue
 from controllers.errors import ControllerConfigError, said
-from controllers.fallback import GoodPlan
+from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
@@ -149,6 +149,25 @@ class ThermoForceMPC(FallingBack):
     def predictor(self) -> Predictor:
         """The predictor of `model`."""
         return self._base.predictor
+
+    @property
+    def rules(self) -> tuple[FallbackPolicy, ...]:
+        """The fallback policy of each actuator (A,)."""
+        return self._fallbacks
+
+    @property
+    def planning_operator(self) -> BuildingOperator:
+        """The operator of `model`, adjusted to the actuation, as `instance` goes with it."""
+        return self._base.operator
+
+    def instance(self, context: PredictionContext, history: Record) -> MPCProblem:
+        """The optimisation problem of a step for the model as identified, without offset and peak of a run.
+
+        Raises:
+            DataError: a bound or price of the boundary is missing.
+        """
+        nothing = np.zeros(len(self._layout.names.zones))
+        return self._assembly.problem(self._base.operator, context, history, 0.0, nothing)
 
     @property
     def actuation_in_words(self) -> str:

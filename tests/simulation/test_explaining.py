@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
@@ -15,7 +16,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.explaining import decision_at, seconds_of, words_of
-from thermoforce_mpc.simulation.journal import JournalError
+from thermoforce_mpc.simulation.journal import Journal, JournalError
 
 
 def call(*words: object):
@@ -48,7 +49,8 @@ def test_a_step_is_explained_as_it_was_recorded(folder, tmp_path):
     assert f"why: {told['why']}" in done.output
     assert "step 4: day 10 04:00 (878400 s)" in done.output
     assert "acted: solved" in done.output
-    assert sum("day 10 0" in line for line in done.output.splitlines()[-6:]) == 3, "three hours of the plan"
+    table = done.output.split("\nPlan", 1)[1].split("Alternatives", 1)[0]
+    assert table.count("day 10 0") == 3, "three hours of the plan"
     assert "…" not in done.output, "no figure is cut off in a narrow terminal"
     last = json.loads((folder / "kpis.json").read_text())
     assert last["controller"] in done.output
@@ -63,6 +65,39 @@ def test_the_plan_and_what_came_of_it_are_those_of_the_run(folder):
     assert decision.T_zone_C[0, 0] == pytest.approx(decision.after[-1].T_zone_C[0], abs=0.05)
     assert any("comfort bound" in line for line in decision.bounds())
     assert decision.boundary.time_s[0] == decision.time_s
+
+
+def test_alternatives_stand_beside_the_plan(folder, tmp_path):
+    done = call("explain", folder, "--at", "10 04:30", "--json", tmp_path / "told.json")
+    assert "Alternatives over 48 h" in done.output
+    told = json.loads((tmp_path / "told.json").read_text())
+    courses = {course["name"]: course for course in told["alternatives"]["courses"]}
+    assert {"plan", "off", "full", "levels of the step before", "thermostat rule"} < set(courses)
+    assert all(name in done.output for name in courses)
+    free_C, forced_K = (np.array(told["plan"][name]) for name in ("T_free_C", "T_forced_K"))
+    assert courses["plan"]["T_zone_C"] == pytest.approx(free_C + forced_K, abs=0.01)
+    assert courses["off"]["cost"] == 0.0 < courses["plan"]["cost"] < courses["full"]["cost"]
+    assert courses["off"]["discomfort_Kh"] > courses["plan"]["discomfort_Kh"]
+
+
+def test_where_there_is_no_model_it_is_said(folder, tmp_path):
+    other = call("explain", folder, "--controller", "thermostat")
+    assert "alternatives: none are known, thermostat acts without a model" in other.output
+    shutil.copy(folder / "journal.jsonl", tmp_path / "journal.jsonl")
+    done = call("explain", tmp_path, "--json", tmp_path / "told.json")
+    assert done.exit_code == 0, done.output
+    assert "alternatives: none are known" in done.output
+    assert str(tmp_path / "model") in json.loads((tmp_path / "told.json").read_text())["alternatives"]["none"]
+
+
+def test_a_journal_of_another_format_is_refused_by_its_release(folder, tmp_path):
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.write("run", {"format": 1, "version": "0.3.0", "command": [], "scenario": {}})
+    journal.close()
+    for command in ("explain", "resume"):
+        error = call(command, tmp_path).exception
+        assert isinstance(error, JournalError)
+        assert "format 1, written by thermoforce-mpc 0.3.0" in str(error)
 
 
 def test_the_last_step_and_other_controllers(folder):
@@ -84,6 +119,8 @@ def test_a_run_that_was_killed_is_explained(folder, tmp_path):
     assert done.exit_code == 0, done.output
     assert "step 6" in done.output
     assert "the run ended here" in done.output
+    shutil.copytree(folder / "model", tmp_path / "model")
+    assert "Alternatives over 48 h" in call("explain", tmp_path).output
 
 
 @pytest.mark.parametrize(
@@ -113,4 +150,7 @@ def test_times_outside_the_run_and_folders_without_one_are_refused(folder, tmp_p
     assert isinstance(call("explain", tmp_path).exception, JournalError)
     shutil.copy(folder / "journal.jsonl", tmp_path / "journal.jsonl")
     (tmp_path / "journal.jsonl").write_bytes((folder / "journal.jsonl").read_bytes()[:200])
+    assert "holds no run" in str(call("explain", tmp_path).exception)
+    lines = (folder / "journal.jsonl").read_bytes().split(b"\n")
+    (tmp_path / "journal.jsonl").write_bytes(b"\n".join(lines[:2]) + b"\n")
     assert "no step was decided yet" in str(call("explain", tmp_path).exception)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -14,7 +14,11 @@ from rich.table import Table
 
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.simulation.explaining import Decision, decision_at, words_of
+from thermoforce_mpc.simulation.other_courses import alternatives_json, alternatives_of
 from thermoforce_mpc.simulation.run_folder import write_json
+
+if TYPE_CHECKING:
+    from controllers.alternatives import Alternatives
 
 # Widest table, characters.
 _WIDEST = 1000
@@ -43,6 +47,10 @@ _RUNGS = {
 def command(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
     """Tell what the run in folder RUN decided at an instant, and why: readings, forecast, plan, what bound, what acted.
 
+    Beside the plan stand its alternatives: what the same model predicts for the same hours had everything been off, at
+    full level, as in the step before, run by the fallback's thermostat rule, or by loops that hold the comfort bounds
+    (what a building's own control does at its best).
+
     Read from the journal, so that it works while a run is under way and after one that failed.
 
     \b
@@ -54,14 +62,48 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
     console = Console(highlight=False, soft_wrap=True)
     for line in _lines(decision):
         console.print(line, markup=False)
-    if decision.plan and decision.boundary is not None:
-        table = _table(decision, hours)
-        # Wider than a narrow terminal rather than with figures cut off.
-        wide = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
-        Console(highlight=False, width=max(console.width, wide)).print(table)
+    if decision.plan:
+        _print(_table(decision, hours), console)
+    others = alternatives_of(run, decision)
+    if isinstance(others, str):
+        console.print(f"alternatives: none are known, {others}", markup=False)
+    else:
+        _print(_alternatives(decision, others), console)
+        for note in others.notes:
+            console.print(f"alternatives: {note}", markup=False)
     if json_file:
-        write_json(json_file, _json(decision))
+        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(others)})
         console.print(f"JSON: {json_file}", markup=False)
+
+
+def _print(table: Table, console: Console) -> None:
+    """Print a table, wider than a narrow terminal rather than with figures cut off."""
+    wide = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
+    Console(highlight=False, width=max(console.width, wide)).print(table)
+
+
+def _alternatives(decision: Decision, others: Alternatives) -> Table:
+    """The plan and other courses: cost, discomfort, first levels, and the temperature that they end at."""
+    names, step_s = decision.names, decision.boundary.step_s
+    first = max(1, round(HOUR_S / step_s))
+    hours = others.courses[0].u.shape[1] * step_s / HOUR_S
+    table = Table(
+        title=f"Alternatives over {hours:g} h, by the same model",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+    )
+    columns = ["", "energy cost", "energy\nkWh", "discomfort\nK·h"]
+    columns += ["u, first hour" if names.single else f"u, first hour\n{name}" for name in names.actuators]
+    columns += ["ends at\n°C" if names.single else f"ends at\n{zone}" for zone in names.zones]
+    for column in columns:
+        table.add_column(column, justify="right" if column else "left", no_wrap=True)
+    for course in others.courses:
+        row = [course.name, f"{course.cost:.2f}", f"{course.energy_kWh:.1f}", f"{course.discomfort_Kh:.2f}"]
+        row += [f"{level:.2f}" for level in course.u[:, :first].mean(axis=1)]
+        row += [f"{T:.2f}" for T in course.T_zone_C[:, -1]]
+        table.add_row(*row)
+    return table
 
 
 def _lines(decision: Decision) -> list[str]:
@@ -108,7 +150,6 @@ def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
 def _table(decision: Decision, hours: float) -> Table:
     """The planned course, hour by hour, with the forecast it was made on."""
     boundary, names, plan = decision.boundary, decision.names, decision.plan
-    assert boundary is not None
     table = Table(title="Plan", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
     n = plan["u"].shape[-1]
     every = max(1, round(HOUR_S / boundary.step_s))
@@ -140,12 +181,11 @@ def _table(decision: Decision, hours: float) -> Table:
 
 def _json(decision: Decision) -> dict[str, Any]:
     """Everything, for programs."""
-    found = {key: value for key, value in decision.told.items() if key != "plan"}
+    found = {key: value for key, value in decision.told.items() if key not in ("plan", "forecast", "asked")}
     found |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.notes)}
     found["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
-    if decision.boundary is not None:
-        signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")
-        found["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}
+    signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")
+    found["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}
     return found
 
 

@@ -1,0 +1,220 @@
+"""What else could have been done at an instant: the model of an MPC under other levels over its horizon.
+
+Free response, weather, prices and bounds are those of the plan; only the levels differ (paper eq:effect), so that what
+one course costs and brings more than another is the model's own answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from controllers.mpc import ThermoForceMPC
+from controllers.problem import J_PER_KWH, MPCProblem
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Observation
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
+from thermoforce_mpc.model.predictor import PredictionContext
+
+# Levels that a loop at the comfort bound is tried with.
+_LEVELS = 21
+# A law gives the level of an actuator (its number) in a step (its number) from the temperatures at its start (Z,), °C,
+# the forced state (Z, A, r), K, and the levels so far (A, N).
+_Law = Callable[[int, int, Array, Array, Array], float]
+# The saved model and the one that planned are the same where its forced response is within this, K.
+_SAME_K = 0.2
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What a plan predicted over N steps: levels `u` (A, N); `T_free_now_C` (Z,); (Z, N) each: `T_free_C` and its 80 %
+    band `low_C` to `high_C`, °C, and `T_forced_K`, K.
+    """
+
+    u: Array
+    T_free_now_C: Array
+    T_free_C: Array
+    low_C: Array
+    high_C: Array
+    T_forced_K: Array
+
+
+@dataclass(frozen=True)
+class Course:
+    """Levels over a horizon of N steps, and what the model predicts under them.
+
+    Attributes:
+        name: what it is.
+        u: levels (A, N).
+        T_zone_C: temperatures at the end of each step (Z, N), °C.
+        cost: of energy over the horizon, currency.
+        energy_kWh: of all machines over the horizon.
+        discomfort_Kh: distance from the comfort bounds over the horizon, all zones together, K·h.
+    """
+
+    name: str
+    u: Array
+    T_zone_C: Array
+    cost: float
+    energy_kWh: float
+    discomfort_Kh: float
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """The plan (if there was one) and other courses over the same horizon; `notes`: what they rest on."""
+
+    courses: tuple[Course, ...]
+    notes: tuple[str, ...] = ()
+
+
+def alternatives(controller: ThermoForceMPC, observation: Observation, planned: Planned | None) -> Alternatives:
+    """The courses off, full, as in the step before, thermostat rule and loops at the bounds, beside the plan.
+
+    Args:
+        controller: as it was built for the run.
+        observation: what the plan was made on; the boundary without gaps.
+        planned: the plan; None where nothing was planned, then the free response of the controller's own predictor.
+
+    Raises:
+        DataError: a bound or price is missing, or the record cannot be split into free and forced response.
+    """
+    history, notes = observation.history, []
+    n = round(controller.horizon_s / controller.step_s) if planned is None else planned.u.shape[1]
+    observation = Observation(history, observation.boundary.head(n))
+    if planned is None:
+        context = controller.predictor.context(observation)
+        notes.append(f"nothing was planned: {context.free.note or 'a forecast'} stands for the free response")
+    else:
+        context = _context(controller, observation, planned)
+    model = _Model(controller, context, observation)
+    courses = []
+    if planned is not None:
+        saved_K = model.forced_K(planned.u)
+        off_K = float(np.abs(saved_K - planned.T_forced_K).max())
+        if off_K > _SAME_K:
+            notes.append(
+                f"the saved model is up to {off_K:.1f} K from the one that planned, which had adapted or judged the "
+                "record otherwise: only the differences to the plan are the saved one's"
+            )
+            model.base_K = planned.T_forced_K - saved_K
+        courses.append(model.course("plan", planned.u))
+    for name, u in model.constant().items():
+        courses.append(model.course(name, u))
+    last = history.u[:, -1] if history.n_steps else np.full(len(controller.rules), np.nan)
+    if np.isfinite(last).all():
+        courses.append(model.course("levels of the step before", model.allowed(np.repeat(last[:, None], n, axis=1))))
+    else:
+        notes.append("the levels of the step before are not known: the building's own control acted")
+    courses.append(model.course("thermostat rule", model.followed(model.rule)))
+    courses.append(model.course("loops at the bounds", model.followed(model.loop)))
+    return Alternatives(tuple(courses), tuple(notes))
+
+
+def _context(controller: ThermoForceMPC, observation: Observation, planned: Planned) -> PredictionContext:
+    """The prediction that a plan was made on, from what is known of it."""
+    boundary, operator = observation.boundary, controller.model.operator
+    starts = np.concatenate([planned.T_free_now_C[:, None], planned.T_free_C[:, :-1]], axis=1)
+    return PredictionContext(
+        operator=operator,
+        forced_K=controller.predictor.forced_state(observation.history),
+        free=FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([planned.low_C, planned.T_free_C, planned.high_C])),
+        features=feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1]),
+        boundary=boundary,
+        names=observation.names,
+    )
+
+
+class _Model:
+    """Temperatures, costs and laws of one horizon."""
+
+    def __init__(self, controller: ThermoForceMPC, context: PredictionContext, observation: Observation) -> None:
+        self._controller, self._context, self._boundary = controller, context, context.boundary
+        self._problem: MPCProblem = controller.instance(context, observation.history)
+        self._operator: BuildingOperator = controller.planning_operator
+        self._layout, self._machinery = controller.model.layout, self._problem.machinery
+        self._T_free_C = context.free.median_C
+        self._T_now_C = np.where(
+            np.isfinite(observation.T_zone_C),
+            observation.T_zone_C,
+            self._problem.features[:, 0, ZONE] + context.forced_K.sum(axis=(1, 2)),
+        )
+        self.base_K: Array | float = 0.0
+
+    def forced_K(self, u: Array) -> Array:
+        """Forced response (Z, N), K, under levels (A, N)."""
+        return self._problem.forced_K(self._operator, u)
+
+    def course(self, name: str, u: Array) -> Course:
+        """What the model predicts under levels (A, N)."""
+        T_zone_C = self._T_free_C + self.forced_K(u) + self.base_K
+        hours = self._boundary.step_s / HOUR_S
+        outside_K = np.maximum(self._boundary.lower_C[:, 1:] - T_zone_C, T_zone_C - self._boundary.upper_C[:, 1:])
+        return Course(
+            name,
+            u,
+            T_zone_C,
+            cost=float(self._problem.energy_cost(u).sum()),
+            energy_kWh=float(self._problem.power_W(u).sum()) * self._boundary.step_s / J_PER_KWH,
+            discomfort_Kh=float(np.maximum(outside_K, 0.0).sum()) * hours,
+        )
+
+    def constant(self) -> dict[str, Array]:
+        """All off, and all that heats or cools at full level, (A, N) by name."""
+        highest, lowest = self._machinery.u_max, self._machinery.u_min
+        heating = np.array([self._layout.mode(a) != "cooling" for a in range(highest.size)])
+        cooling = np.array([self._layout.mode(a) == "cooling" for a in range(highest.size)])
+        found = {"off": np.zeros(highest.size)}
+        if heating.any():
+            found["full"] = np.where(heating, highest, 0.0)
+        if cooling.any() or (lowest < 0.0).any():
+            found["full cooling" if heating.any() else "full"] = np.where(cooling, highest, lowest)
+        n = self._boundary.n_steps
+        return {name: self.allowed(np.repeat(levels[:, None], n, axis=1)) for name, levels in found.items()}
+
+    def allowed(self, u: Array) -> Array:
+        """Levels (A, n) within limits, of which no more act together than may, and no machine is asked for too much."""
+        m = self._machinery
+        u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
+        for k in range(u.shape[1] if m.exclusive else 0):
+            u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
+        asked = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
+        return np.asarray(u / np.maximum(asked, 1.0)[m.machine_of])
+
+    def followed(self, law: _Law) -> Array:
+        """Levels (A, N) of a law that sees the predicted temperature at the start of each step."""
+        features, n = self._problem.features, self._boundary.n_steps
+        u = np.zeros((self._machinery.u_max.size, n))
+        forced, T_C = self._context.forced_K, self._T_now_C
+        for k in range(n):
+            for a in range(u.shape[0]):
+                u[a, k] = law(a, k, T_C, forced, u)
+            u[:, k : k + 1] = self.allowed(u[:, k : k + 1])
+            forced = self._operator.rollout(forced, u[:, k : k + 1], features[:, k : k + 1])[:, :, 0]
+            T_C = self._T_free_C[:, k] + forced.sum(axis=(1, 2))
+        return u
+
+    def rule(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
+        """Level of the on/off rule of the fallback; where loops of the building act, theirs."""
+        zone = self._layout.home[a]
+        level, _ = self._controller.rules[a].rule_at(float(T_C[zone]), self._boundary, float(self._boundary.time_s[k]))
+        return self.loop(a, k, T_C, forced, u) if level is None else level
+
+    def loop(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
+        """The least level that keeps the zone inside its bounds at the end of the step, as a good loop finds it."""
+        z, m = self._layout.home[a], self._machinery
+        levels = np.linspace(m.u_min[a], m.u_max[a], _LEVELS if m.u_min[a] == 0.0 else 2 * _LEVELS - 1)
+        levels = levels[np.argsort(np.abs(levels), kind="stable")]
+        tried = np.repeat(u[None, :, k : k + 1], levels.size, axis=0)
+        tried[:, a, 0] = levels
+        end = self._operator.rollout(forced, tried, self._problem.features[:, k : k + 1])[:, z, :, 0].sum(axis=(1, 2))
+        T_end_C = self._T_free_C[z, k] + end
+        low, high = self._boundary.lower_C[z, k + 1], self._boundary.upper_C[z, k + 1]
+        # A heating loop does not act on the upper bound, nor a cooling loop on the lower.
+        mode = self._layout.mode(a)
+        below = np.maximum(low - T_end_C, 0.0) if mode != "cooling" else np.zeros(levels.size)
+        above = np.maximum(T_end_C - high, 0.0) if mode != "heating" else np.zeros(levels.size)
+        outside = np.round(below + above, 6)
+        return float(levels[int(np.argmin(outside))])
