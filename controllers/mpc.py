@@ -17,6 +17,7 @@ from controllers.errors import ControllerConfigError, said
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
+from controllers.meters import Meters
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_record
 from controllers.planner import MPCState, Planner
@@ -137,6 +138,7 @@ class ThermoForceMPC(FallingBack):
                 f"controller.options.sensors: there is no zone '{unknown}'; the model has {', '.join(zones)}"
             )
         self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
+        self._meters = Meters(layout, c.meter, c.meters)
         self._base = self._build_planner(model)
         self._adapted: list[tuple[tuple[ZoneModel, ...], Planner]] = []
 
@@ -193,6 +195,7 @@ class ThermoForceMPC(FallingBack):
             watch=(WatchState(),) * actuators,
             offset_K=np.zeros(zones),
             sensors=(SensorState(),) * zones,
+            meters=self._meters.begin,
         )
         try:
             return self._decided(observation, before, actuation)
@@ -206,16 +209,23 @@ class ThermoForceMPC(FallingBack):
             before = replace(before, predictor=None)
         closed = [shut(self.config.gate, zone.card.competence) for zone in self._zones]
         held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
+        history = self._meters.believed(before.meters, observation.history)
+        boundary, filled = completed(observation.boundary, history, before.boundary)
+        meters, metered = self._meters.judged(before.meters, history, boundary)
+        observation = replace(observation, history=self._meters.believed(meters, history))
+        if metered.found and before.predictor:  # the forced state was computed with them
+            before = replace(before, predictor=replace(before.predictor, forced=None))
+        filled = "; ".join(filter(None, (metered.why, filled)))
         history = self._sensing.believed(before.sensors, observation.history)
         forced_K = None if all(closed) else self._forced_K(before, history)
         sensors, observation, zones_now = self._sensing.judged(before.sensors, observation, forced_K)
-        boundary, filled = completed(observation.boundary, observation.history, before.boundary)
         now = replace(
             before,
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
             actuation=actuation,
             sensors=sensors,
+            meters=meters,
             boundary=boundary if whole(observation.boundary) else before.boundary,
         )
         observation = replace(observation, boundary=boundary)
@@ -233,8 +243,8 @@ class ThermoForceMPC(FallingBack):
             plan = self._stood_back(observation, now, held, zones_now.T_C)
         else:
             plan = self._planned(observation, now, held, zones_now, filled)
-        if zones_now.news:
-            plan = replace(plan, why=f"{zones_now.news}; {plan.why}")
+        if news := "; ".join(filter(None, (zones_now.news, metered.news))):
+            plan = replace(plan, why=f"{news}; {plan.why}")
         return self._watched.asked(observation, plan)
 
     def _forced_K(self, now: MPCState, history: Record) -> Array | None:

@@ -11,6 +11,7 @@ from controllers.fallback import FallbackConfig
 from controllers.gate import GateConfig
 from controllers.guard import GuardConfig
 from controllers.ipopt import IpoptConfig
+from controllers.meters import MeterConfig
 from controllers.milp import MilpConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
@@ -142,6 +143,12 @@ class MPCConfig(StrictModel):
     sensor: SensorConfig = SensorConfig()
     sensors: dict[str, SensorConfig] = Field(
         default_factory=dict, description="sensors of single zones, by name; `sensor` otherwise"
+    )
+    meter: MeterConfig = MeterConfig()
+    meters: dict[str, MeterConfig] = Field(
+        default_factory=dict,
+        description="weather sensors and meters, by name (T_out_C, solar_W_m2, power_W, heat_W, or power_W[boiler]); "
+        "`meter` otherwise",
     )
     gate: GateConfig = GateConfig()
     guard: GuardConfig = GuardConfig()

@@ -8,6 +8,7 @@ import numpy as np
 
 from controllers.actuation import ActuationState
 from controllers.fallback import GoodPlan
+from controllers.meters import MeterState
 from controllers.sensor_state import SensorState
 from controllers.solvers import Solver
 from controllers.watch import WatchState
@@ -26,7 +27,8 @@ class MPCState:
     last solved plan; `predictor`: state of the predictor. Of each actuator (A,): `actuation` (state of its machine),
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
     recent mean error of the zone temperatures planned for the end of a step. `sensors` (Z,): what is known of the zone
-    sensors. `boundary`: the last forecast of the boundary conditions without gaps. `failures`: failed plans on end.
+    sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
+    gaps. `failures`: failed plans on end.
     """
 
     first_s: float
@@ -38,6 +40,7 @@ class MPCState:
     watch: tuple[WatchState, ...] = (WatchState(),)
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
     sensors: tuple[SensorState, ...] = (SensorState(),)
+    meters: tuple[MeterState, ...] = ()
     boundary: Boundary | None = None
     failures: int = 0
 

@@ -1,0 +1,201 @@
+"""Which readings of weather sensors and meters are believed: one that stays while what it follows moves is stuck.
+
+| reading | follows | stuck, by default, where meanwhile |
+|---|---|---|
+| outdoor temperature | its forecast for now | the forecast moved by 2 K |
+| sun | its forecast for now | the forecast moved by 100 W/m² |
+| power of a machine | the levels of its actuators | they moved by a quarter of full level |
+| heat of an actuator | its level | it moved by a quarter of full level |
+
+So the sun at night and the power of a machine that is off, or runs evenly, may stay as they are. A meter that reads
+next to nothing is not judged: a machine that does not run reads that too, and the watch compares it with what was asked
+for. Nor is a point that never moved in the record, since nothing measures it.
+
+What is not believed counts as not measured, from its second reading on; it is believed again when it moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydantic import Field
+
+from controllers.errors import ControllerConfigError
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.scenario.settings import StrictModel
+
+# Least move of what each signal follows, and the unit in messages.
+_MOVED = {"T_out_C": 2.0, "solar_W_m2": 100.0, "power_W": 0.25, "heat_W": 0.25}
+_UNITS = {"T_out_C": "°C", "solar_W_m2": "W/m²", "power_W": "W", "heat_W": "W"}
+_WEATHER = ("T_out_C", "solar_W_m2")
+# Readings within this share of one another are the same; of the largest of the record they are next to nothing.
+_SAME, _NOTHING = 1e-9, 0.05
+
+
+class MeterConfig(StrictModel):
+    """Which readings of a weather sensor or meter are believed."""
+
+    enabled: bool = Field(True, description="judge the readings of weather sensors and meters")
+    frozen_h: float = Field(
+        3.0, gt=0, description="shortest time after which a reading that repeats itself may be stuck, h"
+    )
+    moved: float | None = Field(
+        None,
+        gt=0,
+        description="how far what the reading follows must have moved meanwhile: its forecast (null: 2 K, 100 W/m²), "
+        "for power and heat the level (null: 0.25 of full)",
+    )
+
+
+@dataclass(frozen=True)
+class MeterState:
+    """What is known of one point: its last reading, since when, and the range of what it follows since then.
+
+    `refused_s`: instants whose readings are not believed (for power and heat, the begin of the step).
+    """
+
+    value: float = math.nan
+    since_s: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    stuck: str = ""
+    refused_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Metered:
+    """What was found now: `why` readings are not believed, which are again (`news`), and whether some of the past are
+    `found` that were believed until now.
+    """
+
+    why: str = ""
+    news: str = ""
+    found: bool = False
+
+
+@dataclass(frozen=True)
+class Meters:
+    """Judges the weather sensors and meters of a building; it holds no state.
+
+    Args:
+        layout: what acts where.
+        common: options of all points.
+        single: options of single points, by the name of the signal (`solar_W_m2`) or of its row (`power_W[boiler]`).
+
+    Raises:
+        ControllerConfigError: `single` names a point that is not there.
+    """
+
+    layout: Layout
+    common: MeterConfig = field(default_factory=MeterConfig)
+    single: Mapping[str, MeterConfig] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = [*_MOVED, *(self._label(*point) for point in self._points)]
+        for name in self.single:
+            if name not in known:
+                raise ControllerConfigError(
+                    f"controller.options.meters: there is no '{name}'; known are {', '.join(dict.fromkeys(known))}"
+                )
+
+    @property
+    def begin(self) -> tuple[MeterState, ...]:
+        """The states at the begin of a run."""
+        return (MeterState(),) * len(self._points)
+
+    def believed(self, states: tuple[MeterState, ...], history: Record) -> Record:
+        """The record with readings that were not believed taken as not measured."""
+        found: dict[str, Array] = {}
+        for (name, row), state in zip(self._points, states, strict=True):
+            if not state.refused_s:
+                continue
+            values = found.setdefault(name, np.array(getattr(history, name)))
+            at = history.time_s[: values.shape[-1]]
+            rows = values if values.ndim == 1 else values[row]
+            rows[np.isin(at, np.array(state.refused_s))] = np.nan
+        return replace(history, **found) if found else history  # type: ignore[arg-type]
+
+    def judged(
+        self, states: tuple[MeterState, ...], history: Record, boundary: Boundary
+    ) -> tuple[tuple[MeterState, ...], Metered]:
+        """The states after the latest readings of `history`; `boundary` is the forecast from now on, without gaps."""
+        after, why, news, found = [], [], [], False
+        for (name, row), before in zip(self._points, states, strict=True):
+            label = self._label(name, row)
+            config = self.single.get(label, self.single.get(name, self.common))
+            state = before
+            if config.enabled:
+                state = self._followed(before, name, row, history, boundary)
+                state = self._judged(state, config, name, row, history)
+            if state.stuck:
+                why.append(f"{label} {state.stuck}: not believed")
+            elif before.stuck:
+                news.append(f"{label}: readings are believed again")
+            found |= bool(state.stuck and not before.stuck)
+            after.append(state)
+        return tuple(after), Metered("; ".join(why), "; ".join(news), found)
+
+    @property
+    def _points(self) -> list[tuple[str, int]]:
+        names = self.layout.names
+        acting = [(name, row) for name in ("power_W", "heat_W") for row in range(names.rows(name))]
+        return [(name, 0) for name in _WEATHER] + acting
+
+    def _label(self, name: str, row: int) -> str:
+        return name if name in _WEATHER else self.layout.names.label(name, row)
+
+    def _followed(self, state: MeterState, name: str, row: int, history: Record, boundary: Boundary) -> MeterState:
+        """The state with the latest reading and what it follows."""
+        values = _values(history, name, row)
+        value = float(values[-1]) if values.size else math.nan
+        at_s, follows = float(history.time_s[values.size - 1]), self._follows(name, row, history, boundary)
+        same = math.isclose(value, state.value, rel_tol=_SAME) if math.isfinite(value) else False
+        if not same:
+            return replace(state, value=value, since_s=at_s, low=follows, high=follows, stuck="")
+        return replace(state, low=_least(state.low, follows), high=-_least(-state.high, -follows))
+
+    def _follows(self, name: str, row: int, history: Record, boundary: Boundary) -> float:
+        """What a reading follows now: its forecast, or the levels of the last step."""
+        if name in _WEATHER:
+            return float(getattr(boundary, name)[0])
+        levels = history.u[:, -1] if history.n_steps else np.full(len(self.layout.home), np.nan)
+        fed = self.layout.fed_by(row) if name == "power_W" else [row]
+        if len(fed) == 1:
+            return float(levels[fed[0]])
+        # Beyond its capacity a shared machine gives no more, whatever it is asked for.
+        return float(np.minimum(np.sum(self.layout.weights[fed] * levels[fed]), 1.0))
+
+    def _judged(self, state: MeterState, config: MeterConfig, name: str, row: int, history: Record) -> MeterState:
+        """The state, with its readings not believed where they are stuck."""
+        values = _values(history, name, row)
+        at_s = history.time_s[: values.size]
+        if not values.size or not math.isfinite(state.value):
+            return state
+        hours, moved = (float(at_s[-1]) - state.since_s) / HOUR_S, state.high - state.low
+        least = config.moved or _MOVED[name]
+        if not state.stuck:
+            if hours < config.frozen_h - 1e-6 or not moved >= least:
+                return state
+            known = np.abs(values[np.isfinite(values)])
+            if np.ptp(known) == 0.0 or (name not in _WEATHER and abs(state.value) <= _NOTHING * known.max()):
+                return state
+        what = "forecast" if name in _WEATHER else "level"
+        unit = {"T_out_C": " K", "solar_W_m2": " W/m²"}.get(name, "")
+        read = f"{state.value:.4g} {_UNITS[name]}"
+        stuck = f"has been {read} for {hours:.3g} h, in which its {what} moved by {moved:.3g}{unit}"
+        new = tuple(float(t) for t in at_s[at_s > state.since_s] if float(t) not in state.refused_s)
+        return replace(state, stuck=stuck, refused_s=(*state.refused_s, *new))
+
+
+def _values(history: Record, name: str, row: int) -> Array:
+    """The readings of a point: samples (n + 1,), or means over the steps (n,)."""
+    values = getattr(history, name)
+    return np.asarray(values if values.ndim == 1 else values[row])
+
+
+def _least(a: float, b: float) -> float:
+    """The lesser of two, or the one that is known."""
+    return b if math.isnan(a) else a if math.isnan(b) else min(a, b)
