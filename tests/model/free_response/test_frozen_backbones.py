@@ -209,6 +209,22 @@ def test_a_missing_directory_is_named(tmp_path: Path) -> None:
         load_backbone("shiped")
 
 
+def test_weights_as_a_pickle_are_refused_and_never_opened(copy: Path, tmp_path: Path) -> None:
+    class Bomb:
+        def __reduce__(self) -> tuple[object, ...]:
+            return (Path.touch, (tmp_path / "went off",))
+
+    weights = load_file(copy / "model.safetensors")
+    torch.save(weights | {"bomb": Bomb()}, copy / "pytorch_model.bin")
+    (copy / "model.safetensors").unlink()
+    with pytest.raises(BackboneError, match=r"no model\.safetensors there.*pickle: pytorch_model\.bin"):
+        load_backbone(str(copy))
+    (copy / "model.safetensors.index.json").write_text(json.dumps({"metadata": {}, "weight_map": {}}))
+    with pytest.raises(BackboneError):
+        load_backbone(str(copy))
+    assert not (tmp_path / "went off").exists()
+
+
 def test_a_truncated_file_is_refused(copy: Path) -> None:
     file = copy / "model.safetensors"
     file.write_bytes(file.read_bytes()[:-100])
@@ -266,6 +282,26 @@ def hub_without_models(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
         server.shutdown()
         thread.join()
+
+
+def test_a_name_on_the_hub_with_a_pickle_only_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Handler(BaseHTTPRequestHandler):
+        def do_HEAD(self) -> None:
+            self.send_response(200 if self.path.endswith(("config.json", "pytorch_model.bin")) else 404)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None: ...
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    monkeypatch.setenv("HF_ENDPOINT", f"http://127.0.0.1:{server.server_port}")
+    try:
+        with pytest.raises(BackboneError, match=r"has no model\.safetensors of it; weights in other files"):
+            load_backbone("somebody/some-checkpoint")
+    finally:
+        server.shutdown()
+        server.server_close()
 
 
 @pytest.mark.usefixtures("hub_without_models")

@@ -1,7 +1,7 @@
 """Loading of backbones by name: 'shipped' (or a smaller scale), 'fracast', a directory, or a Hugging Face hub name.
 
 Every failure raises `BackboneError` at once, with the cause and what to do: no long retries without a network, and no
-randomly initialised weights if a file lacks tensors.
+randomly initialised weights if a file lacks tensors. Weights are read from safetensors only: a pickle runs code.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SHIPPED = "shipped"
 FRACAST = "fracast"
 _WEIGHTS = "model.safetensors"
+_SHARDS = f"{_WEIGHTS}.index.json"
 _HUB_TIMEOUT_S = 5.0
 # Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
 _SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
@@ -72,6 +73,8 @@ def _chronos(name: str) -> Backbone:
             raise BackboneError(
                 f"backbone {folder}: no config.json there; give the directory of a Chronos-Bolt or Chronos-2 checkpoint"
             )
+        if not ((folder / _WEIGHTS).is_file() or (folder / _SHARDS).is_file()):
+            raise BackboneError(_unsafe(f"backbone {folder}: no {_WEIGHTS} there"))
         pipeline = _pipeline(name, str(folder), local=True)
         weights = folder / _WEIGHTS
     else:
@@ -123,7 +126,7 @@ def _pipeline(name: str, source: str, *, local: bool) -> Any:
     transformers_logging.disable_progress_bar()
     try:
         return BaseChronosPipeline.from_pretrained(
-            source, device_map="cpu", dtype=torch.float32, local_files_only=local
+            source, device_map="cpu", dtype=torch.float32, local_files_only=local, use_safetensors=True
         )
     except Exception as error:  # the libraries raise many types
         reason = " ".join(str(error).split())[:300]
@@ -145,7 +148,7 @@ def _check_weights(name: str, model: Any, file: Path) -> None:
     if broken:
         raise BackboneError(f"backbone '{name}': weights of {broken[0]} are not finite; the checkpoint is damaged")
     if not file.is_file():
-        return  # older formats (pickle, shards) have no list of tensors
+        return  # in shards, whose index the library checks
     from safetensors import safe_open
 
     with safe_open(str(file), framework="pt") as content:
@@ -174,13 +177,25 @@ def _check_hub(name: str) -> None:
     advice = "download it where there is a network and give its directory, or use backbone: shipped"
     if os.environ.get("HF_HUB_OFFLINE", "").upper() in {"1", "TRUE", "YES", "ON"}:
         raise BackboneError(f"backbone '{name}' is not in the local cache and HF_HUB_OFFLINE is set; {advice}")
-    try:
-        answer = requests.head(
-            f"{endpoint}/{name}/resolve/main/config.json", timeout=_HUB_TIMEOUT_S, allow_redirects=True
-        )
-    except requests.RequestException as error:
-        raise BackboneError(
-            f"backbone '{name}': {endpoint} cannot be reached ({type(error).__name__}); {advice}"
-        ) from error
-    if answer.status_code >= 400:
-        raise BackboneError(f"backbone '{name}': {endpoint} answers {answer.status_code}; check the name, or {advice}")
+
+    def status(file: str) -> int:
+        try:
+            url = f"{endpoint}/{name}/resolve/main/{file}"
+            return requests.head(url, timeout=_HUB_TIMEOUT_S, allow_redirects=True).status_code
+        except requests.RequestException as error:
+            raise BackboneError(
+                f"backbone '{name}': {endpoint} cannot be reached ({type(error).__name__}); {advice}"
+            ) from error
+
+    found = status("config.json")
+    if found >= 400:
+        raise BackboneError(f"backbone '{name}': {endpoint} answers {found}; check the name, or {advice}")
+    if status(_WEIGHTS) == 404 and status(_SHARDS) == 404:
+        raise BackboneError(_unsafe(f"backbone '{name}': {endpoint} has no {_WEIGHTS} of it"))
+
+
+def _unsafe(what: str) -> str:
+    return (
+        f"{what}; weights in other files (pickle: pytorch_model.bin) are not loaded, since they can run any code: "
+        "convert them where you trust them (`model.save_pretrained(folder)` of transformers), or use backbone: shipped"
+    )
