@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written aside and renamed."""
+"""Files that are whole or absent: written aside and renamed. What cannot be is a `StorageError` (exit code 6)."""
 
 from __future__ import annotations
 
@@ -11,29 +11,37 @@ from pathlib import Path
 from thermoforce_mpc.errors import StorageError
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write `content` (text as UTF-8) to a file beside `path` and rename it: `path` is as before, or complete.
+@contextmanager
+def written(path: Path) -> Iterator[Path]:
+    """A file beside `path`, of the same suffix, to write to; it takes the place of `path` when all went well.
+
+    Otherwise `path` is as before. A device or pipe, such as /dev/stdout, is written directly.
 
     Raises:
-        StorageError: the disk is full, the folder is read-only or gone.
+        StorageError: the disk is full, the folder is read-only or not there.
     """
-    data = content.encode("utf-8") if isinstance(content, str) else content
     with storage_errors(path):
-        if path.exists() and not path.is_file():  # a device or a pipe, such as /dev/stdout
-            path.write_bytes(data)
+        if path.exists() and not path.is_file():
+            yield path
             return
         target = Path(os.path.realpath(path))
-        handle, aside = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=target.parent)
+        handle, name = tempfile.mkstemp(prefix=".", suffix=f".part{target.suffix}", dir=target.parent)
+        os.close(handle)
+        aside = Path(name)
         try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
+            yield aside
+            with aside.open("rb") as file:
                 os.fsync(file.fileno())
             os.chmod(aside, 0o644)
             os.replace(aside, target)
-        except BaseException:
-            Path(aside).unlink(missing_ok=True)
-            raise
+        finally:
+            aside.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write `content` (text as UTF-8) by `written`; raises `StorageError`."""
+    with written(path) as aside:
+        aside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 @contextmanager

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from simple_house import SimpleHouse
+from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, StorageError
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal import read_journal
 
@@ -159,6 +159,33 @@ def test_a_file_is_whole_or_as_it_was(tmp_path, before):
         write_whole(path, "x" * 2000)
     assert (path.read_text() if path.exists() else None) == before
     assert [file.name for file in tmp_path.iterdir()] == (["file.txt"] if before else [])
+
+
+def test_what_is_written_aside_keeps_its_suffix_and_vanishes_after_an_error(tmp_path):
+    path = tmp_path / "picture.png"
+    with written(path) as aside:
+        assert aside.suffix == ".png"
+        aside.write_bytes(b"1")
+        assert not path.exists()
+    assert path.read_bytes() == b"1"
+    assert path.stat().st_mode & 0o777 == 0o644
+
+    def interrupted() -> None:
+        with written(path) as aside:
+            aside.write_bytes(b"2")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"1"]
+    with pytest.raises(StorageError, match="cannot be written"), written(tmp_path / "nowhere" / "plan.csv"):
+        pytest.fail("not reached")
+
+
+def test_a_model_for_which_there_is_no_room_is_a_storage_error_as_every_other_file(tmp_path):
+    with files_of_at_most(1000), pytest.raises(StorageError, match="model: cannot be written"):
+        simple_model().save(tmp_path / "model")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_link_stays_a_link(tmp_path):

@@ -11,24 +11,20 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.files import written
+from thermoforce_mpc.cli.options import course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
 from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.files import written
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
 
 _ROWS = 25
 
 
 @click.command(short_help="What another schedule would have done on a past day.")
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
-@click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable.")
-@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@measured_model_options
 @click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
 @click.option("--hours", type=click.FloatRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")
-@click.option("--level", type=float, help="One level in [0, 1] for all of it.")
-@click.option("--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator).")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the course: .csv or .json.")
-@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Picture: .png or .svg.")
+@course_options("One level in [0, 1] for all of it.")
 def command(
     model: Path,
     files: tuple[str, ...],
@@ -55,8 +51,6 @@ def command(
 
     if (level is None) == (schedule is None):
         raise click.UsageError("give the other levels, either --level or --schedule")
-    if out is not None and out.suffix not in (".csv", ".json"):
-        raise click.BadParameter(f"{out}: end the name in .csv or .json", param_hint="--out")
     try:
         begin = pd.Timestamp(start)
     except ValueError as error:

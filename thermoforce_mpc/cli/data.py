@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from thermoforce_mpc.cli.data_shown import show_measurements, show_tellings
-from thermoforce_mpc.cli.files import written
 from thermoforce_mpc.cli.probe_plan import FILES, MAP, probe_plan_command
+from thermoforce_mpc.files import written
 from thermoforce_mpc.simulation.display import RunDisplay
 
 

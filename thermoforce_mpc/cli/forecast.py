@@ -11,26 +11,22 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.files import written
+from thermoforce_mpc.cli.options import course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
 
 _ROWS, _BACK_DAYS = 25, 28.0
 
 
 @click.command(short_help="Forecast the temperature, with its band, under levels that you give.")
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
-@click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable.")
-@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@measured_model_options
 @click.option("--forecast", "forecast_file", metavar="FILE", help="Weather from the end of the measurements on.")
 @click.option("--start", metavar="TIME", help="Instead: a past time, whose weather and levels were measured.")
 @click.option("--hours", type=click.FloatRange(1.0, 96.0), default=24.0, show_default=True, help="Length.")
-@click.option("--level", type=float, help="One level in [0, 1] for all of it.  [default with --start: as applied]")
-@click.option("--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator).")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the forecast: .csv or .json.")
-@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Picture: .png or .svg.")
+@course_options("One level in [0, 1] for all of it.  [default with --start: as applied]")
 def command(
     model: Path,
     files: tuple[str, ...],
@@ -63,8 +59,6 @@ def command(
         raise click.UsageError("give --level or --schedule, not both")
     if forecast_file and level is None and schedule is None:
         raise click.UsageError("give the levels ahead: --level or --schedule")
-    if out is not None and out.suffix not in (".csv", ".json"):
-        raise click.BadParameter(f"{out}: end the name in .csv or .json", param_hint="--out")
     thermal = load_model(model)
     measured = read_measurements(list(files), map_file).served()
     record = measured.record

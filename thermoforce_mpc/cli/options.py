@@ -46,6 +46,56 @@ def scenario_options(function: Function) -> Function:
     return function
 
 
+def measured_model_options(function: Function) -> Function:
+    """Add `--model`, `--data` (as `files`) and `--map` (as `map_file`): a saved model, and what was measured there."""
+    for option in reversed(
+        [
+            click.option(
+                "--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`."
+            ),
+            click.option(
+                "--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable."
+            ),
+            click.option(
+                "--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements."
+            ),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def course_options(level: str) -> Callable[[Function], Function]:
+    """Add the levels to ask about, `--level` (`level`: its help) or `--schedule`, and where the course goes to,
+    `--out` (.csv or .json) and `--plot`.
+    """
+
+    def add(function: Function) -> Function:
+        file = click.Path(path_type=Path, dir_okay=False)
+        for option in reversed(
+            [
+                click.option("--level", type=float, help=level),
+                click.option(
+                    "--schedule",
+                    type=click.Path(path_type=Path),
+                    help="CSV with columns time and u (or one per actuator).",
+                ),
+                click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
+                click.option("--plot", type=file, help="Picture: .png or .svg."),
+            ]
+        ):
+            function = option(function)
+        return function
+
+    return add
+
+
+def _csv_or_json(context: click.Context, option: click.Parameter, out: Path | None) -> Path | None:
+    if out is not None and out.suffix not in (".csv", ".json"):
+        raise click.BadParameter(f"{out}: end the name in .csv or .json")
+    return out
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
     """Build the scenario of a command from its file, `defaults`, its options and `--set`; later ones take precedence.
 

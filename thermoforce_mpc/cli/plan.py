@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
-from thermoforce_mpc.cli.files import written
 from thermoforce_mpc.cli.identify import BELOW_THE_BAR
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import written
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
 from thermoforce_mpc.simulation.display import RunDisplay
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from thermoforce_mpc.cli.files import written
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import written
 from thermoforce_mpc.simulation.display import RunDisplay
 
 if TYPE_CHECKING:

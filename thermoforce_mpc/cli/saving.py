@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from thermoforce_mpc.cli.files import written
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import written
 from thermoforce_mpc.whatif.days import Days
 from thermoforce_mpc.whatif.saving import Saving, verified_saving
 

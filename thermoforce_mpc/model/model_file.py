@@ -24,6 +24,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.reading import parse_json, read_bounded
 from thermoforce_mpc.version import VERSION
 
@@ -54,7 +55,7 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
     """Write `content` (plain values and numpy numbers) and `arrays` to `folder`; equal input gives equal bytes.
 
     Raises:
-        ArtifactError: the folder cannot be written.
+        StorageError: the folder cannot be written.
     """
     raw = save_tensors({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     head = {
@@ -65,7 +66,7 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
     }
     document = _plain(head | dict(content) | head)
     text = json.dumps(document | {"sha256": content_sha256(document)}, indent=2, allow_nan=False) + "\n"
-    try:
+    with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
@@ -77,8 +78,6 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
             os.replace(aside, folder)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
-    except OSError as error:
-        raise ArtifactError(f"{folder}: cannot be written ({error.strerror or error})") from error
 
 
 def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:

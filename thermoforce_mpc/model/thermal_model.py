@@ -200,8 +200,9 @@ class ThermalModel:
         """Write the model to `folder`; the same model gives the same bytes.
 
         Raises:
-            ArtifactError: `folder` exists (unless `overwrite` and it holds a model), the model fails its certificate,
-                or the disk refuses.
+            ArtifactError: `folder` exists (unless `overwrite` and it holds a model), or the model fails its
+                certificate.
+            StorageError: the disk refuses.
         """
         folder = Path(folder)
         check_target(folder, overwrite=overwrite)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import requests
 
 from thermoforce_mpc.boundary.weather.readers import load_weather
 from thermoforce_mpc.errors import WeatherError
+from thermoforce_mpc.files import storage_errors, written
 
 FILE_NAME = "Brussels.mos"
 # Copy in the IDEAS library at a fixed commit; its values are checked as well. Other copies (one more there, one in
@@ -31,6 +30,7 @@ def fetch_brussels(folder: Path, url: str = URL, fingerprint: str = FINGERPRINT)
     Raises:
         WeatherError: no network, unexpected content at `url`, or another file of that name in `folder`. No partial
             file is left.
+        StorageError: the folder cannot be written.
     """
     path = Path(folder) / FILE_NAME
     if path.exists():
@@ -38,24 +38,16 @@ def fetch_brussels(folder: Path, url: str = URL, fingerprint: str = FINGERPRINT)
             raise WeatherError(f"{path}: is not the Brussels year of the test case; move the file and fetch again")
         return path
     content = _download(url)
-    try:
+    with storage_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix="fetching-", suffix=".mos")
-    except OSError as error:
-        raise WeatherError(f"{path.parent}: cannot be written ({error})") from error
-    partial = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
+    with written(path) as aside:
+        aside.write_bytes(content)
         try:
-            found = load_weather(partial).fingerprint
+            found = load_weather(aside).fingerprint
         except WeatherError as error:
             raise WeatherError(f"{url}: did not answer with a weather file ({error})") from error
         if found != fingerprint:
             raise WeatherError(f"{url}: holds another weather year ({found}, expected {fingerprint})")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 
