@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
+import os
+import signal
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from emulator_service import running_emulator_service
 from simple_house import simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.research.chaos import troubles as kinds
 from thermoforce_mpc.research.chaos.episode import Setting, run_episode
-from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos, served
+from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos
 from thermoforce_mpc.research.chaos.judging import jumps, wrong_inputs, wrong_steps
 from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_testcase
@@ -28,7 +32,7 @@ QUICK = dict(OPTIONS) | {"gate": {"enabled": False}, "horizon_h": 12}
 
 @pytest.fixture(scope="module")
 def setting():
-    with served() as url:
+    with running_emulator_service(most_tests=100) as url:
         yield Setting(url, load_testcase(TESTCASE), simple_model(), QUICK, "thermoforce_hourly", 16 * DAY_S, 0.25)
 
 
@@ -152,3 +156,28 @@ def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
     )
     assert found["rows"][-1]["episodes"] == 1
     assert told[-1] == "interrupted after 1 of 3 episodes"
+
+
+def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on():
+    told = []
+
+    def progress(line: str) -> None:
+        told.append(line)
+        if line.lstrip().startswith("1:"):
+            os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+
+    found = run_chaos(
+        episodes=4,
+        seed=3,
+        days=0.25,
+        controller="thermoforce_hourly",
+        model=simple_model(),
+        progress=progress,
+        workers=2,
+    )
+    lost = [line for line in told if "process died" in line]
+    assert len(lost) == 1
+    assert "WRONG: ended with its process" in lost[0]
+    assert found["rows"][-1]["episodes"] == 4
+    assert found["rows"][-1]["done"] >= 2
+    assert not all(target["holds"] for target in found["targets"]), "so that the command's exit code is 1"

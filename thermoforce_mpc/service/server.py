@@ -6,7 +6,9 @@ import copy
 import logging
 import os
 import socket
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -108,3 +110,19 @@ def plants(weather: Weather, highly_dynamic: Tariff | None = None) -> Callable[[
         return plant
 
     return another
+
+
+@contextmanager
+def serving(weather: Weather, **options: Any) -> Iterator[str]:
+    """Address of a service on a free loopback port, in a thread of this process until the block ends.
+
+    Options and errors as for `build_server`.
+    """
+    server = build_server(weather, port=0, **options)
+    thread = threading.Thread(target=server.run, name="tf-mpc service", daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{effective_port(server)}"
+    finally:
+        server.close()
+        thread.join(timeout=5)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+import math
 import multiprocessing
+import queue
 import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +22,9 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.chaos.episode import Outcome, Setting, run_episode
-from thermoforce_mpc.research.chaos.troubles import drawn
+from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
-from thermoforce_mpc.service.server import build_server, effective_port
+from thermoforce_mpc.service.server import serving
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.identifying import model_for
 
@@ -32,6 +34,7 @@ OPTIONS: Mapping[str, Any] = {"free_response": {"name": "linear_weather"}}
 # Discomfort beside that without faults: as a factor, and K·h more.
 _FACTOR, _MORE_KH = 1.5, 1.0
 _START_DAY = 16
+_MOST_TESTS = 100
 
 
 def run_chaos(
@@ -53,7 +56,7 @@ def run_chaos(
     Args:
         model: by default the embedded plant is probed for three days.
         keep: folder where journals are kept, one folder an episode.
-        workers: number of processes, each with a service of its own.
+        workers: number of processes, each with a service of its own; an episode whose process dies is lost, and wrong.
         progress: called with one line an episode.
     """
     testcase = load_testcase(TESTCASE)
@@ -63,20 +66,19 @@ def run_chaos(
         plant = EmbeddedPlant(synthetic_weather())
         model = model_for(load_scenario(None, named), testcase, plant, controller)
     outcomes: list[Outcome] = []
-    with served() as url, ExitStack() as stack:
+    with serving(synthetic_weather(), most_tests=_MOST_TESTS) as url, ExitStack() as stack:
         setting = Setting(url, testcase, model, dict(options), controller, _START_DAY * DAY_S, days)
         calm = run_episode(setting, (), 0)
         progress(f"without faults: {_line(calm)}")
-        episode = _episode if workers == 1 else _episode_apart
-        each = functools.partial(episode, setting, _FACTOR * calm.discomfort_Kh + _MORE_KH, seed, keep)
+        most_Kh = _FACTOR * calm.discomfort_Kh + _MORE_KH
         try:
+            found: Iterator[Outcome]
             if workers == 1:
-                found: Iterator[Outcome] = map(each, range(episodes))
+                found = map(functools.partial(_episode, setting, most_Kh, seed, keep), range(episodes))
             else:
-                context = multiprocessing.get_context("spawn")
-                pool = ProcessPoolExecutor(workers, context, _begin_worker)
-                stack.callback(pool.shutdown, cancel_futures=True)
-                found = pool.map(each, range(episodes))
+                each = functools.partial(_episode_apart, setting, most_Kh, seed, keep)
+                lost = functools.partial(_lost, setting, seed)
+                found = stack.enter_context(_in_processes(each, lost, episodes, workers))
             for outcome in found:
                 outcomes.append(outcome)
                 told = "; ".join(trouble.in_words() for trouble in outcome.troubles)
@@ -88,11 +90,59 @@ def run_chaos(
     return bench_result("chaos", _rows(calm, outcomes), _targets(calm, outcomes))
 
 
-def _episode(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: int) -> Outcome:
+def _troubles(setting: Setting, seed: int, n: int) -> tuple[tuple[Trouble, ...], int]:
+    """The troubles of an episode, and their seed."""
     rng = np.random.default_rng([seed, n])
-    troubles = drawn(rng, setting.days)
-    folder = keep / f"{n:04d}" if keep else None
-    return run_episode(setting, troubles, int(rng.integers(2**31)), most_Kh, folder)
+    return drawn(rng, setting.days), int(rng.integers(2**31))
+
+
+def _episode(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: int) -> Outcome:
+    troubles, own = _troubles(setting, seed, n)
+    return run_episode(setting, troubles, own, most_Kh, keep / f"{n:04d}" if keep else None)
+
+
+def _lost(setting: Setting, seed: int, n: int) -> Outcome:
+    """An episode whose process died: killed from outside, for lack of memory, or by compiled code."""
+    troubles, _ = _troubles(setting, seed, n)
+    why = "ended with its process, which died: nothing of it is known"
+    return Outcome(troubles, "process died", why, {}, 0, 0, math.nan, 0.0, (why,))
+
+
+@contextmanager
+def _in_processes(
+    each: Callable[[int], Outcome], lost: Callable[[int], Outcome], episodes: int, workers: int
+) -> Iterator[Iterator[Outcome]]:
+    """Outcomes in order, of as many processes; one that dies takes its episode with it, and is replaced."""
+
+    def begun() -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin_worker)
+
+    free: queue.SimpleQueue[ProcessPoolExecutor] = queue.SimpleQueue()
+    for _ in range(workers):
+        free.put(begun())
+
+    def outcome(n: int) -> Outcome:
+        process = free.get()
+        try:
+            try:
+                asked = process.submit(each, n)
+            except BrokenProcessPool:  # it died between two episodes
+                process = begun()
+                asked = process.submit(each, n)
+            return asked.result()
+        except BrokenProcessPool:
+            process = begun()
+            return lost(n)
+        finally:
+            free.put(process)
+
+    threads = ThreadPoolExecutor(workers)
+    try:
+        yield threads.map(outcome, range(episodes))
+    finally:
+        threads.shutdown(cancel_futures=True)
+        while not free.empty():
+            free.get().shutdown()
 
 
 _worker_stack, _worker_url = ExitStack(), ""
@@ -102,25 +152,12 @@ def _begin_worker() -> None:
     """Serve the plant in this process until it ends; an interrupt is for the process that asked."""
     global _worker_url
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _worker_url = _worker_stack.enter_context(served())
+    _worker_url = _worker_stack.enter_context(serving(synthetic_weather(), most_tests=_MOST_TESTS))
 
 
 def _episode_apart(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: int) -> Outcome:
     """An episode on the service of this process."""
     return _episode(replace(setting, url=_worker_url), most_Kh, seed, keep, n)
-
-
-@contextmanager
-def served() -> Iterator[str]:
-    """Address of a service of the embedded plant in this process."""
-    server = build_server(synthetic_weather(), port=0, most_tests=100)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{effective_port(server)}"
-    finally:
-        server.close()
-        thread.join(timeout=5)
 
 
 def _line(outcome: Outcome) -> str:
