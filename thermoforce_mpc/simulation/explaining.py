@@ -15,7 +15,7 @@ from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Names, Obs
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.simulation.forecasts import empty_forecast
-from thermoforce_mpc.simulation.journal import NAME, JournalError, read_run
+from thermoforce_mpc.simulation.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal_values import unpack
 from thermoforce_mpc.simulation.told_steps import ToldStep, history_before, told_loops, told_steps
 
@@ -122,15 +122,21 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
         JournalError: there is no journal, or it is damaged.
         InputError: `at` is no time or outside the run, or `controller` did not run.
     """
-    loops = told_loops(read_run(folder / NAME).entries)
+    path = folder / NAME
+    with making_sense(path):
+        return _decision_at(path, at, controller)
+
+
+def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision:
+    loops = told_loops(read_run(path).entries)
     if not loops:
-        raise JournalError(f"{folder / NAME}: no step was decided yet")
+        raise JournalError(f"{path}: no step was decided yet")
     name = controller or next(iter(loops))
     if name not in loops:
         raise InputError(f"--controller {name}: did not run; there are {', '.join(loops)}")
     steps = list(told_steps(loops[name]))
     if not steps:
-        raise JournalError(f"{folder / NAME}: {name} has not decided anything yet")
+        raise JournalError(f"{path}: {name} has not decided anything yet")
     if at is not None:
         seconds = seconds_of(at)
         first, last = steps[0].time_s, steps[-1].time_s

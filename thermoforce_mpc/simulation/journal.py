@@ -13,16 +13,20 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thermoforce_mpc.errors import InputError, StorageError
+from thermoforce_mpc.errors import DataError, InputError, StorageError
 from thermoforce_mpc.files import storage_errors
+from thermoforce_mpc.reading import read_bounded
 
 NAME = "journal.jsonl"
 FORMAT = 2
 PART_BYTES = 32_000_000
+# A part ends with the record that makes it too long; that of the longest plant's past is some 10 MB.
+_MOST_BYTES = 2 * PART_BYTES + 50_000_000
 _CRC = ', "crc": "'
 
 
@@ -42,6 +46,18 @@ class Entry(NamedTuple):
     def where(self) -> str:
         """File and line, for an error message."""
         return f"{self.path}, line {self.line}"
+
+
+@contextmanager
+def making_sense(where: str | Path) -> Iterator[None]:
+    """Refuse a record, of a journal that is whole, which does not hold what its kind holds; raises `JournalError`."""
+    try:
+        yield
+    except (DataError, KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, zlib.error) as error:
+        raise JournalError(
+            f"{where}: cannot be made sense of ({type(error).__name__}: {str(error)[:200]}); was it edited? "
+            "Start the run again"
+        ) from error
 
 
 class JournalText(NamedTuple):
@@ -135,7 +151,7 @@ def read_run(path: Path) -> JournalText:
     found = first.content.get("format")
     if found != FORMAT:
         raise JournalError(
-            f"{path}: is of format {found!r}, written by thermoforce-mpc {first.content.get('version', '(unknown)')}; "
+            f"{path}: is of format {found!r:.20}, written by thermoforce-mpc {first.content.get('version')!s:.20}; "
             f"this release reads format {FORMAT}: use that release, or start the run again"
         )
     return read
@@ -159,10 +175,7 @@ def read_journal(path: Path) -> JournalText:
 
 def _read_part(path: Path, entries: list[Entry], crc: int, *, may_be_torn: bool) -> tuple[int, int, bool]:
     """Append the records of one part to `entries`; size and checksum at the last whole one, and whether it is torn."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise JournalError(f"{path}: cannot be read ({error.strerror or error})") from error
+    raw = read_bounded(path, _MOST_BYTES, JournalError)
     lines = raw.split(b"\n")
     size = 0
     last = len(lines) - (2 if lines[-1] == b"" else 1)
@@ -203,6 +216,6 @@ def _checked(line: bytes, before: int, n: int) -> tuple[dict[str, Any], int] | N
         if not mark or told != f'{crc:08x}"}}':
             return None
         content = json.loads(f"{body}}}")
-        return (content, crc) if content["n"] == n and "kind" in content else None
+        return (content, crc) if content["n"] == n and isinstance(content["kind"], str) else None
     except (ValueError, RecursionError, KeyError, TypeError):
         return None

@@ -29,6 +29,8 @@ from thermoforce_mpc.data import (
 
 Json = dict[str, Any]
 
+_DTYPES, _MOST_VALUES = ("<f8", "<f4"), 20_000_000
+
 # Arrays of a plan that a journal keeps for people, to four digits or so: a resumed run plans again.
 PLANNED = ("u", "T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
 
@@ -40,10 +42,13 @@ def pack(rows: Array, dtype: str = "<f8") -> Json:
 
 
 def unpack(packed: Mapping[str, Any]) -> Array:
-    """The array of `pack`."""
-    content = zlib.decompress(base64.b64decode(packed["zlib"]))
-    found = np.frombuffer(content, dtype=packed["dtype"]).reshape(packed["shape"])
-    return np.asarray(found, dtype=np.float64)
+    """The array of `pack`; raises `ValueError` for what it did not make."""
+    shape, dtype = [int(n) for n in packed["shape"]], str(packed["dtype"])
+    if dtype not in _DTYPES or min(shape, default=0) < 0 or not math.prod(shape) <= _MOST_VALUES:
+        raise ValueError(f"an array of shape {shape} and type {dtype[:20]}")
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    content = zlib.decompressobj().decompress(base64.b64decode(packed["zlib"]), size + 1)
+    return np.asarray(np.frombuffer(content, dtype=dtype).reshape(shape), dtype=np.float64)
 
 
 def number(value: float) -> float | str | None:

@@ -30,7 +30,7 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
 from thermoforce_mpc.simulation.closed_loop import StepRecord
-from thermoforce_mpc.simulation.journal import Entry, Journal, JournalError
+from thermoforce_mpc.simulation.journal import Entry, Journal, JournalError, making_sense
 from thermoforce_mpc.simulation.journal_values import (
     Json,
     block_json,
@@ -136,9 +136,11 @@ class JournaledPlant:
             self._catch_up()
             self._answers.append({"asked": asked, "answer": measurement_json(ask())})
             return cast(Mapping[str, Any], self._answers[-1]["answer"])
-        told = (done.content["advances"][len(self._answers) :] or [{}])[0]
-        if told.get("asked") != asked:
-            raise self._another(done, f"'advance' {asked}")
+        with making_sense(done.where):
+            told = (list(done.content["advances"])[len(self._answers) :] or [{}])[0]
+            if told.get("asked") != asked:
+                raise self._another(done, f"'advance' {asked}")
+            measurement_of(told["answer"], self._names)
         self._compared(done, "advance", told["answer"], lambda: measurement_json(ask()))
         self._answers.append(told)
         return cast(Mapping[str, Any], told["answer"])
@@ -155,9 +157,12 @@ class JournaledPlant:
 
         if self._told:
             entry = self._told[0]
-            if entry.kind != "step" or entry.content["asked"] != asked:
+            if entry.kind != "step" or entry.content.get("asked") != asked:
                 raise self._another(entry, f"'forecast' {asked}")
-            self._compared(entry, "forecast", entry.content["forecast"], lambda: ask()["forecast"])
+            with making_sense(entry.where):
+                then = entry.content["forecast"]
+                then is None or boundary_of(then, self._names)
+            self._compared(entry, "forecast", then, lambda: ask()["forecast"])
             self._ahead = {name: entry.content.get(name) for name in ("asked", "forecast", "no_forecast")}
         else:
             self._catch_up()
@@ -210,12 +215,14 @@ class JournaledPlant:
             self._journal.write("step", said)
             return blocks
         entry = self._next("step", self._ahead["asked"])
-        if entry.content["index"] != index or entry.content["time_s"] != said["time_s"]:
+        if entry.content.get("index") != index or entry.content.get("time_s") != said["time_s"]:
             raise self._another(entry, f"step {index} at {time_s:.10g} s")
+        with making_sense(entry.where):
+            then = tuple(block_of(told) for told in entry.content["blocks"])
         if entry.content["blocks"] != said["blocks"]:
             self.differing += 1
-        self._to_come = len(entry.content["blocks"])
-        return tuple(block_of(told) for told in entry.content["blocks"])
+        self._to_come = len(then)
+        return then
 
     def ended(self, record: StepRecord) -> StepRecord:
         """Record how a step ended; while catching up, give it the computing times of then."""
@@ -226,8 +233,9 @@ class JournaledPlant:
             self._journal.write("done", {**said, **seconds, "seconds": parts})
             return record
         entry = self._next("done", {})
-        plan = replace(record.plan, seconds=dict(entry.content["seconds"]))
-        then: dict[str, Any] = {name: float(entry.content[name]) for name in seconds}
+        with making_sense(entry.where):
+            plan = replace(record.plan, seconds={name: float(s) for name, s in entry.content["seconds"].items()})
+            then: dict[str, Any] = {name: float(entry.content[name]) for name in seconds}
         return replace(record, plan=plan, **then)
 
     def _answered(
@@ -241,12 +249,14 @@ class JournaledPlant:
         """The answer to a request: the journal's while catching up, else the plant's, which is then recorded."""
         if self._told:
             entry = self._next(kind, asked)
+            with making_sense(entry.where):
+                found = from_json(entry.content["answer"])
             self._compared(entry, kind, entry.content["answer"], lambda: to_json(ask()))
-            return from_json(entry.content["answer"])
+            return found
         self._catch_up()
-        found = to_json(ask())
-        self._journal.write(kind, {"asked": asked, "answer": found})
-        return from_json(found)
+        answer = to_json(ask())
+        self._journal.write(kind, {"asked": asked, "answer": answer})
+        return from_json(answer)
 
     def _compared(self, entry: Entry, kind: str, then: object, ask: Callable[[], object]) -> None:
         """Have a simulated plant answer again, as it did then; one that outlives the process is not asked."""
@@ -272,7 +282,7 @@ class JournaledPlant:
         return entry
 
     def _another(self, entry: Entry, now: str) -> JournalError:
-        then = f"'{entry.kind}' {entry.content.get('asked', '')}"
+        then = f"'{entry.kind:.20}' {entry.content.get('asked', '')!s:.200}"
         return JournalError(
             f"{entry.where}: then it was {then}, now it is {now}: the run does not repeat "
             "itself. Was it made with another version or other files? Start it again"

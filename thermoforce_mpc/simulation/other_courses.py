@@ -14,7 +14,7 @@ from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import controller_options
 from thermoforce_mpc.simulation.explaining import Decision
-from thermoforce_mpc.simulation.journal import NAME, read_run
+from thermoforce_mpc.simulation.journal import NAME, making_sense, read_run
 
 if TYPE_CHECKING:  # CasADi is loaded only where there is a model
     from controllers.alternatives import Alternatives
@@ -29,6 +29,11 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     Raises:
         JournalError: the journal is damaged.
     """
+    with making_sense(folder / NAME):
+        return _alternatives_of(folder, decision)
+
+
+def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     entries = read_run(folder / NAME).entries
     name = decision.controller
     if not find_entry(name).needs_model:

@@ -9,7 +9,7 @@ from pathlib import Path
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, Journal, JournalError, read_run
+from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, Journal, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.run_folder import plain_json
 from thermoforce_mpc.version import VERSION
@@ -49,9 +49,11 @@ class RunBook:
         path = folder / NAME
         read = read_run(path)
         first = read.entries[0]
-        scenario = validate(Scenario, dict(first.content["scenario"]), f"{path}, line 1")
+        with making_sense(first.where):
+            scenario = validate(Scenario, dict(first.content["scenario"]), first.where)
+            command = tuple(str(word) for word in first.content["command"])
         journal = Journal(path, read, durable=_is_real(scenario))
-        return cls(folder, scenario, tuple(first.content["command"]), journal, read.entries[1:])
+        return cls(folder, scenario, command, journal, read.entries[1:])
 
     def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
         """The plant of the run; `build` makes it, or takes up the test of a service by its name."""
@@ -59,7 +61,9 @@ class RunBook:
             entry = self.told[0]
             if entry.kind != "plant":
                 raise JournalError(f"{entry.where}: '{entry.kind}' before the plant")
-            return JournaledPlant(build(entry.content["info"]["details"].get("testid")), self.journal, self.told[1:])
+            with making_sense(entry.where):
+                testid = entry.content["info"]["details"].get("testid")
+            return JournaledPlant(build(testid), self.journal, self.told[1:])
         plant = build(None)
         try:
             self.journal.write("plant", {"info": plain_json(asdict(plant.info))})

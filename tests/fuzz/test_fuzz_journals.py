@@ -1,0 +1,111 @@
+"""Journals: bytes that were changed are refused by their line, and one made to deceive ends in a named error."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zlib
+
+import pytest
+from fuzzing import fuzz, mutated, result_or_error, tampered
+from hypothesis import given
+from hypothesis import strategies as st
+from simple_house import SimpleHouse
+
+from controllers import Thermostat
+from thermoforce_mpc.data import DAY_S, Period
+from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.explaining import decision_at
+from thermoforce_mpc.simulation.journal import NAME, JournalError, read_journal
+from thermoforce_mpc.simulation.other_courses import alternatives_of
+from thermoforce_mpc.simulation.run_book import RunBook
+
+
+def run(book: RunBook) -> None:
+    plant = book.connect(lambda _: SimpleHouse())
+    plant.noted("loop", lambda: {"controller": "thermostat"})
+    run_closed_loop(plant, Thermostat(), Period("test", 10 * DAY_S, 3600.0, DAY_S), keeper=plant)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    book = RunBook.begin(folder, load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}), ["tf-mpc", "run"])
+    run(book)
+    book.journal.close()
+    return folder
+
+
+def records(folder) -> list[dict]:
+    return [json.loads(line) for line in (folder / NAME).read_bytes().splitlines()]
+
+
+def written(folder, found: list) -> None:
+    """A journal of these records, its checksums as they must be."""
+    crc, lines = 0, []
+    for record in found:
+        if isinstance(record, dict):
+            record.pop("crc", None)
+        text = json.dumps(record, ensure_ascii=True)[:-1]
+        crc = zlib.crc32(text.encode(), crc)
+        lines.append(f'{text}, "crc": "{crc:08x}"}}\n')
+    (folder / NAME).write_text("".join(lines))
+
+
+def explained(folder) -> None:
+    decision = decision_at(folder)
+    decision.bounds()
+    alternatives_of(folder, decision)
+
+
+def resumed(folder) -> None:
+    book = RunBook.reopen(folder)
+    try:
+        run(book)
+    finally:
+        book.journal.close()
+
+
+def test_a_whole_journal_is_explained_and_resumed(folder, tmp_path):
+    shutil.copy(folder / NAME, tmp_path / NAME)
+    explained(tmp_path)
+    resumed(tmp_path)
+    written(tmp_path, records(folder))
+    resumed(tmp_path)  # what the tests below write is such a one
+
+
+@fuzz(40)
+@given(data=st.data())
+def test_changed_bytes_are_refused_or_drop_the_end(folder, tmp_path_factory, data):
+    whole = (folder / NAME).read_bytes()
+    there = tmp_path_factory.mktemp("changed")
+    (there / NAME).write_bytes(data.draw(mutated(whole)))
+    found = result_or_error(JournalError, lambda: read_journal(there / NAME).entries, names=str(there))
+    expected = read_journal(folder / NAME).entries
+    for entry, true in zip(found or (), expected, strict=False):
+        assert entry.content == true.content
+
+
+@fuzz(60)
+@given(data=st.data())
+@pytest.mark.parametrize("act", [explained, resumed])
+def test_a_journal_made_to_deceive_ends_in_a_named_error(folder, tmp_path_factory, act, data):
+    found = records(folder)
+    at = data.draw(st.integers(0, len(found) - 1))
+    n, kind = found[at]["n"], found[at]["kind"]
+    other = data.draw(tampered({key: value for key, value in found[at].items() if key not in ("n", "kind", "crc")}))
+    found[at] = {"n": n, "kind": kind, **other} if isinstance(other, dict) else {"n": n, "kind": kind}
+    there = tmp_path_factory.mktemp("deceiving")
+    written(there, found)
+    result_or_error(ThermoForceError, lambda: act(there), most=3000)
+
+
+def test_a_packed_array_that_unpacks_to_more_than_it_says_is_refused(folder, tmp_path):
+    found = records(folder)
+    past = next(record for record in found if record["kind"] == "past")
+    past["answer"]["T_out_C"]["shape"] = [10**12]
+    written(tmp_path, found)
+    with pytest.raises(JournalError, match="line 5: cannot be made sense of"):
+        resumed(tmp_path)
