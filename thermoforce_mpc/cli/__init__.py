@@ -33,6 +33,7 @@ _COMMANDS = {
     ),
     "saving": ("thermoforce_mpc.cli.saving", "What a changed operation saved, with an interval, from records."),
     "explain": ("thermoforce_mpc.cli.explain", "Tell what a run decided at an instant, and why."),
+    "watch": ("thermoforce_mpc.cli.watch", "Watch a running controller, in the terminal or as a page."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from thermoforce_mpc.errors import DataError, InputError, StorageError
 from thermoforce_mpc.files import storage_errors
-from thermoforce_mpc.reading import read_bounded
+from thermoforce_mpc.reading import read_bounded, read_pieces
 
 NAME = "journal.jsonl"
 FORMAT = 2
@@ -171,6 +171,52 @@ def read_journal(path: Path) -> JournalText:
         if last:
             return JournalText(tuple(entries), number, size, crc, torn)
         number += 1
+
+
+class JournalTail:
+    """Reads a journal that is being written: each time what is new and whole. It never writes.
+
+    Raises `JournalError` as `read_journal`, also where the journal is another one than before.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._first, self._part, self._at, self._line, self._n, self._crc = path, 1, 0, 0, 0, 0
+
+    @property
+    def path(self) -> Path:
+        """The part that is read."""
+        return part_of(self._first, self._part)
+
+    def more(self) -> list[Entry]:
+        """The records that were written since the last call."""
+        entries: list[Entry] = []
+        while True:
+            path = self.path
+            ended = part_of(self._first, self._part + 1).exists()  # asked before reading: it is then whole
+            for line in self._lines(path):
+                found = _checked(line, self._crc, self._n)
+                self._line += 1
+                if found is None:
+                    raise JournalError(
+                        f"{path}, line {self._line}: the record is damaged, its checksum does not hold, or another run "
+                        "was begun in this folder"
+                    )
+                content, self._crc = found
+                entries.append(Entry(self._line, str(content.pop("kind")), content, path))
+                self._at, self._n = self._at + len(line) + 1, self._n + 1
+            if not ended:
+                return entries
+            self._part, self._at, self._line = self._part + 1, 0, 0
+
+    def _lines(self, path: Path) -> list[bytes]:
+        """The new lines of a part that have an end."""
+        try:
+            with path.open("rb") as file:
+                file.seek(self._at)
+                new = read_pieces(file, _MOST_BYTES)
+        except OSError as error:
+            raise JournalError(f"{path}: cannot be read ({error.strerror or error})") from error
+        return new.split(b"\n")[:-1]
 
 
 def _read_part(path: Path, entries: list[Entry], crc: int, *, may_be_torn: bool) -> tuple[int, int, bool]:

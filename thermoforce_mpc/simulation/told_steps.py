@@ -71,29 +71,53 @@ def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
     return found
 
 
-def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
-    """The steps of a closed loop, in order."""
-    names, before, past = SINGLE, None, None
-    step: Json | None = None
-    advances: list[Json] = []
-    for entry in entries:
+class StepReader:
+    """Puts the steps of a closed loop together from its records, as they come."""
+
+    def __init__(self) -> None:
+        self.names: Names = SINGLE
+        self.before: Measurement | None = None
+        """The latest readings of a step that is closed."""
+        self._past: Json | None = None
+        self._step: Json | None = None
+        self._advances: list[Json] = []
+
+    @property
+    def under_way(self) -> ToldStep | None:
+        """The step that was decided and is not closed."""
+        if self._step is None:
+            return None
+        return ToldStep(self._step, self.names, self.before, tuple(self._advances), None, self._past)
+
+    def read(self, entry: Entry) -> ToldStep | None:
+        """Take the next record; the step that it closes, if it does."""
         content = entry.content
         if entry.kind == "reset":
-            names = names_of(content["answer"]["names"])
-            before = measurement_of(content["answer"], names)
+            self.names = names_of(content["answer"]["names"])
+            self.before = measurement_of(content["answer"], self.names)
         elif entry.kind == "past":
-            past = content["answer"]
+            self._past = content["answer"]
         elif entry.kind == "step":
-            step, advances = content, []
+            self._step, self._advances = content, []
         elif entry.kind == "advance":
-            advances.append(content)
-        elif entry.kind == "done" and step is not None:
-            advances += content["advances"]
-            found = ToldStep(step, names, before, tuple(advances), content, past)
+            self._advances.append(content)
+        elif entry.kind == "done" and self._step is not None:
+            advances = (*self._advances, *content["advances"])
+            found = ToldStep(self._step, self.names, self.before, advances, content, self._past)
+            self.before, self._past, self._step = (found.after or (self.before,))[-1], None, None
+            return found
+        return None
+
+
+def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
+    """The steps of a closed loop, in order; the last may be under way."""
+    reader = StepReader()
+    for entry in entries:
+        found = reader.read(entry)
+        if found is not None:
             yield found
-            before, past, step = (found.after or (before,))[-1], None, None
-    if step is not None:
-        yield ToldStep(step, names, before, tuple(advances), None, past)
+    if reader.under_way is not None:
+        yield reader.under_way
 
 
 def history_before(steps: Sequence[ToldStep]) -> Record:

@@ -1,0 +1,213 @@
+"""`tf-mpc watch`: the view of a run from its journal as it grows, in the terminal and as a page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from contextlib import contextmanager
+
+import pytest
+import requests
+from click.testing import CliRunner
+from simple_house import SimpleHouse, simple_model
+from two_houses import TwoHouses, two_model
+
+from controllers import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.watch import shown
+from thermoforce_mpc.data import DAY_S, HOUR_S, Period
+from thermoforce_mpc.errors import InputError, PlantError
+from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.service.live_page import page_server
+from thermoforce_mpc.simulation import journal as journal_module
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.journal import Journal, JournalError, JournalTail, read_journal
+from thermoforce_mpc.simulation.live_view import LiveRun
+from thermoforce_mpc.simulation.run_book import RunBook
+
+OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
+
+
+def run(folder, plant, model, hours: float = 12):
+    folder.mkdir(exist_ok=True)
+    book = RunBook.begin(folder, load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}), ["tf-mpc", "run"])
+    journaled = book.connect(lambda _: plant)
+    journaled.noted("loop", lambda: {"controller": "thermoforce_mpc"})
+    controller = ThermoForceMPC(model, MPCConfig(**OPTIONS))
+    result = run_closed_loop(
+        journaled, controller, Period("test", 10 * DAY_S, hours * HOUR_S, 2 * DAY_S), keeper=journaled
+    )
+    book.journal.close()
+    return result
+
+
+@pytest.fixture(scope="module")
+def single(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("single")
+    return folder, run(folder, SimpleHouse(), simple_model())
+
+
+def cut(folder, there, kind: bytes, number: int):
+    """The journal as it was right after the `number`th record of a kind."""
+    lines = (folder / "journal.jsonl").read_bytes().split(b"\n")
+    at = [i for i, line in enumerate(lines) if b'"kind": "%s"' % kind in line][number]
+    there.mkdir(exist_ok=True)
+    (there / "journal.jsonl").write_bytes(b"\n".join(lines[: at + 1]) + b"\n")
+    return there
+
+
+def test_cost_energy_and_discomfort_so_far_are_those_of_the_plant(single):
+    folder, result = single
+    view = LiveRun(folder).now()
+    assert view.discomfort_Kh == pytest.approx(result.kpis["tdis_tot"], abs=1e-6)
+    assert view.energy_kWh == pytest.approx(sum(s.power_W[0] * s.duration_s for s in result.samples) / 3.6e6)
+    paid = sum(s.power_W[0] * s.duration_s / 3.6e6 * s.price_per_kWh[0] for s in result.samples)
+    assert view.cost == pytest.approx(paid)
+    assert view.counts == {"solved": 12}
+    assert view.state == "running", "there are no results: as far as the journal says it goes on"
+    last = result.samples[-1]
+    assert [zone.T_C for zone in view.zones] == last.T_zone_C.tolist()
+    assert len(view.past) == 12
+
+
+def test_a_run_is_followed_as_it_grows_to_the_same_view(single, tmp_path):
+    folder, _ = single
+    live = None
+    for number in range(12):
+        for kind in (b"step", b"done"):
+            there = cut(folder, tmp_path / "growing", kind, number)
+            with (there / "journal.jsonl").open("ab") as file:
+                file.write(b'{"n": 99, "ki')  # a record that is being written
+            live = live or LiveRun(there)
+            view = live.now()
+            assert sum(view.counts.values()) == number + (kind == b"done")
+            assert view.time_s == 10 * DAY_S + HOUR_S * (number + (kind == b"done"))
+            assert view.plan[0].time_s == 10 * DAY_S + HOUR_S * (number + 1)
+    assert live.now().to_json() | {"run": ""} == LiveRun(folder).now().to_json() | {"run": ""}
+
+
+def test_several_zones_and_a_step_under_way(tmp_path):
+    run(tmp_path / "whole", TwoHouses(), two_model(), hours=3)
+    view = LiveRun(cut(tmp_path / "whole", tmp_path / "cut", b"step", 2)).now()
+    assert [zone.name for zone in view.zones] == ["bath", "hall"]
+    assert view.actuators == ("radiator", "floor")
+    assert len(view.levels) == len(view.acting) == len(view.plan[0].u) == 2
+    done = CliRunner().invoke(cli, ["watch", str(tmp_path / "cut"), "--once"])
+    assert done.exit_code == 0, done.output
+    for word in ("bath", "hall", "radiator", "floor", "outdoors", "acts: ", "Plan", "so far: cost"):
+        assert word in done.output
+
+
+def test_the_end_of_a_run_is_said(single, tmp_path):
+    shutil.copy(single[0] / "journal.jsonl", tmp_path)
+    (tmp_path / "INCOMPLETE.txt").write_text("This run did not finish: the plant is gone\n")
+    view = LiveRun(tmp_path).now()
+    assert view.state == "ended early"
+    assert "the plant is gone" in CliRunner().invoke(cli, ["watch", str(tmp_path)]).output
+    for name in ("manifest.json", "report.html"):
+        (tmp_path / name).touch()
+    assert LiveRun(tmp_path).now().state == "finished"
+    assert shown(view, 3.0)
+
+
+def test_what_cannot_be_watched_is_refused(single, tmp_path):
+    assert isinstance(CliRunner().invoke(cli, ["watch", str(tmp_path)]).exception, JournalError)
+    with pytest.raises(InputError, match="pi: did not run yet; there are thermoforce_mpc"):
+        LiveRun(single[0], "pi").now()
+    first = (single[0] / "journal.jsonl").read_bytes().split(b"\n")[0] + b"\n"
+    (tmp_path / "journal.jsonl").write_bytes(first)
+    with pytest.raises(JournalError, match="no step was decided yet"):
+        LiveRun(tmp_path).now()
+    live = LiveRun(single[0])
+    live.now()
+    shutil.copytree(single[0], tmp_path / "other")
+    other = LiveRun(tmp_path / "other")
+    other.now()
+    with (tmp_path / "other" / "journal.jsonl").open("ab") as file:
+        file.write(b'{"n": 0, "kind": "run", "crc": "00000000"}\n')
+    with pytest.raises(JournalError, match="damaged"):
+        other.now()
+
+
+def test_the_tail_of_a_journal_in_parts_is_what_is_read_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal_module, "PART_BYTES", 400)
+    path = tmp_path / "journal.jsonl"
+    journal, tail, found = Journal(path), None, []
+    for i in range(40):
+        journal.write("note", {"value": i, "text": "°C" * (i % 7)})
+        tail = tail or JournalTail(path)
+        if i % 3 == 0:
+            found += tail.more()
+    journal.close()
+    found += tail.more()
+    assert tail.more() == []
+    assert found == list(read_journal(path).entries)
+    assert len({entry.path for entry in found}) > 3
+
+
+@contextmanager
+def served(view):
+    server = page_server(view, 0)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{int(server.effective_port)}"
+    finally:
+        server.close()
+        thread.join(timeout=5)
+
+
+def test_the_page_is_for_this_machine_and_tells_the_view(single):
+    live = LiveRun(single[0])
+    with served(lambda: live.now().to_json()) as url:
+        page = requests.get(url, timeout=10)
+        assert page.status_code == 200
+        assert "view.json" in page.text
+        assert "http" not in page.text.replace("http://www.w3.org/2000/svg", ""), "nothing is fetched from elsewhere"
+        told = requests.get(f"{url}/view.json", timeout=10).json()
+        assert told == json.loads(json.dumps(LiveRun(single[0]).now().to_json()))
+        assert requests.get(url, headers={"Host": "evil.example"}, timeout=10).status_code == 403
+        assert requests.post(f"{url}/view.json", timeout=10).status_code == 405
+        assert requests.get(f"{url}/../etc/passwd", timeout=10).status_code == 404
+        with pytest.raises(PlantError, match="choose another --port"):
+            page_server(dict, int(url.rsplit(":", 1)[1]))
+
+
+def test_a_view_that_fails_is_told_to_the_page(tmp_path):
+    def fails():
+        raise JournalError("journal.jsonl, line 7: damaged")
+
+    with served(fails) as url:
+        answer = requests.get(f"{url}/view.json", timeout=10)
+        assert answer.status_code == 500
+        assert answer.json() == {"error": "journal.jsonl, line 7: damaged"}
+
+
+def test_the_page_draws_what_the_view_tells(tmp_path):
+    sync_api = pytest.importorskip("playwright.sync_api", reason="a browser is needed to look at the page")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium on this machine")
+    run(tmp_path / "whole", TwoHouses(), two_model(), hours=5)
+    live = LiveRun(tmp_path / "whole")
+    with served(lambda: live.now().to_json()) as url, sync_api.sync_playwright() as browsers:
+        browser = browsers.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        try:
+            page = browser.new_page()
+            wrong = []
+            page.on("pageerror", lambda error: wrong.append(str(error)))
+            page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+            page.goto(url)
+            page.wait_for_selector("svg path")
+            assert "thermoforce_mpc" in page.inner_text("#head")
+            assert f"{live.now().zones[0].T_C:.2f} °C" in page.inner_text("#tiles")
+            assert page.locator("svg").count() == 3, "two zones and the levels"
+            drawn = page.locator("svg path[stroke]").evaluate_all("all => all.map(one => one.getAttribute('d').length)")
+            assert len(drawn) == 8, "two courses of each zone, two of each actuator"
+            assert min(drawn) > 20
+            assert wrong == [], "among them no request that the page's own policy refuses"
+            page.screenshot(path=str(tmp_path / "page.png"), full_page=True)
+        finally:
+            browser.close()

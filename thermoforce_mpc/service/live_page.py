@@ -1,0 +1,93 @@
+"""A page on this machine that shows a running controller; it asks for the view of `tf-mpc watch` every few seconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from importlib.resources import files
+from typing import Any
+
+from flask import Flask, Response, request
+
+from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.service.connections import Server, serve_on
+
+HOST = "127.0.0.1"
+# A page of another site that has its name point here (DNS rebinding) sends that name.
+_NAMES = ("127.0.0.1", "localhost")
+_MOST_BYTES, _THREADS = 10_000, 4
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
+    """The application: the page at `/`, and what `view` tells at `/view.json`."""
+    app = Flask(__name__, static_folder=None)
+    page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
+
+    @app.before_request
+    def only_here() -> Response | None:
+        if request.host.rsplit(":", 1)[0] not in _NAMES:
+            return Response("This page is for this machine alone.", 403, mimetype="text/plain")
+        return None
+
+    @app.after_request
+    def with_headers(response: Response) -> Response:
+        response.headers.update(_HEADERS)
+        return response
+
+    @app.get("/")
+    def index() -> Response:
+        return Response(page, mimetype="text/html")
+
+    @app.get("/view.json")
+    def now() -> Response:
+        try:
+            return Response(json.dumps(view(), allow_nan=False), mimetype="application/json")
+        except ThermoForceError as error:
+            return Response(json.dumps({"error": str(error)}), 500, mimetype="application/json")
+
+    return app
+
+
+def page_server(view: Callable[[], Mapping[str, Any]], port: int) -> Server:
+    """Bind the page; `run()` of the returned server serves until `close()`.
+
+    Raises:
+        PlantError: the port cannot be bound.
+    """
+    try:
+        listening = socket.create_server((HOST, port))
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
+        raise PlantError(f"cannot listen on {HOST}:{port} ({reason}); choose another --port") from error
+    return serve_on(listening, live_app(_one_by_one(view)), threads=_THREADS, most_bytes=_MOST_BYTES)
+
+
+def serve_page(view: Callable[[], Mapping[str, Any]], port: int, on_ready: Callable[[str], None]) -> None:
+    """Serve until interrupted; `on_ready` is called with the address. Errors as for `page_server`."""
+    server = page_server(view, port)
+    on_ready(f"http://{HOST}:{int(server.effective_port)}/")
+    try:
+        server.run()
+    finally:
+        server.close()
+
+
+def _one_by_one(view: Callable[[], Mapping[str, Any]]) -> Callable[[], Mapping[str, Any]]:
+    """`view`, asked by one thread at a time."""
+    lock = threading.Lock()
+
+    def asked() -> Mapping[str, Any]:
+        with lock:
+            return view()
+
+    return asked
