@@ -47,7 +47,8 @@ class Plant(Protocol):
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return boundary conditions from now to `horizon_s` ahead, every `interval_s` s.
 
-        What is not known is NaN, or left out at the end.
+        What is not known is NaN, or left out at the end. Raises `NoForecast` where there is none, though the plant can
+        be advanced: a run goes on without for a while.
         """
         ...
 
