@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import two_houses
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.explaining import decision_at, seconds_of, words_of
@@ -121,6 +124,37 @@ def test_a_run_that_was_killed_is_explained(folder, tmp_path):
     assert "the run ended here" in done.output
     shutil.copytree(folder / "model", tmp_path / "model")
     assert "Alternatives over 48 h" in call("explain", tmp_path).output
+
+
+def test_several_zones_on_one_machine(tmp_path, monkeypatch):
+    names = load_testcase("twozone_apartment_hydronic").layout.names
+    monkeypatch.setattr(two_houses, "SHARED", names)
+    model = two_houses.two_model(shared=True)
+    operator = replace(model.operator, zones=names.zones, actuators=names.actuators)
+    replace(model, operator=operator, machines=names.machines).save(tmp_path / "model")
+    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: two_houses.TwoHouses(shared=True))
+    monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
+    words = ["--model", tmp_path / "model", "--baselines", "", "--days", "0.2", "--out", tmp_path / "run"]
+    settings = [
+        "--set",
+        "controller.options.gate.enabled=false",
+        "--set",
+        "step_s=3600",
+        "--period",
+        "10",
+        "--url",
+        "http://x",
+    ]
+    done = call("run", "--testcase", "twozone_apartment_hydronic", *words, *settings)
+    assert done.exit_code == 0, done.output
+    done = call("explain", tmp_path / "run", "--json", tmp_path / "told.json")
+    assert done.exit_code == 0, done.output
+    for word in (*names.zones, *names.actuators, "Alternatives over 48 h"):
+        assert word in done.output
+    told = json.loads((tmp_path / "told.json").read_text())["alternatives"]
+    courses = {course["name"]: course for course in told["courses"]}
+    assert np.shape(courses["full"]["u"]) == np.shape(courses["plan"]["T_zone_C"]) == (2, 48)
+    assert courses["off"]["cost"] == 0.0 < courses["plan"]["cost"] < courses["full"]["cost"]
 
 
 @pytest.mark.parametrize(
