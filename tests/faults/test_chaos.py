@@ -158,6 +158,7 @@ def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
     assert told[-1] == "interrupted after 1 of 3 episodes"
 
 
+@pytest.mark.slow
 def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on():
     told = []
 

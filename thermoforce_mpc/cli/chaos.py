@@ -36,8 +36,9 @@ def command(
 
     Each episode meets one to three troubles, drawn from the seed: errors (400, 429, 5xx), time-outs, connections reset
     before or after the request was handed on, half answers, doubled and late requests, JSON of another kind, a service
-    away for up to 14 minutes or one that forgot its test, readings missing, NaN or stuck, and a solver or forecaster
-    that raises, hangs or returns NaN. Pauses of the client pass at once; services run in these processes.
+    away for up to 14 minutes, one that gives no forecasts, for hours or for good, or forgot its test, readings missing,
+    NaN or stuck, and a solver or forecaster that raises, hangs or returns NaN. Pauses of the client pass at once;
+    services run in these processes.
 
     Of every episode it is checked that no error ended it (a service that forgot its test may, with a named one), that
     every action sent was finite and in range, that the journal has every simulated step once, that the test was
