@@ -23,7 +23,7 @@ PLOT_NAME = "identification.png"
 # Start of the first rollout and length of each, h.
 _ROLLOUT_H = 12.0
 # Half width of a 90 % band of a normal distribution, standard deviations.
-_BAND = 1.645
+BAND = 1.645
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,8 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
 def _plot_answer(axes: Axes, model: ThermalModel, z: int, a: int, pair: OperatorParameters) -> None:
     """Step response of a pair to full level."""
     operator = model.operator
-    steps = round(STEP_RESPONSE_H[-1] * HOUR_S / pair.step_s)
-    hours = np.arange(steps + 1) * pair.step_s / HOUR_S
-    answer = np.concatenate([[0.0], np.cumsum(pair.impulse(steps))])
-    heat = pair.heat_input.heat
-    full = "" if heat is None else f" ({pair.heat_input.reference_W / 1000:.1f} kW)"
+    hours, answer = step_answer(pair)
+    full = f" ({text})" if (text := full_level_of(pair)) else ""
     if model.names.single:
         axes.set_title(f"Step response to full level{full}", loc="left")
     else:
@@ -115,11 +112,25 @@ def _plot_answer(axes: Axes, model: ThermalModel, z: int, a: int, pair: Operator
     mean, sd = step_response_of(model, z, a)
     if mean.size:
         at = np.array([0.0, *STEP_RESPONSE_H])
-        low, high = mean - _BAND * sd, mean + _BAND * sd
+        low, high = mean - BAND * sd, mean + BAND * sd
         axes.fill_between(at, low, high, color="tab:red", alpha=0.2, linewidth=0, label="90 % band")
         axes.plot(at, mean, "o", color="tab:red", markersize=3)
     if model.names.single:
         axes.legend(loc="best", frameon=False)
+
+
+def step_answer(pair: OperatorParameters) -> tuple[Array, Array]:
+    """Return hours since a step to full level and the expected answer of a pair, K, from 0 to the last of
+    `STEP_RESPONSE_H`.
+    """
+    steps = round(STEP_RESPONSE_H[-1] * HOUR_S / pair.step_s)
+    hours = np.arange(steps + 1) * pair.step_s / HOUR_S
+    return np.asarray(hours, dtype=np.float64), np.concatenate([[0.0], np.cumsum(pair.impulse(steps))])
+
+
+def full_level_of(pair: OperatorParameters) -> str:
+    """Return the heat of full level in words; empty where it is not known."""
+    return "" if pair.heat_input.heat is None else f"{pair.heat_input.reference_W / 1000:.1f} kW"
 
 
 def step_response_of(model: ThermalModel, z: int, a: int) -> tuple[Array, Array]:

@@ -182,6 +182,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             result=done.result,
             baselines=done.baselines,
             layout=testcase.layout,
+            area_m2=testcase.area_m2,
+            model=done.models.get(done.result.controller),
         )
     _tell(done, folder, testcase, display)
     return folder

@@ -1,4 +1,4 @@
-"""Output files of a comparison: table (Markdown, CSV), JSON, plot (SVG, PNG) and HTML page."""
+"""Output files of a comparison: table (Markdown, CSV), JSON and HTML page."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-from markupsafe import Markup
 
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.bench_result import bench_result
@@ -22,6 +20,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
     outcome_rows,
     verdicts,
 )
+from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
 from thermoforce_mpc.simulation.run_folder import write_json
 
 HEADINGS = {
@@ -45,7 +44,7 @@ def write_outcome(
     currency: str,
     swept: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Write `table.md`, `table.csv`, `results.json`, `pareto.svg`, `pareto.png` and `comparison.html` into `folder`.
+    """Write `table.md`, `table.csv`, `results.json` and `comparison.html` into `folder`.
 
     Args:
         folder: folder of the comparison.
@@ -58,9 +57,7 @@ def write_outcome(
     Returns:
         The content of `results.json`, in the format of `bench_result`.
     """
-    from thermoforce_mpc.simulation.comparison.plots import pareto_figure, png_bytes
-    from thermoforce_mpc.simulation.report.html import page_environment
-    from thermoforce_mpc.simulation.report.plots import svg_text
+    from thermoforce_mpc.simulation.comparison.page import comparison_page
 
     rows = outcome_rows(records)
     result = bench_result(name, rows, cost_targets(rows))
@@ -68,26 +65,20 @@ def write_outcome(
     write_whole(folder / "table.csv", _csv(rows))
     says = verdicts(rows)
     write_whole(folder / "table.md", markdown(rows, title, currency, says))
-    figure = pareto_figure(rows, currency, swept)
-    svg = svg_text(figure)
-    write_whole(folder / "pareto.svg", svg)
-    write_whole(folder / "pareto.png", png_bytes(figure))
     plants = sorted({f"{r['plant']['kind']}: {r['plant']['weather']}" for r in records if "plant" in r})
-    page = (
-        page_environment()
-        .get_template("comparison.html.j2")
-        .render(
-            title=title,
-            emulated=any(plant.startswith("embedded") for plant in plants),
-            plants=plants,
-            headings=headings(currency),
-            groups=[(group_title(group), _shown(members), _zones(members)) for group, members in grouped(rows).items()],
-            verdicts=says,
-            failed=failures(rows),
-            plot=Markup(svg),
-            variants=_variants(records),
-            command=result["command"],
-        )
+    page = comparison_page(
+        rows,
+        currency,
+        swept,
+        title=title,
+        emulated=any(plant.startswith("embedded") for plant in plants),
+        plants=plants,
+        headings=headings(currency),
+        groups=[(group_title(group), _shown(members), _zones(members)) for group, members in grouped(rows).items()],
+        verdicts=says,
+        failed=failures(rows),
+        variants=_variants(records),
+        command=result["command"],
     )
     write_whole(folder / "comparison.html", page)
     return result
@@ -124,11 +115,27 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
         lines.append("")
         lines += _zone_lines(members)
     lines += ["`*`: best of its table; (front): on the Pareto front of cost and discomfort.", ""]
+    lines += _paired_lines(rows)
     lines += [f"- {text}" for text in says]
     lines += [
         f"- failed: {row['controller']}, {row['window']}, {row['price']}: {row['reason']}" for row in failures(rows)
     ]
     return "\n".join(lines) + "\n"
+
+
+def _paired_lines(rows: Sequence[Row]) -> list[str]:
+    """Table of the differences to the reference over windows in Markdown; nothing where there is one window."""
+    reference = reference_of(rows)
+    found = [pair for pair in pairs(rows, reference) if len(pair.windows) > 1] if reference else []
+    if not found:
+        return []
+    lines = [f"## Difference to {reference}, mean over windows (95 % interval)", ""]
+    lines += ["| controller | tariff | windows | cost, % | discomfort, K·h |", "|---|---|---:|---:|---:|"]
+    for pair in found:
+        tariff = pair.price + ("" if pair.uncertainty == "none" else f", {pair.uncertainty} forecast error")
+        cost, discomfort = in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)
+        lines.append(f"| {pair.controller} | {tariff} | {len(pair.windows)} | {cost} | {discomfort} |")
+    return [*lines, ""]
 
 
 def _zone_lines(members: Sequence[Row]) -> list[str]:

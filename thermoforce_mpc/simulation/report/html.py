@@ -1,24 +1,30 @@
-"""HTML report of a run, one self-contained file: setup, KPIs, plots, prediction errors and fallbacks."""
+"""HTML report of a run, one self-contained file: figures, courses, plans over the instants, who acted, and errors."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jinja2
-import pandas as pd
-from markupsafe import Markup
+import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Layout, Names, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Layout, PlanStatus
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.plants.kpis import zone_kpis
-from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
+from thermoforce_mpc.simulation.report.answers import answers_json
+from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
-from thermoforce_mpc.simulation.report.plots import actuation_plot, kpi_plot, temperature_plot
-from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.report.other_levels import other_levels_json
+from thermoforce_mpc.simulation.report.packing import Json
+from thermoforce_mpc.simulation.report.page import UPLOT, rendered
+from thermoforce_mpc.simulation.report.plans import plans_json, steps_json
 from thermoforce_mpc.simulation.watching import watch_spells
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 KPI_LABELS = {
     "cost_tot": ("Cost", "{currency}/m²"),
@@ -28,6 +34,14 @@ KPI_LABELS = {
     "pele_tot": ("Peak power (15 min)", "kW/m²"),
     "time_rat": ("Computing time / real time", "–"),
 }
+# KPIs that are shown as bars, too.
+_BARS = ("cost_tot", "ener_tot", "tdis_tot")
+SCRIPTS = (
+    UPLOT, "base.js", "theme.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plans.js", "cumulative.js",
+    "others.js", "status.js", "answers.js", "run_page.js",
+)  # fmt: skip
+# Statuses of which the page tells each stretch; gate and watch are told apart.
+_TOLD = tuple(status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED)
 
 
 def write_report(
@@ -38,21 +52,22 @@ def write_report(
     baselines: Mapping[str, RunResult],
     currency: str,
     layout: Layout,
+    area_m2: float,
+    model: ThermalModel | None = None,
 ) -> Path:
     """Write `report.html` into a run folder that already holds its manifest.
 
-    `kpis` is the content of `kpis.json`; `layout` says which actuators serve which zone.
+    `kpis` is the content of `kpis.json`; `layout` says which actuators serve which zone, `area_m2` is the floor area;
+    `model` is that of the controller, for the step responses and what other levels would have done.
     """
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    trajectory, steps = trajectory_frame(result.steps), steps_frame(result.steps)
-    others = {name: trajectory_frame(baseline.steps) for name, baseline in baselines.items()}
+    data = report_data(result, baselines, currency, layout, area_m2, model)
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
-    told = [status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED]
-    fallen_back = steps.status.isin(told)
-    events = steps[fallen_back | (steps.refused != "") | (steps.notes != "")]
-    names = layout.names
-    template = page_environment().get_template("report.html.j2")
-    page = template.render(
+    names, others = layout.names, data["other_levels"]
+    page = rendered(
+        "report.html.j2",
+        SCRIPTS,
+        data,
         kpis=kpis,
         manifest=manifest,
         table=_kpi_rows(everyone, currency),
@@ -60,48 +75,85 @@ def write_report(
         gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
         advice=_advice(manifest["identification"]),
         zones=names.zones if len(names.zones) > 1 else (),
-        actuators=names.actuators if len(names.actuators) > 1 else (),
-        temperature=Markup(temperature_plot(trajectory, steps, others, layout)),
-        actuation=Markup(actuation_plot(trajectory, currency, layout.names)),
-        comparison=Markup(kpi_plot(everyone, currency)),
+        planned=data["planned"],
+        others=others and {"hours": others["n"] * others["step_s"] / HOUR_S},
+        answers=data["answers"] is not None,
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words() for spell in watch_spells(result)],
-        events=events.to_dict("records"),
+        events=_events(result),
         fallback_levels=result.fallback_levels(),
-        sentences=_sentences(steps, names),
+        rounding=_rounding(data),
     )
     path = folder / "report.html"
     write_whole(path, page)
     return path
 
 
-def page_environment() -> jinja2.Environment:
-    """Jinja environment of all pages; an undefined value in a template is an error."""
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("thermoforce_mpc.simulation.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-    )
+def report_data(
+    result: RunResult,
+    baselines: Mapping[str, RunResult],
+    currency: str,
+    layout: Layout,
+    area_m2: float,
+    model: ThermalModel | None,
+) -> Json:
+    """What the scripts of the page read, see `assets/run.js`."""
+    names = layout.names
+    most = most_blocks(layout, 1 + len(baselines))
+    course = course_of(result, layout, area_m2, most)
+    plans = plans_json(result, layout, area_m2)
+    return {
+        "currency": currency,
+        "names": {"zones": names.zones, "actuators": names.actuators, "machines": names.machines},
+        "serves": [layout.actuators_of(z) for z in range(len(names.zones))],
+        "prices": _different_prices(course),
+        "own": {"name": result.controller, "averaged": course.averaged, **course.to_json()},
+        "baselines": [
+            {"name": name, **course_of(baseline, layout, area_m2, most).own_json()}
+            for name, baseline in baselines.items()
+        ],
+        "steps": steps_json(result),
+        "planned": plans is not None,
+        "plans": plans,
+        "other_levels": other_levels_json(result, model, layout),
+        "answers": answers_json(model),
+    }
+
+
+def _different_prices(course: Course) -> list[int]:
+    """Numbers of the first machine of each price: machines that pay the same share a curve."""
+    found: list[int] = []
+    for m, price in enumerate(course.price_per_kWh):
+        if not any(np.array_equal(price, course.price_per_kWh[k], equal_nan=True) for k in found):
+            found.append(m)
+    return found
 
 
 def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
-    """One row per KPI, with the best value of the row."""
+    """One row per KPI, with the best value of the row, and the largest where it is shown as bars."""
     rows = []
     for key, (label, unit) in KPI_LABELS.items():
         values = [kpis.get(key) for kpis in everyone.values()]
-        numbers = [value for value in values if value is not None]
-        best = min(numbers) if numbers and key != "time_rat" else None
-        rows.append(
-            {"label": label, "unit": unit.format(currency=currency), "key": key, "values": values, "best": best}
-        )
+        if all(value is None for value in values):
+            continue
+        rows.append(_row(label, unit.format(currency=currency), values, best=key != "time_rat", bars=key in _BARS))
         if key == "tdis_tot":
             found = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
             for zone in dict.fromkeys(zone for of in found.values() for zone in of):
-                of_zone = [found[name].get(zone) for name in everyone]
-                best = min((value for value in of_zone if value is not None), default=None)
-                rows.append({"label": f"· {zone}", "unit": unit, "key": key, "values": of_zone, "best": best})
+                rows.append(_row(f"· {zone}", unit, [found[name].get(zone) for name in everyone]))
     return rows
+
+
+def _row(label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False) -> dict[str, Any]:
+    numbers = [value for value in values if value is not None]
+    return {
+        "label": label,
+        "unit": unit,
+        "values": values,
+        "best": min(numbers) if numbers and best else None,
+        "most": max(numbers) if bars and numbers and min(numbers) >= 0 < max(numbers) else None,
+    }
 
 
 def _advice(identification: Mapping[str, Any]) -> list[str]:
@@ -112,18 +164,45 @@ def _advice(identification: Mapping[str, Any]) -> list[str]:
     return [f"{name}: {advice}" for name, of in named.items() for advice in (of["competence"] or {}).get("advice", ())]
 
 
-def _sentences(steps: pd.DataFrame, names: Names) -> list[dict[str, Any]]:
-    """Reasons of the plans of the first 24 h, one per hour, with temperatures and levels as text."""
-    hour = ((steps.time_s - steps.time_s.iloc[0]) // HOUR_S).astype(int)
-    hourly = steps[~hour.duplicated()].head(24)
-    T = [names.label("T_zone_C", z) for z in range(len(names.zones))]
-    u = ["u_planned" + names.label("u", a).removeprefix("u") for a in range(len(names.actuators))]
-    return [
-        {
-            "time_s": row["time_s"],
-            "T_zone_C": ", ".join(f"{row[key]:.2f}" for key in T),
-            "u_planned": ", ".join("–" if pd.isna(row[key]) else f"{row[key]:.2f}" for key in u),
-            "why": row["why"],
-        }
-        for row in hourly.to_dict("records")
+def _events(result: RunResult) -> list[dict[str, Any]]:
+    """Stretches of steps in which something else than a plan as wanted acted, or a reading was doubtful."""
+
+    def kind(step: StepRecord) -> tuple[str, str, str]:
+        return step.plan.status.value, step.refused, "; ".join(step.notes)
+
+    found = []
+    for (status, refused, notes), steps in groupby(result.steps, key=kind):
+        stretch = list(steps)
+        if status in _TOLD or refused or notes:
+            found.append(
+                {
+                    "time_s": stretch[0].time_s,
+                    "steps": len(stretch),
+                    "status": status,
+                    "refused": refused,
+                    "why": stretch[0].plan.why,
+                    "notes": notes,
+                }
+            )
+    return found
+
+
+def _rounding(data: Json) -> str:
+    """What of the run is not in the page, or not as exactly as in the run folder."""
+    says = [
+        "Planned temperatures are rounded to 0.01 K, planned levels to 0.01, and other numbers in this page to the "
+        "65,535th part of their range; the files of the run have all digits."
     ]
+    if data["own"]["averaged"] > 1:
+        says.append(f"Courses are means over {data['own']['averaged']} blocks.")
+    if data["steps"]["every"] > 1:
+        says.append(
+            f"Statuses, reasons and computing times are those of every {_ordinal(data['steps']['every'])} step."
+        )
+    if data["plans"] and data["plans"]["every"] > 1:
+        says.append(f"Of the plans every {_ordinal(data['plans']['every'])} is here; “tf-mpc explain” shows any.")
+    return " ".join(says)
+
+
+def _ordinal(n: int) -> str:
+    return {2: "second", 4: "fourth", 8: "eighth"}.get(n, f"{n}th")

@@ -1,0 +1,139 @@
+"""What the page of a comparison draws and how it answers, in a headless Chromium. Skips where the machine has none."""
+
+from __future__ import annotations
+
+import pytest
+from browser import Seen, chromium
+from comparison_records import record
+
+from thermoforce_mpc.simulation.comparison.files import write_outcome
+
+EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
+POINTS = {
+    "ours": (0.55, 0.1), EVIL: (0.60, 0.3), "thermostat": (0.65, 0.2), "native": (0.9, 8.0),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("comparison")
+    records = [
+        record(name, cost * scale, discomfort, needs_model=name in ("ours", EVIL), window=window)
+        for window, scale in (("16", 1.0), ("44", 0.9), ("108", 0.5))
+        for name, (cost, discomfort) in POINTS.items()
+    ]
+    write_outcome(folder, records, name="compare", title=f"A title {EVIL}", currency="EUR")
+    return folder / "comparison.html"
+
+
+@pytest.fixture
+def seen(browser, page):
+    found = Seen(browser, page)
+    yield found
+    found.close()
+
+
+def places(seen, panel=0):
+    """Where the marks of a panel are, in its drawing: {name: (x, y)}."""
+    return seen.ask(f"""Object.fromEntries([...Report.panels[{panel}].place.querySelectorAll(".mark")].map((mark) => {{
+      const [x, y] = mark.getAttribute("transform").match(/[-\\d.]+/g).map(Number);
+      return [mark.dataset.name, [x, y]];
+    }}))""")
+
+
+def test_cheaper_is_lower_and_calmer_further_left(seen):
+    assert seen.page.locator("#pareto .panel").count() == 3
+    at = places(seen)
+    assert set(at) == set(POINTS)
+    for name, (cost, discomfort) in POINTS.items():
+        for other, (more, harsher) in POINTS.items():
+            if cost < more:
+                assert at[name][1] > at[other][1]
+            if discomfort < harsher:
+                assert at[name][0] < at[other][0]
+    titles = seen.page.locator("#pareto figcaption").all_inner_texts()
+    assert titles == ["day 16, constant tariff", "day 44, constant tariff", "day 108, constant tariff"]
+
+
+def test_the_scale_of_discomfort_can_be_straight(seen):
+    before = places(seen)
+    seen.page.locator("#pareto-tools button", has_text="logarithmic").click()
+    after = places(seen)
+    share = (after["thermostat"][0] - after["ours"][0]) / (after["native"][0] - after["ours"][0])
+    assert share == pytest.approx(0.1 / 7.9, rel=0.01)
+    assert (before["thermostat"][0] - before["ours"][0]) > 3 * (after["thermostat"][0] - after["ours"][0])
+
+
+def test_a_legend_hides_a_controller_in_every_panel_and_shows_it_again(seen):
+    key = seen.page.locator("#pareto-legend [data-key=native]")
+    key.click()
+    assert [set(places(seen, panel)) for panel in range(3)] == [set(POINTS) - {"native"}] * 3
+    key.click()
+    assert set(places(seen)) == set(POINTS)
+
+
+def test_dragging_zooms_and_a_double_click_shows_all(seen):
+    at = places(seen)
+    box = seen.page.locator("#pareto svg.pareto").first.bounding_box()
+    corner = (min(at[name][0] for name in ("ours", "thermostat")) - 15, max(y for _, y in at.values()) + 15)
+    other = (max(at[name][0] for name in ("ours", EVIL)) + 15, at["thermostat"][1] - 15)
+    seen.page.mouse.move(box["x"] + corner[0], box["y"] + corner[1])
+    seen.page.mouse.down()
+    seen.page.mouse.move(box["x"] + other[0], box["y"] + other[1], steps=3)
+    seen.page.mouse.up()
+    assert set(places(seen)) == set(POINTS) - {"native"}
+    seen.page.locator("#pareto svg.pareto").first.dblclick(position={"x": 200, "y": 30})
+    assert places(seen) == at
+
+
+def test_pointing_at_a_mark_tells_its_figures(seen):
+    seen.page.locator("#pareto .panel").first.locator(".mark[data-name=thermostat]").hover()
+    tip = seen.page.locator(".tip").inner_text()
+    assert "0.6500 EUR/m²" in tip
+    assert "0.20 K·h" in tip
+
+
+def test_confidence_is_shown_beside_any_reference(seen):
+    chosen = seen.page.locator("#reference")
+    assert chosen.input_value() == "thermostat"
+    seen.page.locator("summary", has_text="as a table").click()
+    rows = seen.page.locator("#paired-table tr").all_inner_texts()
+    assert any("ours" in row and "−15.4 %" in row for row in rows)
+    assert seen.page.locator("#paired svg .difference[data-name=ours] circle.window").count() == 6
+    chosen.select_option("native")
+    rows = seen.page.locator("#paired-table tr").all_inner_texts()
+    assert any("ours" in row and "−38.9 %" in row for row in rows)
+    assert not any(row.startswith("native") for row in rows)
+
+
+def test_markup_in_names_is_shown_and_never_run(seen):
+    assert EVIL in seen.page.locator("h1").inner_text()
+    assert EVIL in seen.page.locator("#pareto-legend").inner_text()
+    assert seen.page.locator("main img").count() == 0
+
+
+def test_a_drawing_can_be_saved_as_it_is_seen(seen):
+    with seen.page.expect_download() as waiting:
+        seen.page.locator("#pareto button", has_text="save").first.click()
+    text = waiting.value.path().read_text(encoding="utf-8")
+    assert text.startswith("<svg")
+    assert "var(--" not in text.replace("fill: var", "")
+    assert waiting.value.suggested_filename == "day_16_constant_tariff.svg"
+
+
+def test_a_sweep_is_a_line_in_its_order(browser, tmp_path):
+    values = {f"w={value}": str(value) for value in (1, 5, 20)}
+    records = [record(name, 0.6 + 0.01 * k, 2.0 - k, needs_model=True) for k, name in enumerate(values)]
+    write_outcome(tmp_path, records, name="sweep", title="t", currency="EUR", swept=values)
+    seen = Seen(browser, tmp_path / "comparison.html", width=390)
+    line = seen.page.locator("#pareto path.sweep").get_attribute("d")
+    assert line.count("L") == 2
+    assert seen.page.locator("#pareto svg text.name").all_text_contents() == ["1", "5", "20"]
+    assert seen.ask("document.documentElement.scrollWidth") == 390
+    seen.close()

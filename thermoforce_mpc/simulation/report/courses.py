@@ -1,0 +1,151 @@
+"""What was measured in a run, and what it had cost by then, as arrays of the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array, Layout
+from thermoforce_mpc.plants.kpis import excess
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
+
+_JOULE_PER_KWH = 3.6e6
+# Bytes of the courses of all runs of a page, before base64 adds a third; of more, blocks on end are averaged.
+MOST_BYTES = 800_000
+# Coarsest roundings: K, W, level, W/m², price and cost per kWh and m².
+RESOLUTION = {"T": 0.002, "W": 5.0, "u": 1e-4, "sun": 0.1, "price": 1e-4, "cost": 1e-4, "Kh": 0.002}
+
+
+@dataclass(frozen=True)
+class Course:
+    """All n blocks of a run, or means over several on end.
+
+    `start_s`, `duration_s`, `T_out_C`, `solar_W_m2` (n,); `T_zone_C`, `lower_C`, `upper_C` (Z, n), `u` (A, n) and
+    `power_W`, `price_per_kWh` (M, n) as in `Sample`. `cost` (n,) per m² and `discomfort_Kh` (Z, n) are those until the
+    end of each block.
+    `averaged`: number of blocks taken together.
+    """
+
+    start_s: Array
+    duration_s: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    T_zone_C: Array
+    lower_C: Array
+    upper_C: Array
+    u: Array
+    power_W: Array
+    price_per_kWh: Array
+    cost: Array
+    discomfort_Kh: Array
+    averaged: int
+
+    def to_json(self) -> Json:
+        """All of it, packed."""
+        of = RESOLUTION
+        return {
+            "start_s": exactly(self.start_s),
+            "duration_s": exactly(self.duration_s),
+            "T_out_C": packed(self.T_out_C, of["T"]),
+            "solar_W_m2": packed(self.solar_W_m2, of["sun"]),
+            "lower_C": rows_packed(self.lower_C, of["T"]),
+            "upper_C": rows_packed(self.upper_C, of["T"]),
+            "price_per_kWh": rows_packed(self.price_per_kWh, of["price"]),
+            **self.own_json(),
+        }
+
+    def own_json(self) -> Json:
+        """What differs from one controller to the next."""
+        of = RESOLUTION
+        return {
+            "start_s": exactly(self.start_s),
+            "duration_s": exactly(self.duration_s),
+            "T_zone_C": rows_packed(self.T_zone_C, of["T"]),
+            "u": rows_packed(self.u, of["u"]),
+            "power_W": rows_packed(self.power_W, of["W"]),
+            "cost": packed(self.cost, of["cost"]),
+            "discomfort_Kh": rows_packed(self.discomfort_Kh, of["Kh"]),
+        }
+
+
+def most_blocks(layout: Layout, runs: int) -> int:
+    """How many blocks of each of `runs` runs a page has room for."""
+    Z, A, M = len(layout.names.zones), len(layout.names.actuators), len(layout.names.machines)
+    shared = 2 + 2 * Z + M
+    own = 2 * Z + A + M + 1
+    return MOST_BYTES // (2 * (shared + runs * own) + 16 * runs)
+
+
+def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> Course:
+    """The course of a run, of at most `most` blocks.
+
+    Cost is that of the mean power of each block at the price in force, discomfort that of straight lines between the
+    temperatures at the ends of blocks: both are near to the KPIs, which are of samples every 30 s.
+    """
+    rows: dict[str, list[object]] = {}
+    heating_price: list[Array] = []
+    for step in result.steps:
+        for sample in step.samples:
+            for name in (
+                "start_s", "duration_s", "T_out_C", "solar_W_m2", "T_zone_C", "lower_C", "upper_C", "power_W",
+                "price_per_kWh",
+            ):  # fmt: skip
+                rows.setdefault(name, []).append(getattr(sample, name))
+            rows.setdefault("u", []).append(sample.u_measured)
+            heating_price.append(_heating_price(step, sample.start_s))
+    found = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
+    price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
+    spent = (found["power_W"] * price).sum(axis=0) * found["duration_s"] / _JOULE_PER_KWH / area_m2
+    before_C = np.column_stack([result.start.T_zone_C, found["T_zone_C"][:, :-1]])
+    outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
+    discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S
+    found |= {"cost": np.nancumsum(spent), "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
+    course = Course(averaged=1, **found)
+    return _averaged(course, -(-course.start_s.size // most))
+
+
+def _heating_price(step: StepRecord, start_s: float) -> Array:
+    """Price of the heating of each machine in force at an instant (M,)."""
+    index = int(max((step.boundary.time_s <= start_s + 1e-6).sum() - 1, 0))
+    return np.asarray(step.boundary.heating_price_per_kWh[:, index])
+
+
+def price_paid(u: Array, price: Array, heating_price: Array, layout: Layout) -> Array:
+    """Price of each machine's energy (M, n): that of heating unless an actuator of it cools at levels `u` (A, n)."""
+    paid = price.copy()
+    for m in range(price.shape[0]):
+        fed = [a for a in layout.fed_by(m) if layout.signs[a] > 0]
+        if fed:
+            heats = (np.nan_to_num(u[fed]) >= 0).all(axis=0)
+            paid[m] = np.where(heats, heating_price[m], price[m])
+    return paid
+
+
+def _averaged(course: Course, together: int) -> Course:
+    """The course with `together` blocks taken as one: means of what acts, the last of what is sampled."""
+    if together <= 1:
+        return course
+    first = np.arange(0, course.start_s.size, together)
+    last = np.append(first[1:], course.start_s.size) - 1
+    weight = np.add.reduceat(course.duration_s, first)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values * course.duration_s, first, axis=-1) / weight)
+
+    return Course(
+        start_s=course.start_s[first],
+        duration_s=weight,
+        T_out_C=course.T_out_C[last],
+        solar_W_m2=course.solar_W_m2[last],
+        T_zone_C=course.T_zone_C[:, last],
+        lower_C=course.lower_C[:, first],
+        upper_C=course.upper_C[:, first],
+        u=mean(course.u),
+        power_W=mean(course.power_W),
+        price_per_kWh=mean(course.price_per_kWh),
+        cost=course.cost[last],
+        discomfort_Kh=course.discomfort_Kh[:, last],
+        averaged=together,
+    )

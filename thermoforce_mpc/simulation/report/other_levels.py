@@ -1,0 +1,104 @@
+"""What other levels would have done, from instant to instant of a run (paper, counterfactual query)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.report.courses import RESOLUTION
+from thermoforce_mpc.simulation.report.packing import Json, exactly, rows_packed
+from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+
+# Every so often one is told, over so many hours; the day before the first one is needed for the forced state.
+EVERY_H, LENGTH_H, BEFORE_H = 6.0, 24.0, 24.0
+# The forced state is that of the levels of so many days before.
+MOST_PAST_DAYS = 10.0
+# Bytes in the page, before base64 adds a third: of long runs and many zones fewer instants.
+MOST_BYTES = 250_000
+# What is asked about: levels of all actuators.
+LEVELS = {"off": 0.0, "half": 0.5, "full": 1.0}
+
+
+def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Layout) -> Json | None:
+    """The day after every sixth hour as it would have been with all actuators off, at half and at full level.
+
+    Where some actuators exclude each other only 'off' is asked about. None without a model of this building, or where
+    the run is too short or too little was measured.
+    """
+    if model is None or model.names != result.names:
+        return None
+    levels = {"off": 0.0} if layout.exclusive else LEVELS
+    try:
+        record = record_of_run(result)
+        instants = _instants(record, len(levels))
+        found = [[_asked(model, record, level, t) for t in instants] for level in levels.values()]
+    except DataError:  # a zone that was never measured, or a clock with gaps: there is nothing to compare with
+        return None
+    if not instants:
+        return None
+    return {
+        "levels": list(levels),
+        "time_s": exactly(np.array(instants)),
+        "step_s": record.step_s,
+        "n": found[0][0].effect_K.shape[-1],
+        "T_other_C": [rows_packed(_rows([one.other_C for one in row]), RESOLUTION["T"]) for row in found],
+        "sd_K": [rows_packed(_rows([one.sd_K for one in row]), RESOLUTION["T"]) for row in found],
+        "energy_kWh": [[float(one.energy_other_kWh.sum()) for one in row] for row in found],
+        "energy_applied_kWh": [float(one.energy_kWh.sum()) for one in found[0]],
+    }
+
+
+def _asked(model: ThermalModel, record: Record, level: float, time_s: float) -> Counterfactual:
+    at = round((time_s - record.time_s[0]) / record.step_s)
+    stop = at + round(LENGTH_H * HOUR_S / record.step_s)
+    recent = record.slice(max(0, at - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
+    return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)
+
+
+def _rows(of_instants: list[Array]) -> Array:
+    """Arrays (Z, N) of P instants as rows (Z, P · N)."""
+    return np.concatenate(of_instants, axis=-1)
+
+
+def _instants(record: Record, levels: int) -> list[float]:
+    """Start of each day that is asked about, s."""
+    per_instant = 2 * 2 * levels * len(record.names.zones) * LENGTH_H * HOUR_S / record.step_s
+    most = max(1, int(MOST_BYTES / per_instant))
+    every = max(round(EVERY_H * HOUR_S / record.step_s), 1)
+    first, last = round(BEFORE_H * HOUR_S / record.step_s), record.n_steps - round(LENGTH_H * HOUR_S / record.step_s)
+    at = np.arange(max(first, 1), last + 1, every)
+    return [float(record.time_s[i]) for i in at[:: -(-at.size // most) or 1]]
+
+
+def record_of_run(result: RunResult) -> Record:
+    """The record of a run's whole steps: temperatures at their ends, means of what acted in between.
+
+    Raises:
+        DataError: the steps are not of equal length.
+    """
+    start, steps = result.start, result.steps
+    whole = [step for step in steps if _length_s(step) > steps[0].boundary.step_s - 1e-3]
+    ends = [step.samples[-1] for step in whole]
+    weights = [[sample.duration_s for sample in step.samples] for step in whole]
+
+    def mean(name: str) -> Array:
+        values = [[getattr(sample, name) for sample in step.samples] for step in whole]
+        return np.array([np.average(of, axis=0, weights=by) for of, by in zip(values, weights, strict=True)]).T
+
+    return Record(
+        time_s=np.array([start.time_s, *(end.start_s + end.duration_s for end in ends)]),
+        T_zone_C=np.array([start.T_zone_C, *(end.T_zone_C for end in ends)]).T,
+        T_out_C=np.array([start.T_out_C, *(end.T_out_C for end in ends)]),
+        solar_W_m2=np.array([start.solar_W_m2, *(end.solar_W_m2 for end in ends)]),
+        u=mean("u_measured"),
+        power_W=mean("power_W"),
+        heat_W=mean("heat_W"),
+        names=result.names,
+    )
+
+
+def _length_s(step: StepRecord) -> float:
+    return sum(sample.duration_s for sample in step.samples)
