@@ -172,7 +172,7 @@ const Chart = (() => {
       for (const part of this.parts.values()) {
         if (!this.isShown(part.key) || part.silent) continue;
         const text = this.valueAt(part, t);
-        if (text) lines.push(Tip.entry(part.colour, part.name, text));
+        if (text) lines.push(Tip.entry(part, part.name, text));
       }
       if (this.spec.tip) lines.push(...this.spec.tip(t));
       if (this.group.why) lines.push(...this.group.why(t));

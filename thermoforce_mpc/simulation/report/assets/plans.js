@@ -162,7 +162,7 @@ const PlanView = (() => {
       byId("plan-facts").replaceChildren(...facts);
       byId("plan-instant").textContent = `${instant(t)} (${calendar(t)})`;
       byId("plan-status").textContent = status;
-      byId("plan-status").dataset.status = status;
+      byId("plan-status").style.setProperty("--c", `var(--status-${status})`);
       byId("plan-why").textContent = Run.reason(i) + (known ? "" : " (there is no plan of this instant)");
     }
 

@@ -16,7 +16,10 @@ const StatusView = (() => {
         values: () => rungs.map((code) => steps.statuses[code]), grid: { show: false } },
       lines: [{ key: "status", name: title || "status", x: steps.time, y: codes.map(() => NaN), colour: "--measured",
         silent: true }],
-      tip: (t) => solver(indexAt(steps.time, t)),
+      tip: (t) => {
+        const i = indexAt(steps.time, t);
+        return [...(title && i >= 0 ? [acted(title, codes[i])] : []), ...solver(i)];
+      },
       paint: (plot) => paint(plot, codes),
     });
     chart.codes = codes;
@@ -40,6 +43,12 @@ const StatusView = (() => {
       ctx.fillRect(left, y - height / 2, Math.max(right - left, 1.5 * devicePixelRatio), height);
       i = j;
     }
+  }
+
+  /* Who acted at an actuator, as a line of the box. */
+  function acted(name, code) {
+    const status = steps.statuses[code];
+    return Tip.entry(`--status-${status}`, name, status);
   }
 
   /* The solver at a step, as a line of the box. */

@@ -19,9 +19,10 @@ const Tip = (() => {
 
   const hush = () => { box.hidden = true; };
 
-  /* A line of the box: colour, name, value. */
-  const entry = (colour, name, value) => element(
-    "div", { class: "tip-row" }, swatch({ colour }), element("span", {}, name), element("b", {}, value),
+  /* A line of the box: what it looks like in the chart (or a colour), name, value. */
+  const entry = (look, name, value) => element(
+    "div", { class: "tip-row" }, swatch(typeof look === "string" ? { colour: look } : look), element("span", {}, name),
+    element("b", {}, value),
   );
 
   /* What a line looks like, for legends. */
