@@ -32,11 +32,19 @@ def page(tmp_path_factory):
     return folder / "comparison.html"
 
 
-@pytest.fixture
-def seen(browser, page):
+@pytest.fixture(scope="module")
+def opened(browser, page):
     found = Seen(browser, page)
     yield found
     found.close()
+
+
+@pytest.fixture
+def seen(opened):
+    """The page, all of it in view; loaded once."""
+    opened.page.locator("#pareto-tools button", has_text="all").click()
+    yield opened
+    assert opened.wrong == []
 
 
 def places(seen, panel=0):
@@ -67,6 +75,8 @@ def test_the_scale_of_discomfort_can_be_straight(seen):
     after = places(seen)
     share = (after["thermostat"][0] - after["ours"][0]) / (after["native"][0] - after["ours"][0])
     assert share == pytest.approx(0.1 / 7.9, rel=0.01)
+    seen.page.locator("#pareto-tools button", has_text="logarithmic").click()
+    assert places(seen) == before
     assert (before["thermostat"][0] - before["ours"][0]) > 3 * (after["thermostat"][0] - after["ours"][0])
 
 

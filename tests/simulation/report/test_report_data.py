@@ -17,6 +17,7 @@ from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Layout, Names, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.courses import course_of
+from thermoforce_mpc.simulation.report.decisions import decisions_json
 from thermoforce_mpc.simulation.report.packing import packed, smooth
 from thermoforce_mpc.simulation.report.plans import plans_json
 
@@ -105,6 +106,26 @@ def test_long_runs_are_averaged_without_losing_energy_or_time(result):
     assert fewer.cost[-1] == whole.cost[-1]
 
 
+def test_decisions_of_long_runs_are_thinned(result):
+    told = decisions_json(result, most=20)
+    assert told["every"] == 4
+    np.testing.assert_array_equal(numbers(told["time_s"]), [step.time_s for step in result.steps[::4]])
+    np.testing.assert_allclose(
+        numbers(told["T_forced_K"][1]), [step.plan.T_forced_K[1, 0] for step in result.steps[::4]], atol=0.002
+    )
+    assert {told["texts"][i] for i in told["solver"]} == {"optimal"}
+
+
+def test_stretches_of_one_reason_are_one_row_and_the_page_stays_readable_with_many(result, tmp_path):
+    def with_notes(notes):
+        steps = [replace(step, notes=note) for step, note in zip(result.steps, notes, strict=True)]
+        return report_of(replace(result, steps=steps), {}, tmp_path)
+
+    page = with_notes([("the sensor of bath is silent",) if 10 <= k < 20 else () for k in range(48)])
+    assert page.split("<main>")[1].split("<script")[0].count("the sensor of bath is silent") == 1
+    assert "<td>10.417</td><td>10</td>" in page
+
+
 @pytest.mark.parametrize(("zones", "every"), [(1, 1), (5, 4), (20, 16)])
 def test_two_weeks_of_plans_are_at_most_five_megabytes_and_the_page_says_what_is_left_out(zones, every, tmp_path):
     each = [tuple(f"{kind} {i}" for i in range(zones)) for kind in ("zone", "valve")]
@@ -119,7 +140,7 @@ def test_two_weeks_of_plans_are_at_most_five_megabytes_and_the_page_says_what_is
     plans = data["plans"]
     assert plans["every"] == every
     assert len(numbers(plans["T_free_C"][0])) == len(run.steps) // every * 192
-    assert ("Of the plans every" in page) == (every > 1)
+    assert (f"Of the plans one in {every} is here" in page) == (every > 1)
     assert (f"Courses are means over {data['own']['averaged']} blocks" in page) == (zones == 20)
 
 

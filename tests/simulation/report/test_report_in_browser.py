@@ -13,7 +13,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.thermostat import Thermostat
-from thermoforce_mpc.data import HOUR_S, Layout, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Layout, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 # Whether the canvas of a chart has a colour within two pixels of a point of one of its scales.
@@ -51,11 +51,21 @@ def one_zone(tmp_path_factory):
     return run, folder / "report.html"
 
 
-@pytest.fixture
-def seen(browser, one_zone):
+@pytest.fixture(scope="module")
+def opened(browser, one_zone):
     found = Seen(browser, one_zone[1])
     yield found
     found.close()
+
+
+@pytest.fixture
+def seen(opened):
+    """The page of `one_zone`, all of it in view; loaded once, since that takes the longest."""
+    opened.page.mouse.move(0, 0)
+    opened.ask("Report.course.group.zoom()")
+    drawn(opened)
+    yield opened
+    assert opened.wrong == []
 
 
 def near(seen, chart, t, value, colour, scale="y"):
@@ -246,7 +256,9 @@ def zones(browser, tmp_path):
     """Two zones whose names are markup, with a step that fell back: the run and its page."""
     run = planned(HOSTILE_NAMES, "because <b>of</b> </script><script>alert(3)</script>")
     fallen = replace(run.steps[7].plan, status=PlanStatus.SHIFTED, acting=(PlanStatus.SHIFTED, PlanStatus.NATIVE))
-    steps = [*run.steps[:7], replace(run.steps[7], plan=fallen), *run.steps[8:]]
+    rule = Plan(run.steps[9].plan.blocks, PlanStatus.THERMOSTAT, "no solver", names=HOSTILE_NAMES)
+    steps = [*run.steps[:7], replace(run.steps[7], plan=fallen), run.steps[8], replace(run.steps[9], plan=rule)]
+    steps += run.steps[10:]
     run = replace(run, steps=steps)
     report_of(run, {"<img src=x onerror=alert(4)>": run}, tmp_path, layout_of(HOSTILE_NAMES))
     found = Seen(browser, tmp_path / "report.html")
@@ -257,15 +269,26 @@ def zones(browser, tmp_path):
 def test_zones_are_rows_and_actuators_have_lanes_of_who_acted(zones):
     run, seen = zones
     assert seen.page.locator("#course .zone-row").count() == 2
-    assert seen.ask("Report.status.rungs") == ["solved", "shifted", "native"]
+    assert seen.ask("Report.status.rungs") == ["solved", "shifted", "thermostat", "native"]
     titles = seen.page.locator("#status figcaption").all_inner_texts()
     assert titles == list(HOSTILE_NAMES.actuators)
     t = run.steps[7].time_s + 0.5 * HOUR_S
-    # Lanes from top to bottom: solved, shifted, native.
-    assert near(seen, "Report.status.lanes[0]", t, 1, "--status-shifted")
+    # Lanes from top to bottom: solved, shifted, thermostat, native.
+    assert near(seen, "Report.status.lanes[0]", t, 2, "--status-shifted")
     assert near(seen, "Report.status.lanes[1]", t, 0, "--status-native")
-    assert near(seen, "Report.status.lanes[1]", t + HOUR_S, 2, "--status-solved")
+    assert near(seen, "Report.status.lanes[1]", t + HOUR_S, 3, "--status-solved")
     assert not near(seen, "Report.status.lanes[1]", t + HOUR_S, 0, "--status-native")
+
+
+def test_an_instant_without_a_plan_shows_what_came_and_says_so(zones):
+    _, seen = zones
+    move(seen, "#plan-slider", 9)
+    assert seen.page.locator("#plan-status").inner_text() == "thermostat"
+    assert "there is no plan of this instant" in seen.page.locator("#plan-why").inner_text()
+    assert series(seen, "Report.plans.temperatures[0]", "plan").size == 0
+    assert series(seen, "Report.plans.temperatures[0]", "came").size > N
+    move(seen, "#plan-slider", 10)
+    assert series(seen, "Report.plans.temperatures[0]", "plan").size == N + 1
 
 
 def test_markup_in_names_and_reasons_is_shown_and_never_run(zones):

@@ -11,7 +11,7 @@ from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
 
-_JOULE_PER_KWH = 3.6e6
+JOULE_PER_KWH = 3.6e6
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, blocks on end are averaged.
 MOST_BYTES = 800_000
 # Coarsest roundings: K, W, level, W/m², price and cost per kWh and m².
@@ -97,7 +97,7 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
             heating_price.append(_heating_price(step, sample.start_s))
     found = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
     price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
-    spent = (found["power_W"] * price).sum(axis=0) * found["duration_s"] / _JOULE_PER_KWH / area_m2
+    spent = (found["power_W"] * price).sum(axis=0) * found["duration_s"] / JOULE_PER_KWH / area_m2
     before_C = np.column_stack([result.start.T_zone_C, found["T_zone_C"][:, :-1]])
     outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
     discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S

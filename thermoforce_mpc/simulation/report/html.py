@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +15,12 @@ from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.simulation.report.answers import answers_json
 from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks
+from thermoforce_mpc.simulation.report.decisions import decisions_json
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
 from thermoforce_mpc.simulation.report.other_levels import other_levels_json
 from thermoforce_mpc.simulation.report.packing import Json
 from thermoforce_mpc.simulation.report.page import UPLOT, rendered
-from thermoforce_mpc.simulation.report.plans import plans_json, steps_json
+from thermoforce_mpc.simulation.report.plans import plans_json
 from thermoforce_mpc.simulation.watching import watch_spells
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ SCRIPTS = (
     UPLOT, "base.js", "theme.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plans.js", "cumulative.js",
     "others.js", "status.js", "answers.js", "run_page.js",
 )  # fmt: skip
+# So many stretches are told; `steps.csv` has all.
+_MOST_EVENTS = 300
 # Statuses of which the page tells each stretch; gate and watch are told apart.
 _TOLD = tuple(status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED)
 
@@ -63,7 +65,7 @@ def write_report(
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     data = report_data(result, baselines, currency, layout, area_m2, model)
     everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
-    names, others = layout.names, data["other_levels"]
+    names, others, events = layout.names, data["other_levels"], _events(result)
     page = rendered(
         "report.html.j2",
         SCRIPTS,
@@ -81,7 +83,8 @@ def write_report(
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words() for spell in watch_spells(result)],
-        events=_events(result),
+        events=events[:_MOST_EVENTS],
+        more_events=max(0, len(events) - _MOST_EVENTS),
         fallback_levels=result.fallback_levels(),
         rounding=_rounding(data),
     )
@@ -113,7 +116,7 @@ def report_data(
             {"name": name, **course_of(baseline, layout, area_m2, most).own_json()}
             for name, baseline in baselines.items()
         ],
-        "steps": steps_json(result),
+        "steps": decisions_json(result),
         "planned": plans is not None,
         "plans": plans,
         "other_levels": other_levels_json(result, model, layout),
@@ -146,6 +149,7 @@ def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> lis
 
 
 def _row(label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False) -> dict[str, Any]:
+    values = [value if value is not None and np.isfinite(value) else None for value in values]
     numbers = [value for value in values if value is not None]
     return {
         "label": label,
@@ -170,20 +174,19 @@ def _events(result: RunResult) -> list[dict[str, Any]]:
     def kind(step: StepRecord) -> tuple[str, str, str]:
         return step.plan.status.value, step.refused, "; ".join(step.notes)
 
-    found = []
-    for (status, refused, notes), steps in groupby(result.steps, key=kind):
-        stretch = list(steps)
-        if status in _TOLD or refused or notes:
+    found: list[dict[str, Any]] = []
+    before = None
+    for step in result.steps:
+        now = status, refused, notes = kind(step)
+        told = status in _TOLD or bool(refused or notes)
+        if told and now == before:
+            found[-1]["steps"] += 1
+        elif told:
+            why = step.plan.why
             found.append(
-                {
-                    "time_s": stretch[0].time_s,
-                    "steps": len(stretch),
-                    "status": status,
-                    "refused": refused,
-                    "why": stretch[0].plan.why,
-                    "notes": notes,
-                }
+                {"time_s": step.time_s, "steps": 1, "status": status, "refused": refused, "why": why, "notes": notes}
             )
+        before = now
     return found
 
 
@@ -196,13 +199,7 @@ def _rounding(data: Json) -> str:
     if data["own"]["averaged"] > 1:
         says.append(f"Courses are means over {data['own']['averaged']} blocks.")
     if data["steps"]["every"] > 1:
-        says.append(
-            f"Statuses, reasons and computing times are those of every {_ordinal(data['steps']['every'])} step."
-        )
+        says.append(f"Of statuses, reasons and computing times one in {data['steps']['every']} is here.")
     if data["plans"] and data["plans"]["every"] > 1:
-        says.append(f"Of the plans every {_ordinal(data['plans']['every'])} is here; “tf-mpc explain” shows any.")
+        says.append(f"Of the plans one in {data['plans']['every']} is here; “tf-mpc explain” shows any.")
     return " ".join(says)
-
-
-def _ordinal(n: int) -> str:
-    return {2: "second", 4: "fourth", 8: "eighth"}.get(n, f"{n}th")

@@ -7,7 +7,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.closed_loop import RunResult, Sample
 from thermoforce_mpc.simulation.report.courses import RESOLUTION
 from thermoforce_mpc.simulation.report.packing import Json, exactly, rows_packed
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
@@ -79,26 +79,25 @@ def record_of_run(result: RunResult) -> Record:
     Raises:
         DataError: the steps are not of equal length.
     """
-    start, steps = result.start, result.steps
-    whole = [step for step in steps if _length_s(step) > steps[0].boundary.step_s - 1e-3]
-    ends = [step.samples[-1] for step in whole]
-    weights = [[sample.duration_s for sample in step.samples] for step in whole]
-
-    def mean(name: str) -> Array:
-        values = [[getattr(sample, name) for sample in step.samples] for step in whole]
-        return np.array([np.average(of, axis=0, weights=by) for of, by in zip(values, weights, strict=True)]).T
-
+    start, step_s = result.start, 0.0
+    ends: list[Sample] = []
+    means: dict[str, list[Array]] = {"u_measured": [], "power_W": [], "heat_W": []}
+    for step in result.steps:
+        step_s = step_s or step.boundary.step_s
+        weights = [sample.duration_s for sample in step.samples]
+        if sum(weights) < step_s - 1e-3:  # the last step may be cut short
+            continue
+        ends.append(step.samples[-1])
+        for name, found in means.items():
+            found.append(np.average([getattr(sample, name) for sample in step.samples], axis=0, weights=weights))
+    whole = {name: np.array(found).T for name, found in means.items()}
     return Record(
         time_s=np.array([start.time_s, *(end.start_s + end.duration_s for end in ends)]),
         T_zone_C=np.array([start.T_zone_C, *(end.T_zone_C for end in ends)]).T,
         T_out_C=np.array([start.T_out_C, *(end.T_out_C for end in ends)]),
         solar_W_m2=np.array([start.solar_W_m2, *(end.solar_W_m2 for end in ends)]),
-        u=mean("u_measured"),
-        power_W=mean("power_W"),
-        heat_W=mean("heat_W"),
+        u=whole["u_measured"],
+        power_W=whole["power_W"],
+        heat_W=whole["heat_W"],
         names=result.names,
     )
-
-
-def _length_s(step: StepRecord) -> float:
-    return sum(sample.duration_s for sample in step.samples)

@@ -7,7 +7,11 @@ const Page = (() => {
   /* The data of the page; arrays stay packed until `numbers` reads them. */
   const data = JSON.parse(document.getElementById("data").textContent);
 
-  const bytes = (text) => Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer;
+  function bytes(text) {
+    const raw = atob(text), found = new Uint8Array(raw.length);
+    for (let i = 0; i < raw.length; i++) found[i] = raw.charCodeAt(i);
+    return found.buffer;
+  }
 
   /* The numbers of a packed array (packing.py), NaN where there is none. */
   function numbers(packed) {

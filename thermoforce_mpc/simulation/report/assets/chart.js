@@ -37,7 +37,8 @@ const Chart = (() => {
       Object.assign(this, { group, spec, parts: new Map() });
       this.figure = element("figure", { class: "chart" });
       if (spec.title) this.figure.append(element("figcaption", {}, spec.title));
-      this.place = element("div", { class: "plot" });
+      const shown = [...(spec.bands || []), ...(spec.lines || [])].map((part) => part.name).join(", ");
+      this.place = element("div", { class: "plot", role: "img", "aria-label": `${spec.title || ""} ${spec.unit}: ${shown}`.trim() });
       this.figure.append(this.place);
       host.append(this.figure);
       const series = [{}], bands = [];
