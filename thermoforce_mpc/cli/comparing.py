@@ -147,7 +147,7 @@ def run_comparison(
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
     show_outcome(console, result["rows"], testcase.currency)
     page = shlex.quote(str(store.folder / "comparison.html"))
-    console.print(f"Table, CSV, JSON, plot and page: {page}", soft_wrap=True, markup=False)
+    console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
     return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
 
 

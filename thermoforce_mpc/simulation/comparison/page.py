@@ -10,7 +10,7 @@ from thermoforce_mpc.simulation.comparison.paired import CONFIDENCE, Difference,
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.report.page import rendered
 
-SCRIPTS = ("base.js", "theme.js", "tip.js", "pareto.js", "paired.js", "comparison_page.js")
+SCRIPTS = ("base.js", "tip.js", "marks.js", "pareto_panel.js", "pareto.js", "paired.js", "comparison_page.js")
 
 
 def comparison_page(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None, **values: Any) -> str:

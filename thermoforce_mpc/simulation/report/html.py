@@ -37,8 +37,8 @@ KPI_LABELS = {
 # KPIs that are shown as bars, too.
 _BARS = ("cost_tot", "ener_tot", "tdis_tot")
 SCRIPTS = (
-    UPLOT, "base.js", "theme.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plans.js", "cumulative.js",
-    "others.js", "status.js", "answers.js", "run_page.js",
+    UPLOT, "base.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plan_facts.js", "plans.js",
+    "cumulative.js", "others.js", "status.js", "answers.js", "run_page.js",
 )  # fmt: skip
 # So many stretches are told; `steps.csv` has all.
 _MOST_EVENTS = 300

@@ -27,19 +27,20 @@ def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **v
 
     Args:
         template: file under `templates`; it extends `page.html.j2`.
-        scripts: files under `assets`, in the order in which they are run; `UPLOT` among them where it is used.
+        scripts: files under `assets`, in the order in which they are run after `theme.js`; `UPLOT` where it is used.
         data: what the scripts read; numbers that are not finite become null.
         values: what the template reads.
     """
     library = UPLOT in scripts
-    sources = [_text(f"assets/{name}") for name in scripts]
+    first, *others = sources = [_text(f"assets/{name}") for name in ("theme.js", *scripts)]
     styles = [_text("assets/style.css"), *([_text("vendor/uplot/uPlot.min.css")] if library else [])]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE / "templates"), autoescape=True, undefined=jinja2.StrictUndefined
     )
     return environment.get_template(template).render(
         styles=Markup("\n").join(map(Markup, styles)),
-        scripts=[Markup(text) for text in sources],
+        first_script=Markup(first),
+        scripts=[Markup(text) for text in others],
         script_hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in sources),
         data=Markup(_json_island(data)),
         licence=_text("vendor/uplot/LICENSE") if library else "",

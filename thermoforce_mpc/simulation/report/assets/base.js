@@ -72,10 +72,10 @@ const Page = (() => {
     return `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]}`;
   }
 
-  /* Round numbers that divide a range into about four. */
+  /* Round numbers that divide a range into four or more. */
   function ticks(low, high) {
     const raw = (high - low) / 4, size = 10 ** Math.floor(Math.log10(raw));
-    const step = [1, 2, 5, 10].map((k) => k * size).find((k) => k >= raw);
+    const step = [1, 2, 5].map((k) => k * size).filter((k) => k <= raw * 1.0001).pop();
     const found = [];
     for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9; at += step) found.push(at);
     return found;

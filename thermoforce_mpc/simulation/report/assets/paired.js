@@ -3,7 +3,7 @@
 
 const Paired = (() => {
   const { data, byId, element, drawn, ticks, digitsOf, told } = Page;
-  const ROW = 26, TOP = 8, BOTTOM = 36, NAME = 150, RIGHT = 14;
+  const ROW = 26, TOP = 8, BOTTOM = 36, NAME = 170, RIGHT = 14;
   const KINDS = [
     { key: "cost", unit: "%", title: "cost", digits: 1 }, { key: "discomfort", unit: "K·h", title: "discomfort", digits: 2 },
   ];
@@ -16,7 +16,9 @@ const Paired = (() => {
   }
 
   function plot(place, rows, kind, windows) {
-    const width = Math.max(280, place.clientWidth), height = TOP + ROW * rows.length + BOTTOM, left = Math.min(NAME, 0.36 * width);
+    const width = Math.max(280, place.clientWidth), height = TOP + ROW * rows.length + BOTTOM;
+    const longest = Math.max(...rows.map((row) => Marks.label(row.controller).length));
+    const left = Math.min(NAME, 0.36 * width, 14 + 7.4 * longest);
     const values = rows.flatMap(({ [kind.key]: d }) => [...d.values, ...(d.half === null ? [] : [d.mean - d.half, d.mean + d.half])]);
     // An interval of two or three windows may be far wider than what was seen: it is cut at three times that.
     const seen = Math.max(...rows.flatMap((row) => row[kind.key].values.map(Math.abs)), kind.key === "cost" ? 1 : 0.1);
@@ -34,15 +36,15 @@ const Paired = (() => {
     svg.append(drawn("text", { x: (left + width) / 2, y: height - 4, "text-anchor": "middle" }, `difference of ${kind.title}, ${kind.unit}`));
     rows.forEach((row, i) => {
       const difference = row[kind.key], y = TOP + ROW * (i + 0.5), name = drawn("text", { x: left - 8, y: y + 4, "text-anchor": "end", class: "name" });
-      const most = Math.floor((left - 8) / 6.4);
-      name.append(row.controller.length > most ? `${row.controller.slice(0, most - 1)}…` : row.controller, drawn("title", {}, row.controller));
+      const text = Marks.label(row.controller), most = Math.floor((left - 8) / 7.4);
+      name.append(text.length > most ? `${text.slice(0, most - 1)}…` : text, drawn("title", {}, row.controller));
       const line = drawn("g", { class: "difference", tabindex: 0, "data-name": row.controller });
       line.append(drawn("rect", { x: left, y: y - ROW / 2, width: width - left - RIGHT, height: ROW, class: "hit" }));
       for (const value of difference.values) line.append(drawn("circle", { cx: x(value), cy: y, r: 3, class: "window" }));
       if (difference.half !== null) {
         line.append(drawn("line", { class: "interval", x1: x(difference.mean - difference.half), x2: x(difference.mean + difference.half), y1: y, y2: y }));
       }
-      const middle = Pareto.mark(row.controller, 5);
+      const middle = Marks.mark(row.controller, 5);
       middle.setAttribute("transform", `translate(${x(difference.mean)},${y})`);
       line.append(middle);
       line.addEventListener("mousemove", (event) => Tip.tell(event, [

@@ -2,7 +2,7 @@
 "use strict";
 
 const PlanView = (() => {
-  const { element, numbers, byId, indexAt, told, digitsFor, instant, calendar, HOUR } = Page;
+  const { element, numbers, byId, indexAt, instant, HOUR } = Page;
   const { data, own, steps } = Run;
   const BEFORE = 6 * HOUR;
 
@@ -108,7 +108,7 @@ const PlanView = (() => {
             free: { x: at, y: free }, forced: { x: at, y: forced },
             "free-fan": { x: at, low: part(plans.low[z], freeNow), high: part(plans.high[z], freeNow) },
           });
-          figures.push(compared(z, at, planned, found.fan, measured));
+          figures.push(PlanFacts.compared(Run.zone(z), at, planned, found.fan, measured));
         }
         temperatures[z].update(found);
         parts[z].update(split);
@@ -128,42 +128,8 @@ const PlanView = (() => {
       costs.update({ "cost-plan": known ? { x: at, y: cost } : nothing, "cost-came": { x: cameX, y: cameY } });
       group.move([t - BEFORE, end]);
       course.group.mark(t);
-      tell(t, i, known, figures, at, cost, cameX, cameY);
-    }
-
-    /* Planned against measured temperature of a zone, at the instants of the plan that have been measured since. */
-    function compared(z, at, planned, fan, measured) {
-      let sum = 0, inside = 0, count = 0;
-      for (let k = 1; k < at.length; k++) {
-        const m = indexAt(measured.x, at[k]);
-        if (m < 0 || Math.abs(measured.x[m] - at[k]) > 60 || !Number.isFinite(planned[k] - measured.y[m])) continue;
-        sum += (planned[k] - measured.y[m]) ** 2;
-        inside += measured.y[m] >= fan.low[k] && measured.y[m] <= fan.high[k] ? 1 : 0;
-        count += 1;
-      }
-      return { name: Run.zone(z), rmse: Math.sqrt(sum / count), share: (100 * inside) / count, count };
-    }
-
-    /* The instant, the decision and the figures in words. */
-    function tell(t, i, known, figures, at, cost, cameX, cameY) {
-      const last = cameX[cameX.length - 1], k = indexAt(at, last), hours = Math.round((last - t) / HOUR);
-      const status = steps.statuses[steps.status[i]];
-      const facts = [];
-      const fact = (name, value) => facts.push(element("div", { class: "fact" }, element("span", {}, name), element("b", {}, value)));
-      if (known && k > 0 && Number.isFinite(cost[k])) {
-        const digits = digitsFor(Math.max(cost[k], cameY[cameY.length - 1], 1e-4)) + 1;
-        fact(`cost of the ${hours} h measured since, planned`, `${told(cost[k], digits)} ${data.currency}/m²`);
-        fact("came", `${told(cameY[cameY.length - 1], digits)} ${data.currency}/m²`);
-      }
-      for (const one of figures.filter((found) => found.count)) {
-        fact(`${one.name ? `${one.name}: ` : ""}planned − measured, RMS`, `${told(one.rmse)} K`);
-        fact("measured inside the 80 % fan", `${told(one.share, 0)} %`);
-      }
-      byId("plan-facts").replaceChildren(...facts);
-      byId("plan-instant").textContent = `${instant(t)} (${calendar(t)})`;
-      byId("plan-status").textContent = status;
-      byId("plan-status").style.setProperty("--c", `var(--status-${status})`);
-      byId("plan-why").textContent = Run.reason(i) + (known ? "" : " (there is no plan of this instant)");
+      PlanFacts.tell(t, i, known, figures);
+      if (known) PlanFacts.tellCost(t, at, cost, cameX, cameY);
     }
 
     Chart.legend(byId("plan-legend"), [...temperatures, ...parts, ...(zones.length > 1 ? [] : levels.filter(Boolean))]);

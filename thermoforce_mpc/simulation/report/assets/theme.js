@@ -1,4 +1,5 @@
-/* Light or dark: as the system says, or as the switch says; print is always light. Charts ask here for colours. */
+/* Light or dark: as the system says, or as the switch says; print is always light. Charts ask here for colours.
+ * It runs in the head, before anything is seen. */
 "use strict";
 
 const Theme = (() => {
@@ -13,10 +14,11 @@ const Theme = (() => {
 
   let mode = MODES.includes(remembered()) ? remembered() : "auto";
 
+  const system = matchMedia("(prefers-color-scheme: dark)");
+
   function apply() {
-    if (printing) root.dataset.theme = "light";
-    else if (mode === "auto") delete root.dataset.theme;
-    else root.dataset.theme = mode;
+    const dark = !printing && (mode === "dark" || (mode === "auto" && system.matches));
+    root.dataset.theme = dark ? "dark" : "light";
     colours = new Map();
     watchers.forEach((tell) => tell());
   }
@@ -47,7 +49,7 @@ const Theme = (() => {
     mark();
   }
 
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", apply);
+  system.addEventListener("change", apply);
   addEventListener("beforeprint", () => { printing = true; apply(); });
   addEventListener("afterprint", () => { printing = false; apply(); });
   apply();
