@@ -14,7 +14,7 @@ from two_houses import TWO
 
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, Layout, Names, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Block, Layout, Names, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.courses import course_of
 from thermoforce_mpc.simulation.report.decisions import decisions_json
@@ -104,6 +104,18 @@ def test_long_runs_are_averaged_without_losing_energy_or_time(result):
     assert fewer.duration_s.sum() == whole.duration_s.sum()
     np.testing.assert_allclose((fewer.power_W[0] * fewer.duration_s).sum(), (whole.power_W[0] * whole.duration_s).sum())
     assert fewer.cost[-1] == whole.cost[-1]
+
+
+def test_set_points_given_to_the_plants_own_loops_are_told(result, tmp_path):
+    block = Block((0.5, 0.25), HOUR_S, ((20.0, 26.0), None))
+    steps = [replace(step, plan=replace(step.plan, blocks=(block,))) for step in result.steps]
+    steps[5] = replace(steps[5], refused="refused a level of 7")
+    heating, cooling = data_of(report_of(replace(result, steps=steps), {}, tmp_path))["own"]["band_C"]
+    given = np.arange(48) != 5
+    np.testing.assert_array_equal(numbers(heating[0]), np.where(given, 20.0, np.nan))
+    np.testing.assert_array_equal(numbers(cooling[0]), np.where(given, 26.0, np.nan))
+    assert np.isnan(numbers(heating[1])).all()
+    assert data_of(report_of(result, {}, tmp_path))["own"]["band_C"] is None
 
 
 def test_decisions_of_long_runs_are_thinned(result):

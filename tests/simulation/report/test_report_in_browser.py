@@ -13,7 +13,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.thermostat import Thermostat
-from thermoforce_mpc.data import HOUR_S, Layout, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Block, Layout, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 # Whether the canvas of a chart has a colour within two pixels of a point of one of its scales.
@@ -259,6 +259,8 @@ def zones(browser, tmp_path):
     rule = Plan(run.steps[9].plan.blocks, PlanStatus.THERMOSTAT, "no solver", names=HOSTILE_NAMES)
     steps = [*run.steps[:7], replace(run.steps[7], plan=fallen), run.steps[8], replace(run.steps[9], plan=rule)]
     steps += run.steps[10:]
+    loops = (Block((0.5, 0.25), HOUR_S, (None, (15.0, 60.0))),)
+    steps = [replace(step, plan=replace(step.plan, blocks=loops)) for step in steps]
     run = replace(run, steps=steps)
     report_of(run, {"<img src=x onerror=alert(4)>": run}, tmp_path, layout_of(HOSTILE_NAMES))
     found = Seen(browser, tmp_path / "report.html")
@@ -278,6 +280,15 @@ def test_zones_are_rows_and_actuators_have_lanes_of_who_acted(zones):
     assert near(seen, "Report.status.lanes[1]", t, 0, "--status-native")
     assert near(seen, "Report.status.lanes[1]", t + HOUR_S, 3, "--status-solved")
     assert not near(seen, "Report.status.lanes[1]", t + HOUR_S, 0, "--status-native")
+
+
+def test_set_points_are_lines_of_their_zone_that_do_not_set_its_height(zones):
+    _, seen = zones
+    chart = "Report.course.temperatures[0]"
+    assert set(series(seen, chart, "set-cooling")) == {60.0}
+    assert seen.ask(f"{chart}.plot.scales.y.max") < 40
+    assert not seen.ask("Report.course.temperatures[1].parts.has('set-cooling')")
+    assert seen.page.locator("#course-legend [data-key=set-heating]").count() == 1
 
 
 def test_an_instant_without_a_plan_shows_what_came_and_says_so(zones):

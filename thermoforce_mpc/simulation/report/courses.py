@@ -24,7 +24,8 @@ class Course:
 
     `start_s`, `duration_s`, `T_out_C`, `solar_W_m2` (n,); `T_zone_C`, `lower_C`, `upper_C` (Z, n), `u` (A, n) and
     `power_W`, `price_per_kWh` (M, n) as in `Sample`. `cost` (n,) per m² and `discomfort_Kh` (Z, n) are those until the
-    end of each block.
+    end of each block. `band_C` (2, A, n): heating and cooling set-point given to the plant's own loops, °C, NaN where
+    levels were.
     `averaged`: number of blocks taken together.
     """
 
@@ -40,6 +41,7 @@ class Course:
     price_per_kWh: Array
     cost: Array
     discomfort_Kh: Array
+    band_C: Array
     averaged: int
 
     def to_json(self) -> Json:
@@ -53,6 +55,7 @@ class Course:
             "lower_C": rows_packed(self.lower_C, of["T"]),
             "upper_C": rows_packed(self.upper_C, of["T"]),
             "price_per_kWh": rows_packed(self.price_per_kWh, of["price"]),
+            "band_C": None if np.isnan(self.band_C).all() else [rows_packed(side, of["T"]) for side in self.band_C],
             **self.own_json(),
         }
 
@@ -73,7 +76,7 @@ class Course:
 def most_blocks(layout: Layout, runs: int) -> int:
     """How many blocks of each of `runs` runs a page has room for."""
     Z, A, M = len(layout.names.zones), len(layout.names.actuators), len(layout.names.machines)
-    shared = 2 + 2 * Z + M
+    shared = 2 + 2 * Z + 2 * A + M
     own = 2 * Z + A + M + 1
     return MOST_BYTES // (2 * (shared + runs * own) + 16 * runs)
 
@@ -86,8 +89,9 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     """
     rows: dict[str, list[object]] = {}
     heating_price: list[Array] = []
+    bands: list[Array] = []
     for step in result.steps:
-        for sample in step.samples:
+        for k, sample in enumerate(step.samples):
             for name in (
                 "start_s", "duration_s", "T_out_C", "solar_W_m2", "T_zone_C", "lower_C", "upper_C", "power_W",
                 "price_per_kWh",
@@ -95,6 +99,7 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
                 rows.setdefault(name, []).append(getattr(sample, name))
             rows.setdefault("u", []).append(sample.u_measured)
             heating_price.append(_heating_price(step, sample.start_s))
+            bands.append(_band_C(step, k))
     found = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
     price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
     spent = (found["power_W"] * price).sum(axis=0) * found["duration_s"] / JOULE_PER_KWH / area_m2
@@ -102,7 +107,7 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
     discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S
     found |= {"cost": np.nancumsum(spent), "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
-    course = Course(averaged=1, **found)
+    course = Course(averaged=1, band_C=np.array(bands).transpose(2, 1, 0), **found)
     return _averaged(course, -(-course.start_s.size // most))
 
 
@@ -110,6 +115,14 @@ def _heating_price(step: StepRecord, start_s: float) -> Array:
     """Price of the heating of each machine in force at an instant (M,)."""
     index = int(max((step.boundary.time_s <= start_s + 1e-6).sum() - 1, 0))
     return np.asarray(step.boundary.heating_price_per_kWh[:, index])
+
+
+def _band_C(step: StepRecord, k: int) -> Array:
+    """Heating and cooling set-point of each actuator in the block number `k` of a step (A, 2), °C."""
+    nothing = (np.nan, np.nan)
+    refused = bool(step.refused) or k >= len(step.plan.blocks)
+    bands = (None,) * len(step.boundary.names.actuators) if refused else step.plan.blocks[k].band_C
+    return np.array([nothing if band is None else band for band in bands], dtype=np.float64)
 
 
 def price_paid(u: Array, price: Array, heating_price: Array, layout: Layout) -> Array:
@@ -147,5 +160,6 @@ def _averaged(course: Course, together: int) -> Course:
         price_per_kWh=mean(course.price_per_kWh),
         cost=course.cost[last],
         discomfort_Kh=course.discomfort_Kh[:, last],
+        band_C=course.band_C[:, :, first],
         averaged=together,
     )

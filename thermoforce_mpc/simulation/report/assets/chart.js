@@ -30,7 +30,7 @@ const Chart = (() => {
    *
    * spec: title; unit of the left axis, `right` unit of the right one, `beside` room for one as in a chart above; height; `range` [least, most] of the left axis,
    * or `least`: the least height of it; lines: {key, name, x, y, colour, step, dash, width, axis, fill, digits, unit,
-   * shown, rank: place in the legend}; bands: {key, name, x, low, high, colour, step, shown, limit: it does not set the height}; `paint(plot)`: drawn on top.
+   * shown, rank: place in the legend, beyond: it does not set the height}; bands: {key, name, x, low, high, colour, step, shown, limit: it does not set the height}; `paint(plot)`: drawn on top.
    */
   class Course {
     constructor(host, group, spec) {
@@ -58,7 +58,7 @@ const Chart = (() => {
         this.parts.set(line.key, { ...line, at: [series.length] });
         series.push({
           label: line.name, scale: line.axis === "right" ? "r" : "y", stroke: () => Theme.colour(line.colour),
-          width: line.width || 1.4, dash: line.dash, points: { show: false }, show: line.shown !== false,
+          width: line.width || 1.4, dash: line.dash, points: { show: false }, show: line.shown !== false, auto: !line.beyond,
           paths: line.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
           fill: line.fill ? () => Theme.colour(line.fill) : undefined, fillTo: line.fill ? 0 : undefined,
         });

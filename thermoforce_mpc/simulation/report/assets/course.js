@@ -24,6 +24,7 @@ const CourseView = (() => {
         colour: "--planned", dash: [3, 3], unit: "°C",
       });
     }
+    lines.push(...setPoints(z));
     return new Chart.Course(host, group, {
       title: Run.zone(z), unit: "°C", height: data.names.zones.length > 1 ? 190 : 280, least: 2,
       beside: data.planned && data.names.zones.length === 1, lines,
@@ -32,6 +33,17 @@ const CourseView = (() => {
         step: true, digits: 1, unit: "°C",
       }],
     });
+  }
+
+  /* Set-points given to the plant's own loops of a zone; far away where a loop is off, they do not set the height. */
+  function setPoints(z) {
+    if (!own.band) return [];
+    const a = data.serves[z].find((one) => own.band[0][one].some(Number.isFinite));
+    if (a === undefined) return [];
+    return ["heating", "cooling"].map((name, side) => ({
+      key: `set-${name}`, name: `set-point, ${name}`, x: own.start, y: own.band[side][a], step: true, beyond: true,
+      colour: side ? "--forced" : "--series-2", dash: [2, 2], width: 1, digits: 1, unit: "°C", rank: 2,
+    }));
   }
 
   function parts(host, group, z) {

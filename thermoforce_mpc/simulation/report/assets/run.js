@@ -17,7 +17,7 @@ const Run = (() => {
   const own = course(data.own), others = data.baselines.map(course);
   Object.assign(own, {
     lower: rows(data.own.lower_C), upper: rows(data.own.upper_C), price: rows(data.own.price_per_kWh),
-    outdoor: numbers(data.own.T_out_C), sun: numbers(data.own.solar_W_m2),
+    band: data.own.band_C && data.own.band_C.map(rows), outdoor: numbers(data.own.T_out_C), sun: numbers(data.own.solar_W_m2),
   });
   const span = [own.start[0], own.end[own.end.length - 1]];
 
