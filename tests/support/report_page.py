@@ -16,6 +16,11 @@ def data_of(page: str) -> dict[str, Any]:
     return json.loads(text, parse_constant=lambda name: (_ for _ in ()).throw(ValueError(f"{name} is not JSON")))
 
 
+def body_of(page: str) -> str:
+    """What is written in the page, without its data and scripts."""
+    return page.split("<main>")[1].split("<script")[0]
+
+
 def numbers(packed: dict[str, Any]) -> np.ndarray:
     """The numbers of a packed array, NaN where there is none: what `numbers` of assets/base.js gives."""
     if packed["as"] == "changes":

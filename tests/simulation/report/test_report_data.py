@@ -7,7 +7,7 @@ from importlib import resources
 
 import numpy as np
 import pytest
-from report_page import data_of, numbers
+from report_page import body_of, data_of, numbers
 from report_runs import HOSTILE, HOSTILE_NAMES, N, layout_of, planned, report_of, two_weeks
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import TWO
@@ -90,6 +90,20 @@ def test_cost_and_discomfort_so_far_are_sums_over_the_blocks():
     assert (np.diff(course.cost) >= 0).all()
 
 
+def test_the_page_says_where_cost_so_far_does_not_end_at_the_kpi(tmp_path):
+    from controllers.thermostat import Thermostat
+
+    house = SimpleHouse()
+    run = run_closed_loop(house, Thermostat(), house.period("x"))
+    cost = run.kpis["cost_tot"] / AREA_M2
+    own, dearer = (replace(run, kpis={"ener_tot": 1.0, "cost_tot": k * cost}) for k in (1, 2))
+    told = body_of(report_of(own, {}, tmp_path, Layout.single()))
+    assert "They do not end at the KPIs" not in told
+    told = body_of(report_of(own, {"gas": dearer}, tmp_path, Layout.single()))
+    assert f"cost of gas: {cost:.4g}, KPI {2 * cost:.4g}" in told
+    assert "cost of thermostat" not in told
+
+
 def test_the_planned_cost_is_that_of_the_planned_power(result):
     plans = plans_json(result, layout_of(), AREA_M2)
     price = result.steps[0].boundary.price_per_kWh[:, :N].sum(axis=0)
@@ -134,7 +148,7 @@ def test_stretches_of_one_reason_are_one_row_and_the_page_stays_readable_with_ma
         return report_of(replace(result, steps=steps), {}, tmp_path)
 
     page = with_notes([("the sensor of bath is silent",) if 10 <= k < 20 else () for k in range(48)])
-    assert page.split("<main>")[1].split("<script")[0].count("the sensor of bath is silent") == 1
+    assert body_of(page).count("the sensor of bath is silent") == 1
     assert "<td>10.417</td><td>10</td>" in page
 
 
@@ -210,7 +224,7 @@ def test_rules_have_no_plans_to_show(tmp_path):
     data = data_of(page)
     assert data["plans"] is None
     assert data["other_levels"] is None
-    assert "plan-slider" not in page.split("<main>")[1].split("<script")[0]
+    assert "plan-slider" not in body_of(page)
 
 
 def test_the_library_goes_with_its_licence(result, tmp_path):

@@ -40,6 +40,8 @@ SCRIPTS = (
     UPLOT, "base.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plan_facts.js", "plans.js",
     "cumulative.js", "others.js", "status.js", "answers.js", "run_page.js",
 )  # fmt: skip
+# Courses that end further from their KPI are named: this share of it, and so much at least (per m², K·h).
+_APART, _LEAST_APART = 0.03, {"cost_tot": 1e-4, "tdis_tot": 0.05}
 # So many stretches are told; `steps.csv` has all.
 _MOST_EVENTS = 300
 # Statuses of which the page tells each stretch; gate and watch are told apart.
@@ -63,8 +65,11 @@ def write_report(
     `model` is that of the controller, for the step responses and what other levels would have done.
     """
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    data = report_data(result, baselines, currency, layout, area_m2, model)
-    everyone = {result.controller: result.kpis, **{name: b.kpis for name, b in baselines.items()}}
+    runs = {result.controller: result, **baselines}
+    most = most_blocks(layout, len(runs))
+    courses = {name: course_of(run, layout, area_m2, most) for name, run in runs.items()}
+    data = report_data(result, courses, currency, layout, area_m2, model)
+    everyone = {name: run.kpis for name, run in runs.items()}
     names, others, events = layout.names, data["other_levels"], _events(result)
     page = rendered(
         "report.html.j2",
@@ -83,6 +88,7 @@ def write_report(
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words() for spell in watch_spells(result)],
+        apart=_apart(courses, everyone),
         events=events[:_MOST_EVENTS],
         more_events=max(0, len(events) - _MOST_EVENTS),
         fallback_levels=result.fallback_levels(),
@@ -95,16 +101,15 @@ def write_report(
 
 def report_data(
     result: RunResult,
-    baselines: Mapping[str, RunResult],
+    courses: Mapping[str, Course],
     currency: str,
     layout: Layout,
     area_m2: float,
     model: ThermalModel | None,
 ) -> Json:
-    """What the scripts of the page read, see `assets/run.js`."""
+    """What the scripts of the page read, see `assets/run.js`; `courses` of the controller and its baselines."""
     names = layout.names
-    most = most_blocks(layout, 1 + len(baselines))
-    course = course_of(result, layout, area_m2, most)
+    course = courses[result.controller]
     plans = plans_json(result, layout, area_m2)
     return {
         "currency": currency,
@@ -113,8 +118,7 @@ def report_data(
         "prices": _different_prices(course),
         "own": {"name": result.controller, "averaged": course.averaged, **course.to_json()},
         "baselines": [
-            {"name": name, **course_of(baseline, layout, area_m2, most).own_json()}
-            for name, baseline in baselines.items()
+            {"name": name, **beside.own_json()} for name, beside in courses.items() if name != result.controller
         ],
         "steps": decisions_json(result),
         "planned": plans is not None,
@@ -146,6 +150,18 @@ def _kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> lis
             for zone in dict.fromkeys(zone for of in found.values() for zone in of):
                 rows.append(_row(f"· {zone}", unit, [found[name].get(zone) for name in everyone]))
     return rows
+
+
+def _apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Where cost or discomfort so far do not end at the KPI: 'cost of native: 0.07, KPI 0.09'."""
+    found = []
+    for name, course in courses.items():
+        ends = {"cost_tot": float(course.cost[-1]), "tdis_tot": float(course.discomfort_Kh[:, -1].mean())}
+        for key, end in ends.items():
+            kpi = kpis[name].get(key)
+            if kpi is not None and abs(end - kpi) > max(_APART * abs(kpi), _LEAST_APART[key]):
+                found.append(f"{KPI_LABELS[key][0].lower()} of {name}: {end:.4g}, KPI {kpi:.4g}")
+    return found
 
 
 def _row(label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False) -> dict[str, Any]:
