@@ -1,0 +1,97 @@
+"""What a report tells in tables: KPIs, advice, and stretches in which not a plan as wanted acted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import PlanStatus
+from thermoforce_mpc.plants.kpis import zone_kpis
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.report.courses import Course
+
+KPI_LABELS = {
+    "cost_tot": ("Cost", "{currency}/m²"),
+    "ener_tot": ("Energy", "kWh/m²"),
+    "tdis_tot": ("Discomfort", "K·h"),
+    "emis_tot": ("Emissions", "kg CO₂/m²"),
+    "pele_tot": ("Peak power (15 min)", "kW/m²"),
+    "time_rat": ("Computing time / real time", "–"),
+}
+# KPIs that are shown as bars, too.
+_BARS = ("cost_tot", "ener_tot", "tdis_tot")
+# Courses that end further from their KPI are named: this share of it, and so much at least (per m², K·h).
+_APART, _LEAST_APART = 0.03, {"cost_tot": 1e-4, "tdis_tot": 0.05}
+# Statuses of which the page tells each stretch; gate and watch are told apart.
+_TOLD = tuple(status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED)
+
+
+def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
+    """One row per KPI, with the best value of the row, and the largest where it is shown as bars."""
+    rows = []
+    for key, (label, unit) in KPI_LABELS.items():
+        values = [kpis.get(key) for kpis in everyone.values()]
+        if all(value is None for value in values):
+            continue
+        rows.append(_row(label, unit.format(currency=currency), values, best=key != "time_rat", bars=key in _BARS))
+        if key == "tdis_tot":
+            found = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
+            for zone in dict.fromkeys(zone for of in found.values() for zone in of):
+                rows.append(_row(f"· {zone}", unit, [found[name].get(zone) for name in everyone]))
+    return rows
+
+
+def apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Where cost or discomfort so far do not end at the KPI: 'cost of native: 0.07, KPI 0.09'."""
+    found = []
+    for name, course in courses.items():
+        ends = {"cost_tot": float(course.cost[-1]), "tdis_tot": float(course.discomfort_Kh[:, -1].mean())}
+        for key, end in ends.items():
+            kpi = kpis[name].get(key)
+            if kpi is not None and abs(end - kpi) > max(_APART * abs(kpi), _LEAST_APART[key]):
+                found.append(f"{KPI_LABELS[key][0].lower()} of {name}: {end:.4g}, KPI {kpi:.4g}")
+    return found
+
+
+def _row(label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False) -> dict[str, Any]:
+    values = [value if value is not None and np.isfinite(value) else None for value in values]
+    numbers = [value for value in values if value is not None]
+    return {
+        "label": label,
+        "unit": unit,
+        "values": values,
+        "best": min(numbers) if numbers and best else None,
+        "most": max(numbers) if bars and numbers and min(numbers) >= 0 < max(numbers) else None,
+    }
+
+
+def advice(identification: Mapping[str, Any]) -> list[str]:
+    """What the verdicts on the models advise; with several actuators, each by name."""
+    named = identification.get("actuators")
+    if named is None:
+        return list((identification.get("competence") or {}).get("advice", ()))
+    return [f"{name}: {advice}" for name, of in named.items() for advice in (of["competence"] or {}).get("advice", ())]
+
+
+def events(result: RunResult) -> list[dict[str, Any]]:
+    """Stretches of steps in which something else than a plan as wanted acted, or a reading was doubtful."""
+
+    def kind(step: StepRecord) -> tuple[str, str, str]:
+        return step.plan.status.value, step.refused, "; ".join(step.notes)
+
+    found: list[dict[str, Any]] = []
+    before = None
+    for step in result.steps:
+        now = status, refused, notes = kind(step)
+        told = status in _TOLD or bool(refused or notes)
+        if told and now == before:
+            found[-1]["steps"] += 1
+        elif told:
+            why = step.plan.why
+            found.append(
+                {"time_s": step.time_s, "steps": 1, "status": status, "refused": refused, "why": why, "notes": notes}
+            )
+        before = now
+    return found
