@@ -75,7 +75,7 @@ const Chart = (() => {
       if (spec.right) axes.push(axis("r", 1, spec.right));
       this.plot = new uPlot({
         width: this.width(), height: spec.height || 200, scales, axes, series, bands, legend: { show: false },
-        padding: [8, spec.right ? 4 : spec.beside ? 68 : 22, 0, 0],
+        padding: [8, spec.right ? 8 : spec.beside ? 68 : 28, 0, 0],
         cursor: {
           sync: { key: group.name, setSeries: false, scales: ["x", null] }, y: false, points: { show: false },
           drag: { x: true, y: false, setScale: true }, bind: { dblclick: () => () => { group.zoom(); } },
