@@ -70,6 +70,16 @@ def controller_command(quick: bool, json_file: Path | None) -> None:
     show(run_controller_bench(quick=quick, progress=_progress), json_file)
 
 
+@command.command("gym")
+@_QUICK
+@_JSON
+def gym_command(quick: bool, json_file: Path | None) -> None:
+    """Steps per second of the Gymnasium environments beside the same over REST (extras [gym] and [serve])."""
+    from thermoforce_mpc.research.bench.gym import run_gym_bench
+
+    show(run_gym_bench(quick=quick, progress=_progress), json_file)
+
+
 @command.command("buildings")
 @click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Number of generated houses.")
 @click.option("--seed", type=click.IntRange(0), default=2026, show_default=True, help="Seed of the population.")

@@ -16,6 +16,8 @@ from thermoforce_mpc.errors import DataError
 
 _J_PER_KWH = 3.6e6
 PEAK_WINDOW_S = 900.0
+# Smallest time difference between two samples, s.
+_CLOCK_S = 1e-6
 # The peak KPI of each energy carrier that has one, by BOPTEST's names.
 PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPower": "pdih_tot"}
 
@@ -66,30 +68,47 @@ def building_kpis(
     Raises:
         DataError: arrays differ in length, time does not increase, or a value is not finite.
     """
-    if np.size(time_s) < 2 or not (np.diff(time_s) > 0).all():
+    weights = _trapezoid_h(time_s)
+    if not weights.size:
         raise DataError("KPIs: time must increase over at least two samples")
     for supply in supplies:
         for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh"):
             _check(getattr(supply, name), time_s, f"{name} of {supply.carrier}")
     for violation in (*thermal, *air_quality):
         _check(violation.excess, time_s, f"zone {violation.zone}")
-    hours = time_s / HOUR_S
     totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
     for supply in supplies:
         kW = supply.power_W / 1e3 / area_m2
-        totals["ener_tot"] += float(np.trapezoid(kW, hours))
-        totals["cost_tot"] += float(np.trapezoid(kW * supply.price_per_kWh, hours))
-        totals["emis_tot"] += float(np.trapezoid(kW * supply.emission_kg_per_kWh, hours))
+        weighted = weights * kW
+        totals["ener_tot"] += float(weighted.sum())
+        totals["cost_tot"] += float(weighted @ supply.price_per_kWh)
+        totals["emis_tot"] += float(weighted @ supply.emission_kg_per_kWh)
     for name, zones in (("tdis_tot", thermal), ("idis_tot", air_quality)):
         if zones:
-            integrals = [float(np.trapezoid(zone.excess, hours)) for zone in zones]
-            totals[name] = float(np.mean(integrals))
+            integrals = [float(weights @ zone.excess) for zone in zones]
+            totals[name] = sum(integrals) / len(integrals)
             if name == "tdis_tot" and len(zones) > 1:
                 totals |= _of_each_zone(name, zones, integrals)
     for supply in supplies:
         if supply.carrier in PEAKS:
             totals[PEAKS[supply.carrier]] = peak_power(time_s, supply.power_W) / 1e3 / area_m2
     return totals
+
+
+def _trapezoid_h(time_s: Array) -> Array:
+    """Return the weights (n,), h, by which samples at `time_s` (n,), s, are integrated; none if time does not increase.
+
+    An environment's reward asks for KPIs after every step, so that all integrals share them.
+    """
+    if np.size(time_s) < 2:
+        return np.empty(0)
+    half_h = np.subtract(time_s[1:], time_s[:-1]) / (2.0 * HOUR_S)
+    if not half_h.min() > 0.0:  # also NaN
+        return np.empty(0)
+    weights = np.empty(time_s.size)
+    weights[:-1], weights[-1] = half_h, 0.0
+    weights[1:] += half_h
+    return weights
 
 
 def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[float]) -> dict[str, float]:
@@ -174,6 +193,18 @@ class CountedKpis:
             return self
         return CountedKpis(edge_s, self._and(between(self.until_s, edge_s), of_whole_windows=True))
 
+    def latest_edge_s(self, time_s: Array, start_s: float) -> float:
+        """Return the time of the latest of `time_s` (n,), n > 0, that ends a peak window since `start_s`, s.
+
+        `until_s` where there is none after it.
+        """
+        final_s = float(time_s[-1])
+        if final_s > self.until_s + _CLOCK_S and (final_s - start_s + _CLOCK_S) % PEAK_WINDOW_S < 2 * _CLOCK_S:
+            return final_s  # as after every step of whole quarters
+        into_s = (time_s - start_s + _CLOCK_S) % PEAK_WINDOW_S
+        found = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > self.until_s + _CLOCK_S))
+        return float(time_s[found[-1]]) if found.size else self.until_s
+
     def up_to(self, now_s: float, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
         """Return the KPIs of all samples up to `now_s`; `between` as in `counting`."""
         if now_s == self.until_s:
@@ -193,9 +224,11 @@ class CountedKpis:
 
 def peak_power(time_s: Array, power_W: Array) -> float:
     """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter)."""
-    energy_J = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * (power_W[1:] + power_W[:-1]) / 2)])
-    edges = np.arange(time_s[0], time_s[-1] + 1e-6, PEAK_WINDOW_S)
-    if edges.size < 2:
-        edges = np.array([time_s[0], time_s[-1]])
+    span_s = float(time_s[-1] - time_s[0])
+    if span_s < PEAK_WINDOW_S + _CLOCK_S:  # one window
+        return float(_trapezoid_h(time_s) @ power_W) * HOUR_S / span_s
+    energy_J = np.zeros(time_s.size)
+    np.cumsum((time_s[1:] - time_s[:-1]) * (power_W[1:] + power_W[:-1]) / 2, out=energy_J[1:])
+    edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, PEAK_WINDOW_S)
     at_edges = np.interp(edges, time_s, energy_J)
     return float(np.max(np.diff(at_edges) / np.diff(edges)))

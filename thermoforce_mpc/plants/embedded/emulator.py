@@ -20,7 +20,7 @@ from thermoforce_mpc.plants.checks import check_levels, check_record_step, check
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, compute_kpis
+from thermoforce_mpc.plants.kpis import CountedKpis, compute_kpis
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.version import VERSION
 
@@ -67,6 +67,7 @@ class Snapshot:
     record: tuple[Array, ...]
     times: tuple[Array, ...]
     first: Array
+    counted: Mapping[str, CountedKpis]
 
 
 class EmbeddedPlant:
@@ -239,20 +240,17 @@ class EmbeddedPlant:
         if self._now_s - self._start_s < _CLOCK_S:  # no step simulated yet: BOPTEST returns zeros
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
         counted = self._counted.get(self._price, CountedKpis(self._start_s))
-        counted = counted.counting(self._latest_edge(counted.until_s), self._kpis_between)
+        counted = counted.counting(self._latest_edge(counted), self._kpis_between)
         self._counted[self._price] = counted
         return counted.up_to(self._now_s, self._kpis_between)
 
-    def _latest_edge(self, since_s: float) -> float:
-        """Return the time of the latest sample after `since_s` that ends a peak window, s; else `since_s`."""
+    def _latest_edge(self, counted: CountedKpis) -> float:
+        """Return `CountedKpis.latest_edge_s` of the record, which is read from its end."""
         for time_s in reversed(self._times):
-            into_s = (time_s - self._start_s + _CLOCK_S) % PEAK_WINDOW_S
-            found = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > since_s + _CLOCK_S))
-            if found.size:
-                return float(time_s[found[-1]])
-            if time_s[0] <= since_s + _CLOCK_S:
-                break
-        return since_s
+            edge_s = counted.latest_edge_s(time_s, self._start_s)
+            if edge_s > counted.until_s or time_s[0] <= counted.until_s + _CLOCK_S:
+                return edge_s
+        return counted.until_s
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         """Return the KPIs of the samples between two times, both included."""
@@ -328,7 +326,7 @@ class EmbeddedPlant:
         """Return a snapshot, to restore or branch from."""
         return Snapshot(
             self._nodes.copy(), self._scalars.copy(), self._now_s, self._begin_s, self._start_s, self._price,
-            tuple(self._record), tuple(self._times), self._first,
+            tuple(self._record), tuple(self._times), self._first, dict(self._counted),
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -337,7 +335,7 @@ class EmbeddedPlant:
         self._nodes, self._scalars = s.nodes.copy(), s.scalars.copy()
         self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
         self._record, self._times, self._first = list(s.record), list(s.times), s.first
-        self._counted = {}
+        self._counted = dict(s.counted)
 
     def close(self) -> None:
         """Do nothing: the plant holds no resources."""

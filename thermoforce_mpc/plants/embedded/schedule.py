@@ -36,8 +36,8 @@ def occupied(time_s: Array) -> Array:
     """Return occupancy (booleans, shape of `time_s`) by the rule of `is_occupied`, as the plant uses it."""
     time_s = np.asarray(time_s, dtype=np.float64)
     day = np.floor(time_s / 86400.0)
-    hour = (time_s - day * 86400.0) / 3600.0
-    return np.asarray(np.isin(day % 7, (4, 5)) | (hour < 7.0) | (hour >= 20.0))
+    hour, weekday = (time_s - day * 86400.0) / 3600.0, day % 7
+    return np.asarray((weekday == 4) | (weekday == 5) | (hour < 7.0) | (hour >= 20.0))
 
 
 def occupied_sample(time_s: Array) -> Array:

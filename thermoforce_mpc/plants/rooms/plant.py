@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
 from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, discomfort_Kh, excess
+from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, discomfort_Kh, excess
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
@@ -48,6 +48,7 @@ class HouseSnapshot:
     price: str
     times: Array
     rows: Array
+    counted: CountedKpis
 
 
 def house_of_rooms(name: str) -> HouseOfRooms:
@@ -154,6 +155,7 @@ class HouseOfRooms:
         self._on = np.zeros(n)
         self._start_s = float(start_s)
         self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
+        self._counted = CountedKpis(self._start_s)
         self._n = 1
         self._rows, self._times = np.zeros((1, physics.ROOMS + 3 * n)), np.array([self._begin_s])
         self._rows[0] = self._first_row()
@@ -223,11 +225,22 @@ class HouseOfRooms:
         )
 
     def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms."""
+        """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms.
+
+        Sums are cached, as in the embedded plant.
+        """
         if self._now_s - self._start_s < _CLOCK_S:
             of_rooms = [f"tdis_tot[{name}]" for name in self.zones] if len(self.zones) > 1 else []
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", *of_rooms), 0.0)
-        time_s, rows = self.recorded(self._start_s, self._now_s)
+        times = self._times[: self._n]
+        recent = times[np.searchsorted(times, self._counted.until_s) :]
+        edge_s = self._counted.latest_edge_s(recent, self._start_s)
+        self._counted = self._counted.counting(edge_s, self._kpis_between)
+        return self._counted.up_to(self._now_s, self._kpis_between)
+
+    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+        """Return the KPIs of the samples between two times, both included."""
+        time_s, rows = self.recorded(start_s, final_s)
         supply = Supply(
             "ElectricPower",
             rows[:, physics.POWER],
@@ -266,6 +279,7 @@ class HouseOfRooms:
             self._price,
             self._times[: self._n].copy(),
             self._rows[: self._n].copy(),
+            self._counted,
         )
 
     def restore(self, snapshot: HouseSnapshot) -> None:
@@ -273,7 +287,7 @@ class HouseOfRooms:
         s = snapshot
         self._T, self._on, self._times, self._rows = s.T.copy(), s.on.copy(), s.times.copy(), s.rows.copy()
         self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
-        self._n = self._times.size
+        self._n, self._counted = self._times.size, s.counted
 
     def close(self) -> None:
         """Do nothing: the plant holds no resources."""

@@ -1,0 +1,27 @@
+"""Gymnasium environments over the plants of this package (extra `[gym]`).
+
+Importing this package registers `thermoforce_mpc/Building-v0`:
+
+```python
+import gymnasium
+import thermoforce_mpc.gym
+
+env = gymnasium.make("thermoforce_mpc/Building-v0", testcase="house:5rooms", max_episode_length=7 * 86400)
+```
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from thermoforce_mpc.errors import ConfigError
+
+if find_spec("gymnasium") is None:
+    raise ConfigError("thermoforce_mpc.gym needs Gymnasium: pip install 'thermoforce-mpc[gym]'")
+
+from gymnasium.envs.registration import register
+
+ID = "thermoforce_mpc/Building-v0"
+register(id=ID, entry_point="thermoforce_mpc.gym.making:building")
+
+__all__ = ["ID"]

@@ -1,0 +1,216 @@
+"""The environment: episodes, reward, snapshot and branch over a view of a plant."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.error import ResetNeeded
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.gym.episodes import Episodes
+from thermoforce_mpc.gym.view import Observed, View
+
+_RESET_OPTIONS = ("start_time",)
+# Tolerance on times, s.
+_CLOCK_S = 1e-3
+
+
+@dataclass(frozen=True)
+class EnvSnapshot:
+    """State of an environment at one instant; opaque, for `BuildingEnv.restore`."""
+
+    view: object
+    episode: Mapping[str, Any]
+    random: Mapping[str, Any]
+
+
+class BuildingEnv(gymnasium.Env[Any, Any]):
+    """A building as a Gymnasium environment.
+
+    The reward of a step is −(Δcost_tot + `discomfort_weight` · Δtdis_tot): the rise of BOPTEST's KPIs in currency/m²
+    and K·h (mean over zones), as in BOPTEST-Gym. Derive a class with another `get_reward`, `compute_terminated` or
+    `compute_truncated` for other tasks. Episodes never terminate; they are truncated after `max_episode_length`.
+
+    Attributes:
+        observations: names of the observations, in order.
+        action_names: names of the actions.
+        start_time: start of the episode, s since 1 January.
+        episode_rewards: rewards since the start.
+        objective_integrand: cost_tot + `discomfort_weight` · tdis_tot since the start.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 1}  # noqa: RUF012 - Gymnasium's interface
+
+    def __init__(
+        self,
+        view: View,
+        episodes: Episodes,
+        *,
+        scenario: Mapping[str, Any] | None = None,
+        discomfort_weight: float = 1.0,
+        render_mode: str | None = None,
+    ) -> None:
+        """Put a view into episodes.
+
+        Args:
+            scenario: BOPTEST's scenario, of which `electricity_price` is known to every plant.
+            discomfort_weight: weight of a K·h, currency/m².
+            render_mode: 'rgb_array', or None.
+
+        Raises:
+            ConfigError: an option is out of range.
+        """
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"render_mode: {render_mode!r}: expected None or one of {self.metadata['render_modes']}")
+        if not (np.isfinite(discomfort_weight) and discomfort_weight >= 0):
+            raise ConfigError(f"discomfort_weight: {discomfort_weight!r}: expected a number from 0")
+        self._view, self._episodes = view, episodes
+        self.scenario = dict(scenario or {"electricity_price": "constant"})
+        self.discomfort_weight, self.render_mode = discomfort_weight, render_mode
+        self.observation_space, self.action_space = view.box.space, view.action_space
+        self.observations, self.action_names = list(view.box.names), view.action_names
+        self.start_time = episodes.start_time
+        self.objective_integrand = 0.0
+        self.episode_rewards: list[float] = []
+        self._trace: list[tuple[dict[str, float], Array]] = []
+        self._last: Array | None = None
+        self._kpis: dict[str, float] = {}
+        self._running = False
+
+    @property
+    def max_episode_length(self) -> float:
+        """Length of an episode, s."""
+        return self._episodes.max_episode_length
+
+    @property
+    def step_period(self) -> float:
+        """Length of a step, s."""
+        return self._episodes.step_period
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observed, dict[str, Any]]:
+        """Begin an episode. `seed` alone determines it; `options={"start_time": s}` sets its start instead.
+
+        Raises:
+            ConfigError: an unknown option.
+            PlantError: the plant or its service failed.
+        """
+        super().reset(seed=seed)
+        for unknown in sorted(set(options or {}) - set(_RESET_OPTIONS)):
+            raise ConfigError(f"reset: unknown option '{unknown}'; known: {', '.join(_RESET_OPTIONS)}")
+        given = (options or {}).get("start_time")
+        self.start_time = self._episodes.start_s(self.np_random) if given is None else float(given)
+        self._view.begin(self.start_time, self._episodes.warmup_period, self.max_episode_length, self.scenario)
+        self.objective_integrand, self.episode_rewards, self._trace = 0.0, [], []
+        self._last, self._kpis, self._running = None, {}, True
+        return self._observed()
+
+    def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
+        """Apply `action` for one step; returns observation, reward, terminated, truncated and info.
+
+        `info` has the time `time_s`, `cost_tot` and `tdis_tot` since the start, and `missing`, the number of
+        observations that were not measured.
+
+        Raises:
+            ResetNeeded: no episode is running.
+            ConfigError: the action has another shape, or is not finite.
+            PlantError: the plant or its service failed.
+        """
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() first")
+        wanted = np.asarray(action, dtype=np.float64)
+        if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
+            raise ConfigError(
+                f"action {action!r}: expected {self.action_space.shape[0]} finite numbers "  # type: ignore[index]
+                f"({', '.join(self.action_names)})"
+            )
+        applied = np.minimum(np.maximum(wanted, self._view.action_space.low), self._view.action_space.high)
+        self._view.act(applied)
+        self._kpis = {}
+        reward = float(self.get_reward())
+        self.episode_rewards.append(reward)
+        state = {"time": self._view.now_s} if self.render_mode is None else self._view.state()
+        if self.render_mode is not None:
+            self._trace.append((state, applied))
+        observation, info = self._observed()
+        terminated = bool(self.compute_terminated(state, reward))
+        truncated = bool(self.compute_truncated(state, reward))
+        self._running = not (terminated or truncated)
+        return observation, reward, terminated, truncated, info
+
+    def get_reward(self) -> float:
+        """Reward of the last step: the fall of `objective_integrand`, which this updates."""
+        kpis = self.get_kpis()
+        objective = kpis["cost_tot"] + self.discomfort_weight * kpis["tdis_tot"]
+        reward, self.objective_integrand = self.objective_integrand - objective, objective
+        return reward
+
+    def compute_terminated(self, res: Mapping[str, float], reward: float | None = None) -> bool:
+        """Whether the task is over: never. `res` has the `time`, s."""
+        return False
+
+    def compute_truncated(self, res: Mapping[str, float], reward: float | None = None) -> bool:
+        """Whether the episode has reached its length. `res` has the `time`, s."""
+        return res["time"] >= self.start_time + self.max_episode_length - _CLOCK_S
+
+    def get_kpis(self) -> dict[str, float]:
+        """BOPTEST's KPIs since the start of the episode."""
+        if not self._kpis:
+            self._kpis = self._view.kpis()
+        return dict(self._kpis)
+
+    def snapshot(self) -> EnvSnapshot:
+        """State of plant, episode and random numbers, for `restore`.
+
+        Raises:
+            ConfigError: the plant has no snapshots.
+        """
+        return EnvSnapshot(self._view.snapshot(), copy.deepcopy(self._episode()), self.np_random.bit_generator.state)
+
+    def restore(self, snapshot: EnvSnapshot) -> None:
+        """Return to a snapshot of this environment, or of one that was branched from it."""
+        self._view.restore(snapshot.view)
+        self.__dict__.update(copy.deepcopy(dict(snapshot.episode)))
+        self.np_random.bit_generator.state = snapshot.random
+
+    def branch(self) -> BuildingEnv:
+        """Another environment in the same state with a plant of its own: what happens to one leaves the other alone.
+
+        Raises:
+            ConfigError: the plant has no snapshots.
+        """
+        other = copy.copy(self)
+        other._view = self._view.branched()
+        other.__dict__.update(copy.deepcopy(self._episode()))
+        other.np_random = copy.deepcopy(self.np_random)
+        return other
+
+    def render(self) -> Any:
+        """The episode so far as a picture (height, width, 3); None without `render_mode`."""
+        if self.render_mode is None:
+            return None
+        from thermoforce_mpc.gym.render import drawn
+
+        return drawn(self._trace, self.episode_rewards, self.action_names)
+
+    def close(self) -> None:
+        """Release the plant; safe to call twice."""
+        self._view.close()
+
+    def _observed(self) -> tuple[Observed, dict[str, Any]]:
+        observation, self._last, missing = self._view.box.inside(self._view.observe(), self._last)
+        kpis = self.get_kpis()
+        info = {"time_s": self._view.now_s, "missing": missing}
+        return observation, info | {name: kpis[name] for name in ("cost_tot", "tdis_tot") if name in kpis}
+
+    def _episode(self) -> dict[str, Any]:
+        """What an episode changes, besides plant and random numbers."""
+        names = ("start_time", "objective_integrand", "episode_rewards", "_trace", "_last", "_kpis", "_running")
+        return {name: getattr(self, name) for name in names}

@@ -1,0 +1,197 @@
+"""This package's own convention: levels of actuators in, temperatures, weather and forecasts in °C out."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.gym.view import ObservationBox, copied
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.testcase import TestCase
+
+# Bounds of what is observed, °C, W/m², levels, persons per zone and currency/kWh. What lies outside is clipped.
+_BOUNDS = {
+    "T_zone_C": (10.0, 35.0), "T_out_C": (-30.0, 45.0), "solar_W_m2": (0.0, 1200.0), "u": (-1.0, 1.0),
+    "lower_C": (10.0, 35.0), "upper_C": (10.0, 35.0), "occupancy": (0.0, 20.0), "price_per_kWh": (-0.5, 1.5),
+}  # fmt: skip
+# What is forecast, in the order of the observation.
+_FORECAST = ("T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh")
+
+
+@dataclass(frozen=True)
+class _State:
+    """State of a view."""
+
+    plant: Any
+    now: Measurement
+    past: Array
+    table: tuple[float, Array]
+
+
+class LevelsView:
+    """Any plant by the levels of its actuators.
+
+    Actions (A,) are levels in [0, 1]. Observations, in this order: sine and cosine of the hour of the day; zone
+    temperatures (Z), °C; outdoor temperature, °C; global irradiance, W/m²; mean levels of the last step (A); the zone
+    temperatures and levels of earlier steps, latest first; and the forecast from now to `ahead_s` every `every_s` of
+    outdoor temperature, irradiance, occupancy and comfort bounds (Z each) and price (M).
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        testcase: TestCase,
+        *,
+        step_s: float,
+        ahead_s: float,
+        every_s: float,
+        behind_s: float = 0.0,
+        perfect: bool,
+    ) -> None:
+        """Look at a plant.
+
+        Args:
+            step_s: length of a step, s.
+            ahead_s: length of the forecast, s.
+            every_s: distance of its instants, s, a whole number of steps.
+            behind_s: length of the past that is observed, s.
+            perfect: forecasts depend on the time alone, so that those of an episode can be read at once.
+
+        Raises:
+            ConfigError: actuators that take room set-points instead of levels, or lengths that do not fit the step.
+        """
+        for name, value, least in (("predictive_period", ahead_s, 0.0), ("regressive_period", behind_s, 0.0)):
+            if not (np.isfinite(value) and value >= least):
+                raise ConfigError(f"{name}: {value!r} s: expected {least:g} s or more")
+        if not every_s >= step_s or abs(every_s / step_s - round(every_s / step_s)) > 1e-9:
+            raise ConfigError(f"forecast_every: {every_s!r} s: expected a whole number of steps of {step_s:g} s")
+        if any(isinstance(one.actuator, RoomSetpoints) for one in testcase.points.actuators):
+            raise ConfigError(
+                f"test case '{testcase.name}' is run by room set-points, not by levels: choose convention='boptest' "
+                "with url=…, where their points are actions"
+            )
+        self._plant, self._layout, self._perfect = plant, testcase.layout, perfect
+        self._step_s, self._ahead_s, self._every = step_s, ahead_s, round(every_s / step_s)
+        self._offsets = np.arange(0, int(ahead_s / step_s + 1e-9) + 1, self._every)
+        self._behind = int(behind_s / step_s + 1e-9)
+        names, self.action_names = self._layout.names, self._layout.names.actuators
+        n = len(names.actuators)
+        self.action_space = spaces.Box(np.array(self._layout.lowest, np.float32), np.ones(n, np.float32))
+        sampled = [(names.label("T_zone_C", z), _BOUNDS["T_zone_C"]) for z in range(len(names.zones))]
+        acted = [(names.label("u", a), (self._layout.lowest[a], 1.0)) for a in range(n)]
+        weather = [(name, _BOUNDS[name]) for name in ("T_out_C", "solar_W_m2")]
+        clock = [("hour_sin", (-1.0, 1.0)), ("hour_cos", (-1.0, 1.0))]
+        entries = clock + sampled + weather + acted
+        for back in range(1, self._behind + 1):
+            entries += [(f"{name}-{back * step_s:g}s", pair) for name, pair in (*sampled, *acted)]
+        for name in _FORECAST:
+            one = name in ("T_out_C", "solar_W_m2")
+            labels = [name] if one else [names.label(name, row) for row in range(names.rows(name))]
+            entries += [(f"{label}+{k * step_s:g}s", _BOUNDS[name]) for label in labels for k in self._offsets]
+        self.box = ObservationBox.of(entries)
+
+    @property
+    def now_s(self) -> float:
+        """Current time, s since 1 January."""
+        return self._now.time_s
+
+    def begin(self, start_s: float, warmup_s: float, length_s: float, scenario: Mapping[str, Any]) -> None:
+        """See `View.begin`; of a scenario only `electricity_price` applies.
+
+        Raises:
+            ConfigError: another key in the scenario.
+        """
+        for unknown in sorted(set(scenario) - {"electricity_price"}):
+            raise ConfigError(f"scenario: unknown key '{unknown}'; this convention knows electricity_price")
+        price = scenario.get("electricity_price") or "constant"
+        self._now = self._plant.reset(start_s, warmup_s, price)
+        past = self._plant.past(self._step_s) if self._behind else None
+        values = np.concatenate([self._now.T_zone_C, np.zeros(len(self.action_names))])
+        rows = [values]
+        if past is not None and past.n_steps:
+            before = np.vstack([past.T_zone_C[:, 1:], past.u]).T[::-1]
+            rows = [*before[: self._behind + 1]]
+        self._past = np.array([*rows, *[rows[-1]] * (self._behind + 1 - len(rows))])
+        if np.isnan(self._now.u).any():  # right after a reset there is no step yet
+            self._now = replace(self._now, u=np.nan_to_num(self._now.u))
+        self._table = (start_s, self._forecast(length_s + self._ahead_s)) if self._perfect else (start_s, np.empty(0))
+
+    def act(self, action: Array) -> None:
+        """Apply levels (A,) for one step; of actuators that exclude one another the one with the highest level acts."""
+        levels: list[float | None] = [float(level) for level in action]
+        for a in self._layout.excluded(levels) if self._layout.exclusive else ():
+            levels[a] = 0.0
+        self._now = self._plant.advance(levels, self._step_s)
+        if self._behind:
+            row = np.concatenate([self._now.T_zone_C, self._now.u])
+            self._past = np.concatenate([row[None], self._past[:-1]])
+
+    def observe(self) -> Array:
+        """The observation now, in the order of the class's description."""
+        now = self._now
+        angle = 2.0 * np.pi * (now.time_s % DAY_S) / DAY_S
+        clock, weather = np.array([np.sin(angle), np.cos(angle)]), np.array([now.T_out_C, now.solar_W_m2])
+        parts = [clock, now.T_zone_C, weather, now.u]
+        if self._behind:
+            parts.append(self._past[1:].ravel())
+        parts.append(self._coming().ravel())
+        return np.concatenate(parts)
+
+    def kpis(self) -> dict[str, float]:
+        """BOPTEST's KPIs since the start."""
+        return self._plant.kpis()
+
+    def state(self) -> dict[str, float]:
+        """Time, temperatures, levels and comfort bounds now."""
+        names, coming = self._layout.names, self._coming()
+        found = {"time": self.now_s, "T_out_C": float(self._now.T_out_C)}
+        found |= {names.label("T_zone_C", z): float(T) for z, T in enumerate(self._now.T_zone_C)}
+        zones = len(names.zones)
+        for i, name in enumerate(("lower_C", "upper_C"), start=1):
+            found |= {names.label(name, z): float(coming[2 + i * zones + z, 0]) for z in range(zones)}
+        return found
+
+    def snapshot(self) -> _State:
+        """See `View.snapshot`."""
+        return _State(copied(self._plant, self._plant.info.testcase), self._now, self._past.copy(), self._table)
+
+    def restore(self, snapshot: _State) -> None:
+        """See `View.restore`."""
+        self._plant.restore(snapshot.plant)  # type: ignore[attr-defined]
+        self._now, self._past, self._table = snapshot.now, snapshot.past.copy(), snapshot.table
+
+    def branched(self) -> LevelsView:
+        """See `View.branched`; both plants share what no step changes."""
+        here = self.snapshot()
+        other = copy.copy(self)
+        other._plant = copy.copy(self._plant)
+        other.restore(here)
+        return other
+
+    def close(self) -> None:
+        """Release the plant."""
+        self._plant.close()
+
+    def _coming(self) -> Array:
+        """Forecast from now at the observed instants (signals, n)."""
+        start_s, table = self._table
+        first = round((self.now_s - start_s) / self._step_s)
+        if not table.size or first + self._offsets[-1] >= table.shape[1]:
+            first, table = 0, self._forecast(self._ahead_s)
+        return np.asarray(table[:, first + self._offsets])
+
+    def _forecast(self, horizon_s: float) -> Array:
+        """Forecast from now at every step (signals, n); NaN at instants that the plant leaves out."""
+        steps = max(int(horizon_s / self._step_s + 1e-9), 1)
+        boundary: Boundary = self._plant.forecast(steps * self._step_s, self._step_s)
+        rows = np.vstack([np.atleast_2d(getattr(boundary, name)) for name in _FORECAST])
+        missing = steps + 1 - rows.shape[1]
+        return np.pad(rows, ((0, 0), (0, max(missing, 0))), constant_values=np.nan)

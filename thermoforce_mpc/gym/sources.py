@@ -1,0 +1,252 @@
+"""Where the points of BOPTEST's interface come from: the embedded emulator in this process, or a service."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import numpy as np
+
+from boptest_client import BoptestClient, BoptestError, Scenario, UnknownTest
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.gym.view import copied
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS
+
+Limits = tuple[float | None, float | None]
+
+
+class Source(Protocol):
+    """A test of BOPTEST's interface: its points by name, in the units of the interface (K, W, s)."""
+
+    @property
+    def inputs(self) -> Mapping[str, Limits]:
+        """Lowest and highest value of each input."""
+        ...
+
+    @property
+    def measurements(self) -> Sequence[str]:
+        """Names of the measurements."""
+        ...
+
+    @property
+    def forecasts(self) -> Sequence[str]:
+        """Names of the forecast points."""
+        ...
+
+    @property
+    def perfect(self) -> bool:
+        """Whether forecasts depend on the time alone, so that those of an episode can be read at once."""
+        ...
+
+    @property
+    def now_s(self) -> float:
+        """Current time, s since 1 January."""
+        ...
+
+    def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
+        """Start at `start_s` after `warmup_s` of native control, with steps of `step_s`."""
+        ...
+
+    def advance(self, inputs: Mapping[str, float]) -> None:
+        """Simulate one step with these inputs, `<point>_u` and `<point>_activate`."""
+        ...
+
+    def measured(self, names: Sequence[str]) -> Array:
+        """Values of measurements now (n,)."""
+        ...
+
+    def past(self, names: Sequence[str], time_s: Array) -> Array:
+        """Values of measurements at past times (m,), s: (n, m); before the record its first value."""
+        ...
+
+    def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
+        """Forecast from now (n, m)."""
+        ...
+
+    def kpis(self) -> dict[str, float]:
+        """KPIs since the start."""
+        ...
+
+    def close(self) -> None:
+        """Release the test."""
+        ...
+
+
+class EmbeddedSource:
+    """The embedded emulator of bestest_hydronic_heat_pump with the points of `tf-mpc serve` (needs psychrolib)."""
+
+    perfect = True
+
+    def __init__(self, weather: Weather | None = None, *, plant: EmbeddedPlant | None = None) -> None:
+        try:
+            from thermoforce_mpc.service import points
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                f"BOPTEST's weather points need {error.name}, which is not installed: "
+                "pip install 'thermoforce-mpc[gym]'"
+            ) from error
+        self._points = points
+        self._plant = plant or EmbeddedPlant(weather or synthetic_weather())
+        self.inputs: Mapping[str, Limits] = {name: (info.minimum, info.maximum) for name, info in points.INPUTS.items()}
+        self.measurements: Sequence[str] = tuple(points.MEASUREMENT_POINTS)
+        self.forecasts: Sequence[str] = tuple(points.FORECAST_POINTS)
+        self._step_s = 900.0
+        self._now: Mapping[str, float] = {}
+
+    @property
+    def now_s(self) -> float:
+        """Current time, s since 1 January."""
+        return self._plant.now_s
+
+    def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
+        """See `Source.begin`; raises `ConfigError` for a scenario that the emulator does not have."""
+        for unknown in sorted(set(scenario) - {"electricity_price"}):
+            raise ConfigError(f"scenario: '{unknown}' needs a service; the embedded test case knows electricity_price")
+        price = scenario.get("electricity_price") or "constant"
+        self._step_s = step_s
+        self._now = self._plant.reset(start_s, warmup_s, price).points
+
+    def advance(self, inputs: Mapping[str, float]) -> None:
+        """See `Source.advance`."""
+        active = {name[: -len("_activate")] for name, value in inputs.items() if name.endswith("_activate") and value}
+        forced = {name: inputs[f"{name}_u"] for name in active}
+        self._now = self._plant.advance_points(forced, self._step_s).points
+
+    def measured(self, names: Sequence[str]) -> Array:
+        """See `Source.measured`."""
+        if all(name in self._now for name in names):
+            return np.array([self._now[name] for name in names])
+        record = self._plant.recorded(self.now_s, self.now_s)
+        series = self._points.recorded_points(self._plant, list(names), record)
+        return np.array([series[name][-1] for name in names])
+
+    def past(self, names: Sequence[str], time_s: Array) -> Array:
+        """See `Source.past`."""
+        if all(name in MEASUREMENTS for name in names) and not time_s.size:
+            return np.empty((len(names), 0))
+        record = self._plant.recorded(float(time_s.min()) - self._step_s, self.now_s)
+        series = self._points.recorded_points(self._plant, list(names), record)
+        return np.array([np.interp(time_s, series["time"], series[name]) for name in names]).reshape(len(names), -1)
+
+    def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
+        """See `Source.forecast`."""
+        series = self._points.forecast_points(self._plant, list(names), horizon_s, interval_s)
+        return np.array([series[name] for name in names])
+
+    def kpis(self) -> dict[str, float]:
+        """See `Source.kpis`."""
+        return self._plant.kpis()
+
+    def snapshot(self) -> Any:
+        """State of the emulator."""
+        return copied(self._plant, "the emulator"), self._now
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a state."""
+        state, self._now = snapshot
+        self._plant.restore(state)
+
+    def branched(self) -> EmbeddedSource:
+        """Another emulator in the same state; both share what no step changes."""
+        other = copy.copy(self)
+        other._plant = copy.copy(self._plant)
+        other.restore(self.snapshot())
+        return other
+
+    def close(self) -> None:
+        """Do nothing: the emulator holds no resources."""
+
+
+class ServiceSource:
+    """A BOPTEST service at `url`; closing stops the test.
+
+    Raises:
+        ConfigError: the service does not offer the test case.
+        PlantError: the service cannot be reached or failed.
+    """
+
+    perfect = False
+
+    def __init__(self, url: str, testcase: str) -> None:
+        try:
+            self._client = BoptestClient(url, testcase)
+        except UnknownTest as error:
+            raise ConfigError(f"testcase: {error}") from error
+        except BoptestError as error:
+            raise PlantError(f"BOPTEST service: {error}") from error
+        with _failures():
+            inputs = self._client.inputs()
+            self.inputs: Mapping[str, Limits] = {name: (one.minimum, one.maximum) for name, one in inputs.items()}
+            self.measurements: Sequence[str] = tuple(self._client.measurements())
+            self.forecasts: Sequence[str] = tuple(self._client.forecast_points())
+        self._now: Mapping[str, float] = {}
+        self._step_s = 0.0
+
+    @property
+    def testid(self) -> str:
+        """Name of the test at the service."""
+        return self._client.testid
+
+    @property
+    def now_s(self) -> float:
+        """Current time, s since 1 January."""
+        return self._client.time_s
+
+    def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
+        """See `Source.begin`; raises `ConfigError` for a key that BOPTEST's scenarios do not have."""
+        known = [name for name in Scenario.__dataclass_fields__ if name != "time_period"]
+        for unknown in sorted(set(scenario) - set(known)):
+            raise ConfigError(f"scenario: unknown key '{unknown}'; known: {', '.join(known)}")
+        with _failures():
+            self._now = self._client.initialize(start_s, warmup_s)
+            self._client.set_step(step_s)
+            self._client.set_scenario(Scenario(**scenario))
+        self._step_s = step_s
+
+    def advance(self, inputs: Mapping[str, float]) -> None:
+        """See `Source.advance`."""
+        with _failures():
+            found = self._client.advance(inputs)
+        if not found:
+            raise PlantError(f"the service's scenario is over at {self.now_s:g} s")
+        self._now = found
+
+    def measured(self, names: Sequence[str]) -> Array:
+        """See `Source.measured`."""
+        return np.array([self._now.get(name, np.nan) for name in names])
+
+    def past(self, names: Sequence[str], time_s: Array) -> Array:
+        """See `Source.past`."""
+        with _failures():
+            found = self._client.results(names, max(float(time_s.min()), 0.0), self.now_s)
+        return np.array([np.interp(time_s, found["time"], found[name]) for name in names])
+
+    def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
+        """See `Source.forecast`."""
+        with _failures():
+            found = self._client.forecast(names, horizon_s, interval_s)
+        return np.array([found[name] for name in names])
+
+    def kpis(self) -> dict[str, float]:
+        """See `Source.kpis`."""
+        with _failures():
+            return {name: value for name, value in self._client.kpi().items() if value is not None}
+
+    def close(self) -> None:
+        """Stop the test; safe to call twice."""
+        with _failures():
+            self._client.stop()
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    try:
+        yield
+    except BoptestError as error:
+        raise PlantError(f"BOPTEST service: {error}") from error

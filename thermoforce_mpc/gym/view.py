@@ -1,0 +1,126 @@
+"""What an agent sees and does of a plant, and the box its observations lie in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import ConfigError
+
+Observed = NDArray[np.float32]
+
+
+class View(Protocol):
+    """One convention of actions and observations on one plant, stepped by `BuildingEnv`."""
+
+    @property
+    def box(self) -> ObservationBox:
+        """Names and bounds of the observations."""
+        ...
+
+    @property
+    def action_space(self) -> spaces.Box:
+        """Space of the actions, one entry per actuator or overwritten point."""
+        ...
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions."""
+        ...
+
+    @property
+    def now_s(self) -> float:
+        """Current time, s since 1 January."""
+        ...
+
+    def begin(self, start_s: float, warmup_s: float, length_s: float, scenario: Mapping[str, Any]) -> None:
+        """Start at `start_s` after `warmup_s` of native control; `length_s` is the expected length of the episode."""
+        ...
+
+    def act(self, action: Array) -> None:
+        """Apply an action for one step."""
+        ...
+
+    def observe(self) -> Array:
+        """The observation now, unclipped; NaN where something was not measured."""
+        ...
+
+    def kpis(self) -> dict[str, float]:
+        """BOPTEST's KPIs since the start."""
+        ...
+
+    def state(self) -> dict[str, float]:
+        """Time and what was measured now, by name, for people and for `compute_truncated`."""
+        ...
+
+    def snapshot(self) -> object:
+        """State of plant and view, for `restore`; raises `ConfigError` where the plant has none."""
+        ...
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a snapshot of this view or of one that was branched from it."""
+        ...
+
+    def branched(self) -> View:
+        """Another view on a plant of its own, in the same state; raises as `snapshot` does."""
+        ...
+
+    def close(self) -> None:
+        """Release the plant; safe to call twice."""
+        ...
+
+
+@dataclass(frozen=True)
+class ObservationBox:
+    """Names and bounds of observations (n,), each in its own unit.
+
+    Raises:
+        ConfigError: bounds that are not finite or not in order; names the observation.
+    """
+
+    names: tuple[str, ...]
+    low: Array
+    high: Array
+    space: spaces.Box = field(init=False)
+    middle: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name, low, high in zip(self.names, self.low, self.high, strict=True):
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                raise ConfigError(f"observations: bounds of '{name}' are {low:g} and {high:g}: expected low < high")
+        low32, high32 = np.asarray(self.low, dtype=np.float32), np.asarray(self.high, dtype=np.float32)
+        object.__setattr__(self, "space", spaces.Box(low32, high32, dtype=np.float32))
+        object.__setattr__(self, "middle", (np.asarray(self.low) + np.asarray(self.high)) / 2.0)
+
+    @classmethod
+    def of(cls, bounds: Sequence[tuple[str, tuple[float, float]]]) -> ObservationBox:
+        """The box of names with their bounds, in this order."""
+        low, high = (np.array([float(pair[i]) for _, pair in bounds]) for i in (0, 1))
+        return cls(tuple(name for name, _ in bounds), low, high)
+
+    def inside(self, values: Array, before: Array | None) -> tuple[Observed, Array, int]:
+        """The observation inside the box, the values it was made of, and how many were missing.
+
+        A missing value is that of `before`, or the middle of its bounds.
+        """
+        missing = np.isnan(values)
+        count = int(np.count_nonzero(missing))
+        if count:
+            values = np.where(missing, self.middle if before is None else before, values)
+        return np.minimum(np.maximum(values.astype(np.float32), self.space.low), self.space.high), values, count
+
+
+def copied(plant: Any, what: str) -> Any:
+    """A snapshot of a plant; raises `ConfigError` where it cannot be taken."""
+    if not hasattr(plant, "snapshot"):
+        raise ConfigError(
+            f"{what} cannot be branched: a service, an FMU and EnergyPlus keep their state to themselves; the embedded "
+            "test case and house:Nrooms can"
+        )
+    return plant.snapshot()
