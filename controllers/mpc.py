@@ -17,6 +17,7 @@ from controllers.errors import ControllerConfigError, said
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
+from controllers.machinery import Machinery
 from controllers.meters import Meters
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_record
@@ -27,7 +28,7 @@ from controllers.room import room_blocks, within_C
 from controllers.sensing import Sensing, Zones
 from controllers.sensor import Sensor
 from controllers.sensor_state import SensorState
-from controllers.solvers import build_solver
+from controllers.solvers import Solver, build_solver
 from controllers.watch import Watch, WatchState
 from controllers.watched import WatchedPredictions
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
@@ -332,7 +333,7 @@ class ThermoForceMPC(FallingBack):
 
     def _renew_solver(self, planner: Planner) -> None:
         """Give a planner whose solver has not returned another one; the old one must not be called meanwhile."""
-        renewed = replace(planner, solver=build_solver(self.config, planner.operator, self._assembly.machinery))
+        renewed = replace(planner, solver=self._build_solver(planner.operator, self._assembly.machinery))
         if planner is self._base:
             self._base = renewed
         self._adapted = [(zones, renewed if one is planner else one) for zones, one in self._adapted]
@@ -351,7 +352,11 @@ class ThermoForceMPC(FallingBack):
         )
         estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
         predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
-        return Planner(model, predictor, operator, build_solver(self.config, operator, self._assembly.machinery))
+        return Planner(model, predictor, operator, self._build_solver(operator, self._assembly.machinery))
+
+    def _build_solver(self, operator: BuildingOperator, machinery: Machinery) -> Solver:
+        """The solver of an operator; overridden where something else than an optimisation decides."""
+        return build_solver(self.config, operator, machinery)
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""

@@ -39,6 +39,25 @@ def _mpc_config() -> type[StrictModel]:
 def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
     from controllers.mpc import ThermoForceMPC
 
+    return _on_model(ThermoForceMPC, name, config, testcase, model)
+
+
+def _dpc_config() -> type[StrictModel]:
+    from controllers.dpc.config import DPCConfig
+
+    return DPCConfig
+
+
+def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
+    from controllers.dpc.solver import DPC
+
+    return _on_model(DPC, name, config, testcase, model)
+
+
+def _on_model(
+    kind: Callable[..., Controller], name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None
+) -> Controller:
+    """A controller of `kind` on a model that fits the test case; one that stands back where there is none."""
     if model is None:
         raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
     if isinstance(model, str):
@@ -58,7 +77,7 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
                 f"what the one does says nothing of the other; identify on data of {wanted}"
             )
     # The test case says what may act together, also to a model that was identified before it did.
-    return ThermoForceMPC(replace(model, exclusive=testcase.layout.exclusive), config, name=name)
+    return kind(replace(model, exclusive=testcase.layout.exclusive), config, name=name)
 
 
 def _mpc_entry(summary: str, **defaults: Any) -> Entry:
@@ -116,6 +135,13 @@ REGISTRY: dict[str, Entry] = {
         "the paper's search over candidate trajectories, level held for the step",
         **_AS_PRINTED,
         solver="search",
+    ),
+    "dpc": Entry(
+        "differentiable predictive control: a policy trained through the model in the place of the solver, one zone",
+        True,
+        _dpc_config,
+        _build_dpc,
+        {},
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",

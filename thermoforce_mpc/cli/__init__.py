@@ -37,6 +37,7 @@ _COMMANDS = {
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
+    "train": ("thermoforce_mpc.cli.train", "Train the policy of the controller dpc through a saved model."),
     "chaos": ("thermoforce_mpc.cli.chaos", "Run controllers with everything around them failing on purpose."),
     "doctor": (
         "thermoforce_mpc.cli.doctor",

@@ -80,6 +80,24 @@ def gym_command(quick: bool, json_file: Path | None) -> None:
     show(run_gym_bench(quick=quick, progress=_progress), json_file)
 
 
+@command.command("dpc")
+@click.option("--days", type=click.FloatRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
+@click.option(
+    "--price",
+    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
+    default="constant",
+    show_default=True,
+    help="Tariff.",
+)
+@_QUICK
+@_JSON
+def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) -> None:
+    """Put a policy trained through the model beside the MPC and the thermostat: cost, discomfort, training, time."""
+    from thermoforce_mpc.research.bench.dpc import run_dpc_bench
+
+    show(run_dpc_bench(days=days, price=price, quick=quick, progress=_progress), json_file)
+
+
 @command.command("buildings")
 @click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Number of generated houses.")
 @click.option("--seed", type=click.IntRange(0), default=2026, show_default=True, help="Seed of the population.")

@@ -1,0 +1,118 @@
+"""A trained policy in the place of a solver, and the controller that is built with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from controllers.actuation import Actuation
+from controllers.dpc.config import DPCConfig
+from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
+from controllers.errors import ControllerConfigError
+from controllers.machinery import Machinery
+from controllers.mpc import ThermoForceMPC
+from controllers.problem import MPCProblem, Solution, checked_solution, failed
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+
+class PolicySolver:
+    """Levels of a policy in closed loop with the operator over the horizon; checked as a solver's are."""
+
+    def __init__(self, policy: Policy, operator: BuildingOperator) -> None:
+        self._policy, self.operator, self._pair = policy, operator, operator.of_actuator(0)
+
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """The policy's levels; beyond the horizon the last step is taken to go on. `guess` is not used."""
+        policy, reach = self._policy, int(lead_steps(self._policy.step_s)[-1])
+        fixed, per_u = drive_parts(self._pair, problem.features[0])
+        full_W = problem.power_fixed_W[0] + problem.power_per_u_W[0]
+        relative = problem.price_per_kWh[0] * full_W / np.maximum(np.abs(fixed + per_u), 1e-9)
+        ahead = np.stack([problem.T_free_C[0], problem.lower_C[0], problem.upper_C[0]])
+        u = policy.levels(
+            problem.forced_state_K[0, 0],
+            self._pair,
+            (fixed, per_u),
+            np.pad(ahead, ((0, 0), (0, reach)), mode="edge"),
+            np.pad(relative, (0, reach), mode="edge"),
+        )[None]
+        if not np.isfinite(u).all():
+            return failed("policy", problem.n_steps, "the policy gave levels that are not finite")
+        modes = problem.modes_K(self.operator, u)
+        return checked_solution(
+            problem, lambda levels: modes, u, float(problem.cost_under(u, modes)), "policy", problem.n_steps
+        )
+
+
+class DPC(ThermoForceMPC):
+    """The MPC with a trained policy in the place of its solver; forecast, checks, actuation, watch, fallback stay."""
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        config: DPCConfig | None = None,
+        *,
+        policy: Policy | None = None,
+        progress: Callable[[int, float], None] | None = None,
+        name: str = "dpc",
+    ) -> None:
+        """Take the policy given, read the one that `config` names, or train one (about a minute).
+
+        Raises:
+            ControllerConfigError: the model has several zones, actuators or machines, or signed levels, or the policy
+                was trained for another model, step or actuation.
+            ArtifactError: the policy's folder cannot be used.
+        """
+        config = config or DPCConfig()
+        config.check()
+        if not model.names.single:
+            raise ControllerConfigError(
+                f"dpc controls one zone with one actuator; the model has {len(model.names.zones)} zones and "
+                f"{len(model.names.actuators)} actuators: use thermoforce_mpc"
+            )
+        if model.layout.lowest[0] < 0.0:
+            raise ControllerConfigError("dpc does not heat and cool by room set-points: use thermoforce_mpc")
+        self._policy = policy or (load_policy(Path(config.policy)) if config.policy else None)
+        self._progress = progress
+        super().__init__(model, config, name=name)
+
+    @property
+    def policy(self) -> Policy:
+        """The policy."""
+        assert self._policy is not None  # made with the first solver
+        return self._policy
+
+    @property
+    def actuation_in_words(self) -> str:
+        """How the actuator is run, and where the policy comes from."""
+        return (
+            f"{super().actuation_in_words}; policy of {self.policy.iterations} iterations, loss {self.policy.loss:.3f}"
+        )
+
+    def _build_solver(self, operator: BuildingOperator, machinery: Machinery) -> PolicySolver:
+        actuation = self._actuators.each[0]
+        if self._policy is None:
+            from controllers.dpc.training import train_policy
+
+            assert isinstance(self.config, DPCConfig)
+            self._policy = train_policy(self._zones[0], actuation, self.config, self.step_s, self._progress)
+        elif not hasattr(self, "_base"):  # the first; later ones are of adapted operators, which it follows
+            self._check(operator, actuation)
+        return PolicySolver(self._policy, operator)
+
+    def _check(self, operator: BuildingOperator, actuation: Actuation) -> None:
+        found = self.policy
+        wrong = []
+        if found.operator_sha256 != operator_sha256(operator.of_actuator(0)):
+            wrong.append("another model")
+        if found.step_s != self.step_s:
+            wrong.append(f"steps of {found.step_s:g} s instead of {self.step_s:g} s")
+        if (found.highest, found.lowest) != (actuation.highest, actuation.lowest_level):
+            wrong.append(f"levels {found.lowest:g} to {found.highest:g}, not {actuation.in_words}")
+        if wrong:
+            raise ControllerConfigError(
+                f"controller.options.policy: the policy was trained for {' and '.join(wrong)}: train it again"
+            )

@@ -1,0 +1,200 @@
+"""Training of the policy through the differentiable operator: rollouts in closed loop, cost as loss."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from controllers.actuation import Actuation
+from controllers.dpc.config import DPCConfig
+from controllers.dpc.policy import MOST, N_INPUTS, STEEP, Policy, lead_steps, operator_sha256, scales_K
+from controllers.dpc.situations import Drawer, Situations
+from controllers.errors import ControllerConfigError
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
+from thermoforce_mpc.model.zone_model import ZoneModel
+
+# Length of a course, from which rollouts follow one another; then new ones are drawn.
+_COURSE_DAYS = 8.0
+# A kelvin of heat in the building at the end of a rollout is worth what it would cost, for as long as it lasts of this.
+_WORTH_H = 48.0
+# Disturbance of the forced state at the start of a rollout, relative.
+_PERTURBED = 0.01
+
+Progress = Callable[[int, float], None]
+
+
+class Network(nn.Module):
+    """The policy as a torch module, in double precision."""
+
+    def __init__(self, hidden: int, seed: int) -> None:
+        super().__init__()
+        generator = torch.Generator().manual_seed(seed)
+        sizes = ((N_INPUTS, hidden), (hidden, hidden), (hidden, 1))
+        self.layers = [nn.Linear(n, m, dtype=torch.float64) for n, m in sizes]
+        for i, layer in enumerate(self.layers):
+            self.add_module(f"layer_{i + 1}", layer)
+        with torch.no_grad():
+            for layer in self.layers:
+                bound = 1.0 / math.sqrt(layer.weight.shape[1])
+                for values in (layer.weight, layer.bias):
+                    values.copy_(
+                        (2.0 * torch.rand(values.shape, generator=generator, dtype=torch.float64) - 1.0) * bound
+                    )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Share of the highest level (...,) for inputs (..., 5 J)."""
+        first, second, third = self.layers
+        asked = -x[..., : x.shape[-1] // 5].amin(-1)
+        return torch.sigmoid(third(torch.tanh(second(torch.tanh(first(x)))))[..., 0] + STEEP * (asked - 0.5))
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Situations as tensors, with what the operator and the machine make of them; (B, n) each."""
+
+    T_free: Tensor
+    lower: Tensor
+    upper: Tensor
+    modulation: Tensor
+    T_out: Tensor
+    relative: Tensor
+    cost_fixed: Tensor
+    cost_per_u: Tensor
+
+
+def train_policy(
+    zone: ZoneModel, actuation: Actuation, config: DPCConfig, step_s: float, progress: Progress | None = None
+) -> Policy:
+    """Train a policy for an actuator on its zone.
+
+    The loss is the objective of the MPC over `rollout_h`, in units of the cost of full level: energy with the machine's
+    fixed part as the actuation switches it, comfort violation at its price, less what heat left at the end is worth.
+
+    Args:
+        zone: operator and power, as identified.
+        actuation: how the actuator is run.
+        config: options.
+        step_s: control step, s.
+        progress: called with the number of iterations done and their loss.
+
+    Raises:
+        ControllerConfigError: the model has no linear free response or no power, or its gain depends on what is done.
+    """
+    if zone.free is None or zone.power is None:
+        missing = "linear free response" if zone.free is None else "power"
+        raise ControllerConfigError(f"dpc: the model was identified without {missing}; identify it from one record")
+    params = zone.operator.resampled(step_s)
+    if params.feedback_active:
+        raise ControllerConfigError("dpc: an operator with feedback is not supported; identify with feedback: false")
+    params = replace(params, heat_input=params.heat_input.at_lowest_level(actuation.lowest_level))
+    power = zone.power.at_lowest_level(actuation.lowest_level)
+    t, lowest, highest = config.training, actuation.lowest_level, actuation.highest
+    module = ForcedResponseOperator(params).requires_grad_(False)
+    network = Network(t.hidden, t.seed)
+    optimiser = torch.optim.Adam(network.parameters(), t.learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, t.iterations, 0.1 * t.learning_rate)
+    drawer = Drawer(zone.free, step_s, params.sign, t.seed)
+    noise = torch.Generator().manual_seed(t.seed)
+    leads = torch.from_numpy(lead_steps(step_s))
+    n, reach = max(1, round(t.rollout_h * HOUR_S / step_s)), int(leads[-1])
+    length = max(n, round(_COURSE_DAYS * DAY_S / step_s))
+    losses: list[float] = []
+    at = length
+    for iteration in range(t.iterations):
+        if at + n > length:
+            course = _course(drawer.draw(t.buildings, length + reach), module, power, config, step_s)
+            at, F = 0, _started(course, module, highest)
+        F = F * (1.0 + _PERTURBED * torch.randn(F.shape[0], 1, generator=noise, dtype=torch.float64))
+        loss, F = _rolled(network, module, course, F, at, n, leads, (lowest, highest), config, step_s)
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+        F, at = F.detach(), at + n
+        losses.append(float(loss.detach()))
+        if progress:
+            progress(iteration + 1, losses[-1])
+    weights = tuple(value.detach().numpy().copy() for layer in network.layers for value in (layer.weight, layer.bias))
+    last = float(np.mean(losses[-max(1, t.iterations // 10) :]))
+    return Policy(weights, highest, lowest, step_s, operator_sha256(params), t.iterations, last)
+
+
+def _course(
+    found: Situations, module: ForcedResponseOperator, power: PowerModel, config: DPCConfig, step_s: float
+) -> _Course:
+    """The situations as tensors; costs in currency."""
+    before = np.concatenate([found.T_free_C[:, :1], found.T_free_C[:, :-1]], axis=1)
+    features = torch.from_numpy(feature_matrix(before, found.T_out_C, found.solar_W_m2, found.time_s))
+    with torch.no_grad():
+        modulation = module.modulation(features)
+        full = modulation * module.heat(torch.ones(()), features[..., 1])
+    fixed_W, per_u_W = power.parts(found.T_out_C)
+    price = found.price_per_kWh * step_s / 3.6e6
+    relative = price * (fixed_W + per_u_W) / full.numpy()
+    return _Course(
+        T_free=torch.from_numpy(found.T_free_C),
+        lower=torch.from_numpy(found.lower_C),
+        upper=torch.from_numpy(found.upper_C),
+        modulation=modulation,
+        T_out=torch.from_numpy(found.T_out_C),
+        relative=torch.from_numpy(relative),
+        cost_fixed=torch.from_numpy(price * fixed_W),
+        cost_per_u=torch.from_numpy(price * per_u_W),
+    )
+
+
+def _started(course: _Course, module: ForcedResponseOperator, highest: float) -> Tensor:
+    """Forced states (B, r), K, that hold each zone near its band: a steady level of the past."""
+    steady = module.gains / (1.0 - module.poles)
+    middle = 0.5 * (course.lower[:, 0] + course.upper[:, 0]) - course.T_free[:, 0]
+    share = (middle / steady.sum()).clamp(0.0, highest)
+    return share[:, None] * steady
+
+
+def _rolled(
+    network: Network,
+    module: ForcedResponseOperator,
+    course: _Course,
+    F: Tensor,
+    first: int,
+    n: int,
+    leads: Tensor,
+    levels: tuple[float, float],
+    config: DPCConfig,
+    step_s: float,
+) -> tuple[Tensor, Tensor]:
+    """Mean loss of `n` steps in closed loop from forced states `F` (B, r) at step `first`, and the states after."""
+    poles, gains, (lowest, highest), (step_K, coarse_K) = module.poles, module.gains, levels, scales_K(module.numpy())
+    fading, step = poles[:, None] ** leads, torch.from_numpy(step_K)
+    comfort = config.objective.comfort_weight * step_s / HOUR_S
+    cost = torch.zeros((), dtype=torch.float64)
+    for k in range(first, first + n):
+        at = leads + (k - 1)
+        off = course.T_free[:, at] + F @ fading
+        relative = course.relative[:, at]
+        below, above = off - course.lower[:, at], course.upper[:, at] - off
+        if module.sign < 0:
+            below, above = above, below
+        dearer = relative / relative.abs().mean(1, keepdim=True) - 1.0
+        x = torch.cat([below / step, above / step, below / coarse_K, above / coarse_K, dearer], dim=1)
+        u = highest * network(x.clamp(-MOST, MOST))
+        on = (u / lowest).clamp(max=1.0)
+        drive = course.modulation[:, k] * module.heat(u, course.T_out[:, k])
+        F = poles * F + gains * drive[:, None]
+        T = course.T_free[:, k] + F.sum(1)
+        slack = torch.relu(course.lower[:, k] - T) + torch.relu(T - course.upper[:, k])
+        cost = cost + (on * course.cost_fixed[:, k] + u * course.cost_per_u[:, k] + comfort * slack).mean()
+    lasts = (1.0 - poles ** round(_WORTH_H * HOUR_S / step_s)) / (1.0 - poles)
+    heat = (F * lasts).sum(1) / (gains * lasts).sum()
+    worth = course.relative[:, first + n : first + n + int(leads[-1])].mean(1)
+    full = (course.cost_fixed + course.cost_per_u).mean() * n
+    return (cost - (worth * heat).mean()) / full, F
