@@ -63,8 +63,8 @@ class _Course:
     T_free: Tensor
     lower: Tensor
     upper: Tensor
-    modulation: Tensor
-    T_out: Tensor
+    drive_fixed: Tensor
+    drive_per_u: Tensor
     relative: Tensor
     cost_fixed: Tensor
     cost_per_u: Tensor
@@ -135,17 +135,19 @@ def _course(
     before = np.concatenate([found.T_free_C[:, :1], found.T_free_C[:, :-1]], axis=1)
     features = torch.from_numpy(feature_matrix(before, found.T_out_C, found.solar_W_m2, found.time_s))
     with torch.no_grad():
-        modulation = module.modulation(features)
-        full = modulation * module.heat(torch.ones(()), features[..., 1])
+        modulation = module.modulation(features).numpy()
+    load = module.heat_input.heat
+    heat = (np.zeros(()), np.ones(())) if load is None else load.parts(found.T_out_C)
+    drive_fixed, drive_per_u = (modulation * part / module.heat_input.reference_W for part in heat)
     fixed_W, per_u_W = power.parts(found.T_out_C)
     price = found.price_per_kWh * step_s / 3.6e6
-    relative = price * (fixed_W + per_u_W) / full.numpy()
+    relative = price * (fixed_W + per_u_W) / (drive_fixed + drive_per_u)
     return _Course(
         T_free=torch.from_numpy(found.T_free_C),
         lower=torch.from_numpy(found.lower_C),
         upper=torch.from_numpy(found.upper_C),
-        modulation=modulation,
-        T_out=torch.from_numpy(found.T_out_C),
+        drive_fixed=torch.from_numpy(drive_fixed),
+        drive_per_u=torch.from_numpy(drive_per_u),
         relative=torch.from_numpy(relative),
         cost_fixed=torch.from_numpy(price * fixed_W),
         cost_per_u=torch.from_numpy(price * per_u_W),
@@ -174,25 +176,29 @@ def _rolled(
 ) -> tuple[Tensor, Tensor]:
     """Mean loss of `n` steps in closed loop from forced states `F` (B, r) at step `first`, and the states after."""
     poles, gains, (lowest, highest), (step_K, coarse_K) = module.poles, module.gains, levels, scales_K(module.numpy())
-    fading, step = poles[:, None] ** leads, torch.from_numpy(step_K)
-    comfort = config.objective.comfort_weight * step_s / HOUR_S
-    cost = torch.zeros((), dtype=torch.float64)
-    for k in range(first, first + n):
-        at = leads + (k - 1)
-        off = course.T_free[:, at] + F @ fading
-        relative = course.relative[:, at]
-        below, above = off - course.lower[:, at], course.upper[:, at] - off
-        if module.sign < 0:
-            below, above = above, below
-        dearer = relative / relative.abs().mean(1, keepdim=True) - 1.0
-        x = torch.cat([below / step, above / step, below / coarse_K, above / coarse_K, dearer], dim=1)
-        u = highest * network(x.clamp(-MOST, MOST))
-        on = (u / lowest).clamp(max=1.0)
-        drive = course.modulation[:, k] * module.heat(u, course.T_out[:, k])
+    # Inputs of all steps where nothing acts at all (B, n, 4 J), and what the forced state adds to them.
+    at = torch.arange(first, first + n)[:, None] + leads - 1
+    T_free, lower, upper = (x[:, at] for x in (course.T_free, course.lower, course.upper))
+    below, above = (T_free - lower, upper - T_free) if module.sign > 0 else (upper - T_free, T_free - lower)
+    fine, coarse = 1.0 / torch.from_numpy(step_K), torch.full(leads.shape, 1.0 / coarse_K, dtype=torch.float64)
+    at_rest = torch.cat([below * fine, above * fine, below * coarse, above * coarse], dim=2)
+    fading = module.sign * poles[:, None] ** leads
+    added = torch.cat([fading * fine, -fading * fine, fading * coarse, -fading * coarse], dim=1)
+    relative = course.relative[:, at]
+    dearer = relative / relative.abs().mean(2, keepdim=True) - 1.0
+    levels_u, forced = [], []
+    for i in range(n):
+        x = torch.cat([torch.addmm(at_rest[:, i], F, added), dearer[:, i]], dim=1).clamp(-MOST, MOST)
+        u = highest * network(x)
+        drive = (u / lowest).clamp(max=1.0) * course.drive_fixed[:, first + i] + u * course.drive_per_u[:, first + i]
         F = poles * F + gains * drive[:, None]
-        T = course.T_free[:, k] + F.sum(1)
-        slack = torch.relu(course.lower[:, k] - T) + torch.relu(T - course.upper[:, k])
-        cost = cost + (on * course.cost_fixed[:, k] + u * course.cost_per_u[:, k] + comfort * slack).mean()
+        levels_u.append(u)
+        forced.append(F.sum(1))
+    u, rows = torch.stack(levels_u, dim=1), slice(first, first + n)
+    T = course.T_free[:, rows] + torch.stack(forced, dim=1)
+    slack = torch.relu(course.lower[:, rows] - T) + torch.relu(T - course.upper[:, rows])
+    energy = (u / lowest).clamp(max=1.0) * course.cost_fixed[:, rows] + u * course.cost_per_u[:, rows]
+    cost = (energy + config.objective.comfort_weight * step_s / HOUR_S * slack).sum(1).mean()
     lasts = (1.0 - poles ** round(_WORTH_H * HOUR_S / step_s)) / (1.0 - poles)
     heat = (F * lasts).sum(1) / (gains * lasts).sum()
     worth = course.relative[:, first + n : first + n + int(leads[-1])].mean(1)
