@@ -14,7 +14,7 @@ from thermoforce_mpc.scenario.settings import StrictModel
 class TrainingConfig(StrictModel):
     """Offline training of the policy; all of it is seeded."""
 
-    iterations: int = Field(500, ge=1, le=100_000, description="steps of the optimiser")
+    iterations: int = Field(400, ge=1, le=100_000, description="steps of the optimiser")
     buildings: int = Field(48, ge=1, le=4096, description="courses of weather, bounds and prices controlled at a time")
     rollout_h: float = Field(24.0, ge=1, le=168, description="length that the gradient goes back through, h")
     hidden: int = Field(32, ge=1, le=1024, description="neurons in each of two hidden layers")
