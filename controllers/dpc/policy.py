@@ -26,6 +26,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ArtifactError
+from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.model.model_file import content_sha256
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.reading import parse_json, read_bounded
@@ -103,7 +104,12 @@ class Policy:
         )  # fmt: skip
 
     def save(self, folder: Path, *, overwrite: bool = False) -> Path:
-        """Write the policy to `folder`; the same policy gives the same bytes. Raises `ArtifactError`."""
+        """Write the policy to `folder`; the same policy gives the same bytes.
+
+        Raises:
+            ArtifactError: `folder` exists, unless `overwrite` and it holds a policy.
+            StorageError: it cannot be written.
+        """
         if folder.exists() and not (overwrite and (folder / JSON_NAME).is_file()):
             raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
         raw = save_tensors({name: np.ascontiguousarray(w) for name, w in zip(_LAYERS, self.weights, strict=True)})
@@ -116,12 +122,10 @@ class Policy:
         }
         document |= {name: getattr(self, name) for name in _FIELDS}
         text = json.dumps(document | {"sha256": content_sha256(document)}, indent=2, allow_nan=False) + "\n"
-        try:
+        with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / ARRAYS_NAME).write_bytes(raw)
-            (folder / JSON_NAME).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ArtifactError(f"{folder}: cannot be written ({error.strerror or error})") from error
+        write_whole(folder / ARRAYS_NAME, raw)
+        write_whole(folder / JSON_NAME, text)
         return folder
 
 
