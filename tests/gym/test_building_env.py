@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -191,3 +193,21 @@ def test_picture_of_an_episode() -> None:
     assert first.shape[2] == 3
     rewards(env, np.zeros((4, 1), np.float32))
     assert not np.array_equal(first, env.render())
+
+
+def test_an_fmu_gives_what_the_emulator_inside_gives(tmp_path: Path) -> None:
+    pytest.importorskip("fmpy")
+    pytest.importorskip("pythonfmu")
+    from fmu_files import build_house
+
+    options = {"start_time": 16 * DAY_S, "warmup_period": 3600.0, "max_episode_length": 1800.0}
+    far, near = made(fmu=str(build_house(tmp_path)), **options), made(**options)
+    try:
+        for a, b in [(far.reset(seed=1)[0], near.reset(seed=1)[0])] + [
+            (far.step(action)[0], near.step(action)[0]) for action in (np.ones(1), np.zeros(1))
+        ]:
+            np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+        with pytest.raises(ConfigError, match="cannot be branched"):
+            far.snapshot()
+    finally:
+        far.close()
