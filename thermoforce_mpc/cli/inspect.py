@@ -151,6 +151,11 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
             f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full actuation above is "
             f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:g} °C outdoors"
         )
+    elif operator.heat_input.per_K:
+        say(
+            f"Heat of a level: {100 * operator.heat_input.per_K:+.1f} % per K outdoors; full actuation above is at "
+            f"{operator.heat_input.reference_C:.1f} °C outdoors"
+        )
 
 
 def _show_power(what: str, power: PowerModel | None, console: Console) -> None:

@@ -18,8 +18,10 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.capacity import with_metered_shares
 from thermoforce_mpc.identification.cases import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.confounding import confounding, shared_sd
 from thermoforce_mpc.identification.couplings import area_of, assembled, other_actuator, others_of, share_of
 from thermoforce_mpc.identification.joint import JointFit
+from thermoforce_mpc.identification.outdoor_factor import levels_only, outdoor_factor
 from thermoforce_mpc.identification.records import (
     Pair,
     check_pairs,
@@ -104,6 +106,20 @@ def identify(
         heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a])
         heat_inputs.append(heat_input)
         notes.append([*gaps, *pair_gaps, *told])
+    level_sd, advice = np.zeros(len(layout.home)), [""] * len(layout.home)
+    for a, heat_input in enumerate(heat_inputs):
+        if not levels_only(heat_input, layout, a, config):
+            continue
+        beside = confounding(runs, layout, heat_inputs, a, config)
+        factor = outdoor_factor(runs, layout, a, config)
+        advice[a] = beside.in_words()
+        unknown = [beside.relative_sd, shared_sd(layout, a)]
+        if factor is not None:
+            heat_inputs[a] = factor.heat_input
+            unknown.append(factor.level_sd)
+            notes[a].append(factor.in_words())
+        notes[a] += [advice[a]] if advice[a] else []
+        level_sd[a] = np.linalg.norm(unknown)
     layout = with_metered_shares(layout, heat_inputs, histories)
     power = [power_of_machine(histories, config, layout, m) for m in range(len(layout.names.machines))]
     for a, m in enumerate(layout.machine_of):
@@ -128,15 +144,24 @@ def identify(
             notes[a],
             power[layout.machine_of[a]] if len(layout.fed_by(layout.machine_of[a])) == 1 else None,
             alone=len(layout.home) == 1,
+            level_sd=float(level_sd[a]),
         )
         who = "" if layout.names.single else f"{layout.names.actuators[a]} on {layout.names.zones[home]}: "
         try:
             zone, fit = identify_zone(task, config, lambda text, who=who: say(who + text))  # type: ignore[misc]
         except DataError as error:
             raise DataError(f"{who}{error}") from error
-        zones.append(zone)
+        zones.append(_advised(zone, advice[a]))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
+
+
+def _advised(zone: ZoneModel, advice: str) -> ZoneModel:
+    """`zone` with this advice first in a verdict that is below the bar."""
+    verdict = zone.card.competence
+    if not advice or verdict is None or verdict.competent:
+        return zone
+    return replace(zone, card=replace(zone.card, competence=replace(verdict, advice=(advice, *verdict.advice))))
 
 
 def _check_names(layout: Layout, records: Sequence[Record]) -> None:

@@ -42,8 +42,10 @@ def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
     )
 
 
-def uncertainty(fit: JointFit, step_s: float) -> dict[str, float]:
+def uncertainty(fit: JointFit, step_s: float, level_sd: float = 0.0) -> dict[str, float]:
     """Return estimates of the linear fit and their posterior standard deviations by name; poles and gains at `step_s`.
+
+    `level_sd` is the relative standard deviation of the heat of a level; it adds to that of the step response.
 
     Disturbances are of about the size found by the fit, see `regression_data.likely_scale`.
     """
@@ -71,7 +73,8 @@ def uncertainty(fit: JointFit, step_s: float) -> dict[str, float]:
     answer = step_response(fit, STEP_RESPONSE_H[-1], HOUR_S)
     for hours in STEP_RESPONSE_H:
         out |= {f"step_response_{hours}h_K": float(answer.mean_K[hours])}
-        out |= {f"step_response_{hours}h_sd_K": float(answer.sd_K[hours])}
+        sd = float(np.hypot(answer.sd_K[hours], level_sd * answer.mean_K[hours]))
+        out |= {f"step_response_{hours}h_sd_K": sd}
     return out
 
 

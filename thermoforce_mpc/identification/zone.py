@@ -24,7 +24,12 @@ from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_pri
 from thermoforce_mpc.identification.modulation import modulate, prove
 from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
 from thermoforce_mpc.identification.records import Pair, resolution_K
-from thermoforce_mpc.identification.regression_data import OtherActuator, pair_regression, run_regression
+from thermoforce_mpc.identification.regression_data import (
+    OtherActuator,
+    RegressionData,
+    pair_regression,
+    run_regression,
+)
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
@@ -59,6 +64,7 @@ class ZoneTask:
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
+        level_sd: relative standard deviation of the effect that comes from heat that was not measured.
         alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
             its model is returned, not competent.
     """
@@ -76,6 +82,7 @@ class ZoneTask:
     notes: Sequence[str] = ()
     power: PowerModel | None = None
     alone: bool = True
+    level_sd: float = 0.0
 
 
 def identify_zone(
@@ -105,7 +112,7 @@ def identify_zone(
     else:
         model, fit = _joint_model(
             runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, task.share, sign, task.step_s,
-            task.source, notes, say, task.power,
+            task.source, notes, say, task.power, task.level_sd,
         )  # fmt: skip
     model = _accepted(model, cases, sign, task.alone)
     say(f"identified an operator of order {model.operator.order}")
@@ -158,6 +165,7 @@ def _joint_model(
     notes: Sequence[str],
     say: Callable[[str], None],
     power: PowerModel | None,
+    level_sd: float,
 ) -> tuple[ZoneModel, JointFit]:
     """The joint estimator as a zone's model, and its fit: order by held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
@@ -211,10 +219,10 @@ def _joint_model(
         operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s) | {"sensor_resolution_K": resolution_K(runs)}
+    certainty = uncertainty(final, operator.step_s, level_sd) | {"sensor_resolution_K": resolution_K(runs)}
     shape: dict[str, float] = {}
     if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
-        regressions = [case.regression for case in cases]
+        regressions = [_by_level(case, heat_input) for case in cases]
         shape, told_of_shape = level_shape(histories, regressions, final, priors, config, power, sign)
         notes = [*notes, *told_of_shape]
     explained = explained_share(cases, operator)
@@ -237,6 +245,15 @@ def _joint_model(
         ),
     )
     return model, final
+
+
+def _by_level(case: Case, heat_input: HeatInput) -> RegressionData:
+    """The regression of a case with the levels themselves as drives."""
+    drives = tuple(
+        (sign, drive / heat_input.outdoor_factor(history.T_out_C[:-1]))
+        for (sign, drive), history in zip(case.regression.drives, case.histories, strict=True)
+    )
+    return replace(case.regression, drives=drives)
 
 
 def _warnings(certainty: Mapping[str, float]) -> list[str]:

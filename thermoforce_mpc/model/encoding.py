@@ -123,7 +123,9 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
 
 
 def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str) -> OperatorParameters:
-    heat = data["heat_input"]["heat"]
+    given = data["heat_input"]
+    heat = given["heat"]
+    low, high = given.get("T_out_range_C", (0.0, 0.0))
     return OperatorParameters(
         **{name: _array(arrays, prefix + name) for name in _OPERATOR_ARRAYS},
         output_bias=number(data["output_bias"]),
@@ -133,8 +135,10 @@ def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str)
         feedback=truth(data["feedback"]),
         heat_input=HeatInput(
             heat=None if heat is None else _load(heat),
-            reference_C=number(data["heat_input"]["reference_C"]),
-            lowest=number(data["heat_input"].get("lowest", 0.0)),
+            reference_C=number(given["reference_C"]),
+            lowest=number(given.get("lowest", 0.0)),
+            per_K=number(given.get("per_K", 0.0)),
+            T_out_range_C=(number(low), number(high)),
         ),
     )
 

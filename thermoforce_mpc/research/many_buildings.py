@@ -121,7 +121,7 @@ def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Ar
     T_out, solar = 0.5 * (weather[..., :-1] + weather[..., 1:])
     drive = u.copy()
     for i, heat_input in enumerate(actuators):
-        if heat_input.heat is not None:
+        if heat_input != IDENTITY:
             drive[i] = heat_input(u[i], T_out[i])
     return np.where(kept, np.stack([T[:, :-1], np.diff(T), T_out, solar, u, drive]), 0.0), kept
 

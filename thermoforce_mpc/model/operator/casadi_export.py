@@ -28,7 +28,10 @@ def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) ->
 def heat_input_expression(heat_input: HeatInput, u: Expression, T_out_C: Expression) -> Expression:
     """Return v(u, T_out) as an expression (elementwise)."""
     if heat_input.heat is None:
-        return u
+        if heat_input.per_K == 0.0:
+            return u
+        low, high = heat_input.T_out_range_C
+        return u * (1.0 + heat_input.per_K * (ca.fmin(ca.fmax(T_out_C, low), high) - heat_input.reference_C))
     return on_load_expression(heat_input.heat, u, T_out_C) / heat_input.reference_W
 
 

@@ -15,25 +15,52 @@ from thermoforce_mpc.model.machine.load import MachineLoad
 class HeatInput:
     """Map v(u, T_out), dimensionless and nondecreasing in u, with v = 1 at full level and `reference_C`.
 
-    Without a `heat` load it is the identity v = u of the paper's operator. `lowest` is the lowest level: 0, or less
-    where the level of one zone's heating and cooling is signed (cooling below 0), which only the identity allows.
+    Without a `heat` load it is v = u·(1 + per_K·(T_out − reference_C)), and the identity v = u of the paper's operator
+    where `per_K` is 0; outside `T_out_range_C`, °C, T_out is held at the nearer end. `lowest` is the lowest level: 0,
+    or less where the level of one zone's heating and cooling is signed (cooling below 0), which only the identity
+    allows.
 
     Raises:
-        DataError: `lowest` is not in [−10, 0], or below 0 with a heat load.
+        DataError: `lowest` is not in [−10, 0], or below 0 without the identity; `per_K` beside a heat load, or so large
+            that v does not rise with u somewhere in the range.
     """
 
     heat: MachineLoad | None = None
     reference_C: float = 0.0
     lowest: float = 0.0
+    per_K: float = 0.0
+    T_out_range_C: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not -10.0 <= self.lowest <= 0.0 or (self.lowest < 0.0 and self.heat is not None):
+        identity = self.heat is None and self.per_K == 0.0
+        if not -10.0 <= self.lowest <= 0.0 or (self.lowest < 0.0 and not identity):
             raise DataError(f"lowest level {self.lowest:g}: expected 0, or that of cooling where u drives the operator")
+        if self.per_K == 0.0:
+            return
+        if self.heat is not None:
+            raise DataError("heat input: per_K belongs to levels whose heat is not measured")
+        low, high = self.T_out_range_C
+        if not (np.isfinite([self.per_K, low, high]).all() and low <= high and min(self._ends()) > 0.0):
+            raise DataError(
+                f"heat input: {self.per_K:g} 1/K about {self.reference_C:g} °C is not positive from {low:g} to "
+                f"{high:g} °C"
+            )
 
     @property
     def kind(self) -> str:
-        """'identity' or 'heat'."""
+        """'identity' (levels, by outdoor temperature or not) or 'heat' (measured)."""
         return "identity" if self.heat is None else "heat"
+
+    def outdoor_factor(self, T_out_C: Array | float) -> Array:
+        """Return v per level at `T_out_C` °C where heat is not measured."""
+        return np.asarray(1.0 + self.per_K * (np.clip(T_out_C, *self.T_out_range_C) - self.reference_C))
+
+    def _ends(self) -> tuple[float, float]:
+        """v per level at both ends of the range."""
+        if self.per_K == 0.0:
+            return 1.0, 1.0
+        low, high = sorted(float(self.outdoor_factor(T)) for T in self.T_out_range_C)
+        return low, high
 
     @property
     def reference_W(self) -> float:
@@ -43,20 +70,21 @@ class HeatInput:
     def __call__(self, u: Array, T_out_C: Array) -> Array:
         """Return v for `u` in [0, 1] and `T_out_C` °C (shapes broadcast)."""
         if self.heat is None:
-            return np.asarray(u, dtype=np.float64) + 0.0 * np.asarray(T_out_C, dtype=np.float64)
+            known = np.asarray(u, dtype=np.float64) + 0.0 * np.asarray(T_out_C, dtype=np.float64)
+            return known if self.per_K == 0.0 else known * self.outdoor_factor(T_out_C)
         return self.heat(u, T_out_C) / self.reference_W
 
     def slope_bounds(self) -> tuple[float, float]:
         """Return the smallest and largest ∂v/∂u over u in [0, 1] and the outdoor range."""
         if self.heat is None:
-            return 1.0, 1.0
+            return self._ends()
         low, high = self.heat.slope_bounds()
         return low / self.reference_W, high / self.reference_W
 
     def largest(self) -> float:
         """Return the largest v over u in [0, 1] and the outdoor range: full level at the end with more heat."""
         if self.heat is None:
-            return 1.0
+            return self._ends()[1]
         return max(sum(float(part) for part in self.heat.parts(T)) for T in self.heat.T_out_range_C) / self.reference_W
 
     def at_lowest_level(self, lowest_level: float) -> HeatInput:

@@ -78,9 +78,11 @@ class ForcedResponseOperator(nn.Module):
 
     def heat(self, u: Tensor, T_out_C: Tensor) -> Tensor:
         """Return v(u, T_out) of the heat input, differentiable in u; shapes broadcast."""
-        load = self.heat_input.heat
+        load, of = self.heat_input.heat, self.heat_input
         if load is None:
-            return u
+            if of.per_K == 0.0:
+                return u
+            return u * (1.0 + of.per_K * (torch.clamp(T_out_C, *of.T_out_range_C) - of.reference_C))
         T = torch.clamp(T_out_C, *load.T_out_range_C)
         c0, c1, c2, c3 = load.coefficients
         on = u if load.lowest_level == 1.0 else torch.clamp(u / load.lowest_level, max=1.0)

@@ -1,0 +1,89 @@
+"""Levels of neighbours that go with an actuator's own: how much of its effect on its zone may be theirs.
+
+Rooms of one house are heated when it is cold, all of them. What their levels share cannot be attributed: an effect of a
+neighbour that the fit gives to the own actuator biases it by that effect times the neighbour's level per own level (the
+formula of the omitted variable). The fit's covariance holds this where it is right about the heat of each level; where
+heat is not measured it is not, since circuits of one machine take from each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.identification.competence import EFFECT_H
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.couplings import area_of, others_of, share_of
+from thermoforce_mpc.identification.modes import mode_priors, neighbour_rate, unit_responses
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+# From this relative standard deviation of the effect on, a neighbour is named.
+_NAMED = 0.1
+
+
+@dataclass(frozen=True)
+class Confounding:
+    """`relative_sd`: of the effect of an actuator on its zone; `neighbours`: those that cause most of it."""
+
+    relative_sd: float
+    neighbours: tuple[str, ...]
+
+    def in_words(self) -> str:
+        """A note for the model card, empty where nothing is confounded."""
+        if not self.neighbours:
+            return ""
+        return (
+            f"levels went together with those of {', '.join(self.neighbours)}: ± {100 * self.relative_sd:.0f} % of the "
+            "effect may be theirs; set them at different times"
+        )
+
+
+def confounding(
+    runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], a: int, config: IdentificationConfig
+) -> Confounding:
+    """What the neighbours of actuator `a` may have done to its zone, as a share of its effect after `EFFECT_H`."""
+    home = layout.home[a]
+    neighbours = [b for b in others_of(layout, a, config) if layout.home[b] != home]
+    if not runs or not neighbours:
+        return Confounding(0.0, ())
+    n = max(1, round(EFFECT_H * HOUR_S / runs[0].step_s))
+    means = [np.concatenate([_centred_mean(run.u[b], n) for run in runs]) for b in (a, *neighbours)]
+    own, others = means[0], means[1:]
+    power = float(own @ own)
+    if not power > 0.0:
+        return Confounding(0.0, ())
+    # Neighbours warm a zone through the structure, by an amount that is hardly known before a record is seen.
+    prior = mode_priors(3, config, heat_inputs[a], area_of(layout, home), share_of(layout, home))
+    answers = unit_responses(prior.log_tau, runs[0].step_s, np.ones(n))[-1]
+    effect = float(answers @ prior.gains_at(prior.log_tau)[0])
+    tau = float(np.exp(prior.log_tau[-1]))
+    shares = []
+    for b, level in zip(neighbours, others, strict=True):
+        zone = layout.home[b]
+        mean, sd = neighbour_rate(config, heat_inputs[b], area_of(layout, zone), share_of(layout, zone))
+        theirs = float(np.hypot(mean, sd)) * tau * float(answers[-1])
+        shares.append(max(float(own @ level) / power, 0.0) * theirs / effect)
+    named = tuple(layout.names.actuators[b] for b, share in zip(neighbours, shares, strict=True) if share > _NAMED)
+    # They are heated for one reason, so their shares add up.
+    return Confounding(float(sum(shares)), named)
+
+
+def shared_sd(layout: Layout, a: int) -> float:
+    """Relative standard deviation of the heat of a level of actuator `a`, whose machine cannot serve all at once.
+
+    With all at full level it is the reciprocal of their shares' sum, alone it is 1; anything between is as likely. A
+    share that is not known (0) counts as the whole machine.
+    """
+    wanted = float(layout.weights[layout.fed_by(layout.machine_of[a])].sum())
+    return (1.0 - 1.0 / wanted) / float(np.sqrt(12.0)) if wanted > 1.0 else 0.0
+
+
+def _centred_mean(u: Array, n: int) -> Array:
+    """Moving mean over n steps without its mean over the run, empty where the run is shorter."""
+    if u.size < n:
+        return np.empty(0)
+    mean = np.convolve(u, np.ones(n) / n, "valid")
+    return np.asarray(mean - mean.mean())
