@@ -39,7 +39,7 @@ def test_a_machines_capacity_and_power_are_those_of_the_record(record):
     assert sum(model.shares) > 1.1, "all valves together ask for more than the heat pump has"
     (power,) = model.power
     # It cycles below its lowest level; the rooms differ in how much warmer water they make it give.
-    lowest = house_of_rooms("house:5rooms").house.lowest_level
+    lowest = house_of_rooms("house:5rooms").house.heat_pump.lowest_level
     assert power.load.lowest_level == pytest.approx(lowest, abs=0.1)
     assert power.r2 > 0.98
 
