@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -21,21 +21,25 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
-from thermoforce_mpc.model.free_response.registry import check_free_response, free_response_options
+from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.strict_model import one_of
 
 
 def _options_in_words() -> str:
     return "; ".join(
         f"{name}: {', '.join(f'{key} (default {default!r})' for key, default in options.items()) or 'none'}"
-        for name, options in free_response_options().items()
+        for name, options in own_options().items()
     )
 
 
 class FreeResponseConfig(StrictModel):
     """Free-response model that the plan is based on."""
 
-    name: str = Field("residual", description=f"free-response model: one of {', '.join(free_response_options())}")
+    name: Annotated[str, one_of(*own_options())] = Field(
+        "residual",
+        description=f"free-response model: one of {', '.join(own_options())}, or a plugin's (`tf-mpc free-responses`)",
+    )
     options: dict[str, Any] = Field(default_factory=dict, description=f"options of that model. {_options_in_words()}")
     substitutes: bool = Field(
         True,

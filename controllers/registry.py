@@ -1,9 +1,12 @@
-"""Registry of controllers by name. A new controller needs one file and one entry in `REGISTRY`."""
+"""Registry of controllers by name. A new controller needs one file and one entry here.
+
+Other distributions announce an `Entry` in the group `thermoforce_mpc.controllers`, see docs/plugins.md.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from controllers.errors import ControllerConfigError
@@ -11,8 +14,9 @@ from controllers.native import NativeConfig, NativeController
 from controllers.pi import PIConfig, PIController
 from controllers.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.registry import Registry, instance_of
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.settings import StrictModel, merge, suggestion, validate
+from thermoforce_mpc.scenario.settings import StrictModel, merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
@@ -21,13 +25,21 @@ if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller 
 
 @dataclass(frozen=True)
 class Entry:
-    """Registry entry: summary, need for an identified model, option class, builder, and option defaults."""
+    """A controller as it is registered.
+
+    Attributes:
+        summary: one line for `tf-mpc controllers`.
+        needs_model: whether it plans with an identified model.
+        config: returns the class of its options; called when the controller is used.
+        build: makes it from its name, validated options, test case and model, or the reason why there is none.
+        defaults: its own defaults of options.
+    """
 
     summary: str
     needs_model: bool
     config: Callable[[], type[StrictModel]]
     build: Callable[[str, Any, TestCase, ThermalModel | str | None], Controller]
-    defaults: Mapping[str, Any]
+    defaults: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _mpc_config() -> type[StrictModel]:
@@ -109,7 +121,7 @@ _ROOM_SETPOINTS: dict[str, Any] = {
     "actuation": {"mode": "room_setpoints", "block_s": 60.0},
 }
 
-REGISTRY: dict[str, Entry] = {
+_OWN: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
         "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
     ),
@@ -166,14 +178,12 @@ REGISTRY: dict[str, Entry] = {
     ),
 }
 
+REGISTRY = Registry("controller", "controllers", _OWN, ControllerConfigError, instance_of(Entry))
+
 
 def find_entry(name: str) -> Entry:
     """The entry of `name`; raises `ControllerConfigError` with a suggestion and all known names."""
-    if name not in REGISTRY:
-        raise ControllerConfigError(
-            f"unknown controller '{name}'{suggestion(name, REGISTRY)}; known: {', '.join(REGISTRY)}"
-        )
-    return REGISTRY[name]
+    return REGISTRY.find(name)
 
 
 def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
@@ -189,7 +199,9 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
         if entry.needs_model:
             own = {"actuation": testcase.defaults.actuation} if testcase.defaults.actuation else {}
-            defaults = dict(merge(merge(defaults, _ROOM_SETPOINTS), own))
+            known = entry.config().model_fields
+            of_rooms = {key: value for key, value in merge(_ROOM_SETPOINTS, own).items() if key in known}
+            defaults = dict(merge(defaults, of_rooms))
     elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
         kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]
         defaults["actuation"] = testcase.defaults.actuation or kinds[0]

@@ -6,6 +6,9 @@ A failed solve is not an exception: it is reported by the status of the `Plan`.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class ThermoForceError(Exception):
     """Base class of all exceptions of this package."""
@@ -53,3 +56,9 @@ class StorageError(ThermoForceError):
 
 class NoSuchTest(ThermoForceError):
     """A run cannot be continued, since the service no longer has its test (exit code 5)."""
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return ", did you mean ...?" if a known word is close, else an empty string."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f", did you mean '{close[0]}'?" if close else ""

@@ -38,7 +38,7 @@ def test_broken_yaml_is_refused_with_file_and_reason(tmp_path, text, message):
         ("testcase: x\nplant: {kid: boptest}\n", r"plant\.kid: unknown key, did you mean 'kind'"),
         (
             "testcase: x\nplant: {kind: real}\n",
-            r"plant\.kind: Input should be 'embedded', 'boptest' or 'fmu' \(got 'real'\)",
+            r"plant\.kind: unknown plant 'real'; known: embedded, boptest, fmu",
         ),
         ("testcase: x\nplant: {kind: boptest, prices_file: p.csv}\n", r"prices_file apply only to kind 'embedded'"),
         (

@@ -38,6 +38,8 @@ _COMMANDS = {
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
     "train": ("thermoforce_mpc.cli.train", "Train the policy of the controller dpc through a saved model."),
+    "plants": ("thermoforce_mpc.cli.plants", "List plants and their options."),
+    "free-responses": ("thermoforce_mpc.cli.free_responses", "List forecasters of the free response, and backbones."),
     "chaos": ("thermoforce_mpc.cli.chaos", "Run controllers with everything around them failing on purpose."),
     "doctor": (
         "thermoforce_mpc.cli.doctor",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.registry import OWN
+from thermoforce_mpc.scenario.scenario import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 
@@ -20,6 +21,9 @@ def command() -> None:
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
     click.echo("      plant: its own, nothing to install (docs/evidence/house-of-rooms.md)")
+    for made in MADE_TESTCASES.listing():
+        if made.origin != OWN:
+            click.echo(f"  {made.name}\n      {made.problem or 'made by a plugin'}\n      from {made.origin}")
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():
         click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")

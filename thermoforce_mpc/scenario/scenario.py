@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, validate
+from thermoforce_mpc.registry import Registry, builder, known_name
+from thermoforce_mpc.scenario.settings import StrictModel, find_config, is_config, merge, read_yaml, validate
+from thermoforce_mpc.scenario.strict_model import one_of
 from thermoforce_mpc.scenario.testcase import Price, TestCase
+
+_KINDS = ("embedded", "boptest", "fmu")
 
 
 class PlantSpec(StrictModel):
     """Controlled plant."""
 
-    kind: Literal["embedded", "boptest", "fmu"] = Field(
+    kind: Annotated[str, AfterValidator(known_name("plant", "plants", *_KINDS)), one_of(*_KINDS)] = Field(
         "embedded",
-        description="embedded: the emulator, or EnergyPlus if the test case says so; boptest: a service; fmu: an FMU",
+        description="embedded: the plant that implements the test case (the emulator, EnergyPlus, a drawn house); "
+        "boptest: a service; fmu: an FMU; or a plugin's plant (`tf-mpc plants`)",
     )
+    options: dict[str, Any] = Field(default_factory=dict, description="options of a plugin's plant")
     path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)")
     url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
     weather: str = Field("synthetic", description="'synthetic', or a .mos / .epw file (kind: embedded)")
@@ -105,23 +111,31 @@ class Scenario(StrictModel):
         return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-# Test cases that are drawn instead of read, by prefix: where the function stands that makes one from its name.
-_DRAWN = {"house": "thermoforce_mpc.plants.rooms.testcase:house_testcase"}
+def _house(name: str) -> TestCase:
+    # By name: this room stands below the plants.
+    return cast(TestCase, importlib.import_module("thermoforce_mpc.plants.rooms.testcase").house_testcase(name))
+
+
+# Test cases that are made instead of read, by what stands before the colon of their name: the function that makes one
+# from its whole name. Other distributions announce theirs in the group `thermoforce_mpc.testcases`.
+MADE_TESTCASES: Registry[Callable[[str], TestCase]] = Registry(
+    "test case", "testcases", {"house": _house}, ConfigError, builder
+)
 
 
 def load_testcase(name: str) -> TestCase:
-    """Read a test case by name or YAML path; raises `ConfigError`.
+    """Read a test case by name or YAML path, or make it; raises `ConfigError`.
 
-    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`; `house:Nrooms` is drawn.
+    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`; `house:Nrooms` is drawn; a plugin's has its name.
     """
     prefix = name.partition(":")[0]
-    if prefix in _DRAWN and ":" in name:
-        module, function = _DRAWN[prefix].split(":")
+    if not is_config("testcases", name) and prefix in MADE_TESTCASES:
+        make = MADE_TESTCASES.find(prefix)
         try:
-            return cast(TestCase, getattr(importlib.import_module(module), function)(name))
+            return make(name)
         except InputError as error:
             raise ConfigError(f"testcase: {error}") from error
-    path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1))
+    path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1), MADE_TESTCASES.names)
     return validate(TestCase, read_yaml(path), str(path))
 
 

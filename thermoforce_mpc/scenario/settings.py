@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import reprlib
 from collections.abc import Iterable, Mapping
@@ -11,13 +10,13 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.scenario.strict_model import StrictModel
 from thermoforce_mpc.scenario.yaml_file import MOST_DEPTH, YamlDocument, parse_value, read_yaml
 
 __all__ = [
-    "StrictModel", "configs_folder", "find_config", "merge", "named_configs", "parse_overrides", "read_yaml",
-    "suggestion", "validate",
+    "StrictModel", "configs_folder", "find_config", "is_config", "merge", "named_configs", "parse_overrides",
+    "read_yaml", "suggestion", "validate",
 ]  # fmt: skip
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -45,8 +44,17 @@ def named_configs(kind: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted((configs_folder() / kind).glob("*.yaml"))}
 
 
-def find_config(kind: str, name: str) -> Path:
-    """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file."""
+def is_config(kind: str, name: str) -> bool:
+    """Whether `name` is that of a shipped configuration, or has the ending of a YAML file."""
+    return Path(name).suffix in {".yaml", ".yml"} or name in named_configs(kind)
+
+
+def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
+    """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file.
+
+    Raises:
+        ConfigError: there is none; `others` are names that are known besides.
+    """
     path = Path(name)
     if path.suffix in {".yaml", ".yml"}:
         try:
@@ -58,14 +66,9 @@ def find_config(kind: str, name: str) -> Path:
         return path
     known = named_configs(kind)
     if name not in known:
-        raise ConfigError(f"unknown {kind[:-1]} '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
+        all_names = [*known, *others]
+        raise ConfigError(f"unknown {kind[:-1]} '{name}'{suggestion(name, all_names)}; known: {', '.join(all_names)}")
     return known[name]
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return ", did you mean ...?" if a known word is close, else an empty string."""
-    close = difflib.get_close_matches(word, list(known), n=1)
-    return f", did you mean '{close[0]}'?" if close else ""
 
 
 def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:

@@ -7,7 +7,16 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+)
 
 # Largest magnitude by the unit at the end of a key: far beyond any building, but finite. Temperatures in °C also have a
 # least value; no key is in kelvin.
@@ -43,6 +52,11 @@ def _no_truth_value(value: Any) -> Any:
 
 Factor = Annotated[float, BeforeValidator(_no_truth_value), Field(ge=-1e6, le=1e6)]
 """Factor of a point in a sum."""
+
+
+def one_of(*usual: str) -> WithJsonSchema:
+    """The JSON Schema of a name that is one of the `usual` ones, or a plugin's."""
+    return WithJsonSchema({"anyOf": [{"enum": list(usual)}, {"type": "string"}]})
 
 
 class StrictModel(BaseModel):

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.registry import known_name
 from thermoforce_mpc.scenario.actuator import Actuator
 from thermoforce_mpc.scenario.building import (
     ELECTRICITY,
@@ -24,9 +25,13 @@ from thermoforce_mpc.scenario.building import (
 )
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
 
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
+
+
+_OWN_PLANTS = ("rooms", "small_office")
+PlantName = Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)]
 
 
 class Weather(StrictModel):
@@ -131,8 +136,11 @@ class TestCase(StrictModel):
     defaults: Defaults = Defaults()
     energyplus: EnergyPlusZone | None = Field(None, description="EnergyPlus zone of this test case")
     embedded: bool = Field(False, description="whether the embedded emulator implements this test case")
-    plant: Literal["rooms", "small_office"] | None = Field(
-        None, description="plant of our own with several zones that implements this test case"
+    plant: Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)] | None = (
+        Field(
+            None,
+            description="plant that implements this test case: rooms, small_office, or a plugin's (`tf-mpc plants`)",
+        )
     )
 
     @property

@@ -3,73 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-from boptest_client import TransportConfig
 from controllers.registry import find_entry
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.registry import boptest_plant, build_plant
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
+
+__all__ = ["attached_plant", "build_plant", "check_window", "controller_options", "scored_period"]
 
 # BOPTEST's names and those of plants of our own; the plant knows which of them it has.
 _NAMED_PERIODS = (
     "peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day", "cold_week",
     "sunny_week",
 )  # fmt: skip
-
-
-def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
-    """Build the plant of a scenario.
-
-    Raises:
-        ConfigError: the FMU cannot be used, or the test case does not fit the plant.
-        WeatherError: the weather file cannot be used.
-        PlantError: the service does not answer.
-    """
-    if spec.kind == "boptest":
-        from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-
-        return BoptestPlant(
-            spec.url, testcase, forecast_uncertainty=spec.forecast_uncertainty, seed=seed, config=_patience(spec)
-        )
-    from thermoforce_mpc.boundary.forecast_error import ForecastError
-
-    level = spec.forecast_uncertainty
-    error = None if level == "none" else ForecastError(level, seed)
-    if spec.path is not None:
-        from thermoforce_mpc.plants.fmu import FmuPlant
-
-        return FmuPlant(Path(spec.path), testcase, forecast_error=error)
-    from thermoforce_mpc.boundary.tariffs import tariff_from_file
-
-    tariff = tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
-    if testcase.plant == "rooms":
-        from thermoforce_mpc.plants.rooms import house_of_rooms
-
-        if error is not None or tariff is not None:
-            raise ConfigError(
-                f"test case '{testcase.name}': it has neither forecast_uncertainty nor prices_file; leave them out"
-            )
-        return house_of_rooms(testcase.name)
-    if testcase.plant == "small_office":
-        from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
-
-        return SmallOfficePlant(testcase, highly_dynamic=tariff, forecast_error=error)
-    if testcase.zones:
-        raise ConfigError(f"test case '{testcase.name}' has several zones: run it with --url or --fmu")
-    if testcase.energyplus is not None:
-        from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
-
-        return EnergyPlusPlant(testcase, highly_dynamic=tariff, forecast_error=error)
-    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
-    from thermoforce_mpc.plants.embedded import EmbeddedPlant
-
-    weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
-    return EmbeddedPlant(weather, highly_dynamic=tariff, forecast_error=error)
 
 
 def attached_plant(spec: PlantSpec, testcase: TestCase, seed: int, testid: str) -> Plant:
@@ -79,20 +30,7 @@ def attached_plant(spec: PlantSpec, testcase: TestCase, seed: int, testid: str) 
         NoSuchTest: the service no longer has it.
         PlantError: the service does not answer.
     """
-    from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-
-    return BoptestPlant(
-        spec.url,
-        testcase,
-        forecast_uncertainty=spec.forecast_uncertainty,
-        seed=seed,
-        testid=testid,
-        config=_patience(spec),
-    )
-
-
-def _patience(spec: PlantSpec) -> TransportConfig:
-    return TransportConfig(patience_s=60.0 * spec.patience_min)
+    return boptest_plant(spec, testcase, None, seed, testid)
 
 
 def controller_options(scenario: Scenario, name: str) -> dict[str, Any]:

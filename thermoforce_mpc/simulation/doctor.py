@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import requests
@@ -24,6 +24,7 @@ from packaging.requirements import Requirement
 from thermoforce_mpc.data import DAY_S, HOUR_S, SINGLE, Boundary, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
 from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.registry import OWN, Registry
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.version import VERSION
@@ -65,6 +66,7 @@ def examine(
     checks: dict[str, Callable[[], Finding]] = {
         "Python": _python,
         "packages": _packages,
+        "plugins": _plugins,
         "plant": _plant,
         **{f"solver {name}": lambda name=name: _solver(name) for name in ("qp", "milp", "ipopt")},  # type: ignore[misc]
         "backbone": _backbone,
@@ -117,6 +119,22 @@ def _packages() -> Finding:
     if wrong:
         return Finding("", "failed", "; ".join(wrong), "pip install --upgrade thermoforce-mpc")
     return Finding("", "ok", f"{n} required packages")
+
+
+def _plugins() -> Finding:
+    """Everything that other distributions announce, imported."""
+    from controllers.registry import REGISTRY as controllers
+    from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as backbones
+    from thermoforce_mpc.model.free_response.registry import REGISTRY as free_responses
+    from thermoforce_mpc.plants.registry import REGISTRY as plants
+    from thermoforce_mpc.scenario.scenario import MADE_TESTCASES as testcases
+
+    registries: tuple[Registry[Any], ...] = (controllers, plants, free_responses, backbones, testcases)
+    found = [(registry.kind, one) for registry in registries for one in registry.listing() if one.origin != OWN]
+    wrong = [f"{kind} '{one.name}' of {one.origin}: {one.problem}" for kind, one in found if one.problem]
+    if wrong:
+        return Finding("", "warning", "; ".join(wrong), "mend or uninstall these; everything else works without them")
+    return Finding("", "ok", ", ".join(f"{kind} {one.name}" for kind, one in found) or "none installed")
 
 
 def _plant() -> Finding:

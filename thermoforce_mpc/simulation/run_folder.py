@@ -20,6 +20,7 @@ from filelock import FileLock, Timeout
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors, write_whole
+from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.version import VERSION
@@ -148,7 +149,7 @@ def environment() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "not installed"
-    return found
+    return found | {f"plugin {name}": found_version for name, found_version in plugins().items()}
 
 
 def write_results(

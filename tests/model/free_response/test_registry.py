@@ -12,14 +12,14 @@ from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import (
     build_free_response,
     check_free_response,
-    free_response_options,
+    own_options,
 )
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.scenario.scenario import load_testcase
 
 
 def test_there_are_five() -> None:
-    assert list(free_response_options()) == ["residual", "chronos", "linear_weather", "rc", "persistence"]
+    assert list(own_options()) == ["residual", "chronos", "linear_weather", "rc", "persistence"]
 
 
 def test_the_default_of_the_mpc_is_the_weather_model_with_the_forecaster_calibrated() -> None:

@@ -1,4 +1,9 @@
-"""Registry of free responses by name. A new method needs one file and one entry here."""
+"""Registry of free responses by name. A new method needs one file and one entry here.
+
+Each name stands for a function or class whose parameters are the method's options, all with defaults, and that returns
+a `FreeResponse`. A keyword `rc` gets the identified linear free part. Other distributions announce theirs in the group
+`thermoforce_mpc.free_responses`, see docs/plugins.md.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +11,9 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.scenario.settings import suggestion
+from thermoforce_mpc.registry import Registry, builder
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
@@ -17,6 +22,7 @@ if TYPE_CHECKING:
 def _residual(
     backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several", calibrate: bool = True
 ) -> FreeResponse:
+    """Linear weather model, with a frozen forecaster on what it leaves over."""
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 
@@ -26,6 +32,7 @@ def _residual(
 def _chronos(
     backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several", calibrate: bool = False
 ) -> FreeResponse:
+    """Frozen forecaster on T − F, the control-free series."""
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 
     return _calibrated(ChronosFreeResponse(backbone, context_steps, resolutions), calibrate)
@@ -38,12 +45,14 @@ def _calibrated(method: FreeResponse, calibrate: bool) -> FreeResponse:
 
 
 def _linear_weather() -> FreeResponse:
+    """Linear model of weather and daily course."""
     from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 
     return LinearWeather()
 
 
 def _rc(*, rc: RcParameters | None) -> FreeResponse:
+    """Linear RC model that was identified with the operator."""
     from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 
     if rc is None:
@@ -52,12 +61,13 @@ def _rc(*, rc: RcParameters | None) -> FreeResponse:
 
 
 def _persistence() -> FreeResponse:
+    """The last value holds."""
     from thermoforce_mpc.model.free_response.persistence import Persistence
 
     return Persistence()
 
 
-_BUILDERS: dict[str, Callable[..., FreeResponse]] = {
+_OWN: dict[str, Callable[..., FreeResponse]] = {
     "residual": _residual,
     "chronos": _chronos,
     "linear_weather": _linear_weather,
@@ -65,13 +75,19 @@ _BUILDERS: dict[str, Callable[..., FreeResponse]] = {
     "persistence": _persistence,
 }
 
+REGISTRY: Registry[Callable[..., FreeResponse]] = Registry(
+    "free response", "free_responses", _OWN, ConfigError, builder
+)
 
-def free_response_options() -> dict[str, dict[str, Any]]:
-    """Return all free responses by name, each with its options and their defaults."""
-    return {
-        name: {key: p.default for key, p in inspect.signature(builder).parameters.items() if key != "rc"}
-        for name, builder in _BUILDERS.items()
-    }
+
+def own_options() -> dict[str, dict[str, Any]]:
+    """Return the free responses of this package by name, each with its options and their defaults."""
+    return {name: options_of(build) for name, build in REGISTRY.own.items()}
+
+
+def options_of(build: Callable[..., FreeResponse]) -> dict[str, Any]:
+    """Return the options of a free response with their defaults."""
+    return {key: one.default for key, one in inspect.signature(build).parameters.items() if key != "rc"}
 
 
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
@@ -82,17 +98,13 @@ def build_free_response(name: str, *, rc: RcParameters | None = None, **options:
         BackboneError: the forecaster's weights cannot be loaded.
     """
     check_free_response(name, options)
-    if name == "rc":
-        return _rc(rc=rc)
-    return _BUILDERS[name](**options)
+    build = REGISTRY.find(name)
+    return build(rc=rc, **options) if "rc" in inspect.signature(build).parameters else build(**options)
 
 
 def check_free_response(name: str, options: dict[str, Any]) -> None:
     """Check a name and its options without loading weights; raises `ConfigError` naming what is allowed."""
-    known = free_response_options()
-    if name not in known:
-        raise ConfigError(f"unknown free response '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
-    allowed = known[name]
+    allowed = options_of(REGISTRY.find(name))
     for key, value in options.items():
         if key not in allowed:
             raise ConfigError(

@@ -12,6 +12,7 @@ from typing import Any
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
@@ -130,7 +131,9 @@ def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
     """
     testcase = validate_scenario(scenario)
     controller = scenario.controller.name
-    made = {"format": FORMAT, "version": VERSION}
+    made: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    if installed := plugins():
+        made["plugins"] = installed
     task, identification_key = None, None
     model: str | dict[str, Any] | None = None
     if find_entry(controller).needs_model:
@@ -153,7 +156,10 @@ def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
 
 
 def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[str, Any]:
-    return spec.model_dump(mode="json") | {field: hash_of(path) for field, path in spec.files().items()}
+    without = None if spec.options else {"options"}
+    return spec.model_dump(mode="json", exclude=without) | {
+        field: hash_of(path) for field, path in spec.files().items()
+    }
 
 
 def _files_named(options: Any, hash_of: Callable[[str], str]) -> dict[str, str]:

@@ -6,14 +6,16 @@ randomly initialised weights if a file lacks tensors. Weights are read from safe
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
+from thermoforce_mpc.registry import Registry, builder
 
 if TYPE_CHECKING:
     from torch import nn
@@ -32,13 +34,13 @@ def load_backbone(name: str) -> Backbone:
     """Load a backbone, frozen: evaluation mode and no gradients.
 
     Args:
-        name: one of `SHIPPED_SCALES`, 'fracast', a directory with config.json and weights of Chronos-Bolt or
-            Chronos-2, or a hub name such as 'amazon/chronos-bolt-small'.
+        name: one of `SHIPPED_SCALES`, 'fracast', a plugin's, a directory with config.json and weights of Chronos-Bolt
+            or Chronos-2, or a hub name such as 'amazon/chronos-bolt-small'.
 
     Raises:
         BackboneError: unknown name, damaged or incomplete weights, hub not reachable, or unsupported model family.
     """
-    backbone = _fracast() if name == FRACAST else _chronos(name)
+    backbone = REGISTRY.find(name)() if name in REGISTRY else _chronos(name)
     for module in backbone.modules:
         module.eval().requires_grad_(False)
     return backbone
@@ -60,6 +62,7 @@ def parameter_count(modules: Sequence[nn.Module]) -> int:
 
 
 def _fracast() -> Backbone:
+    """A second pretrained backbone, extra [fracast]."""
     from thermoforce_mpc.model.free_response.backbones.fracast import FracastBackbone
 
     return FracastBackbone()
@@ -80,8 +83,8 @@ def _chronos(name: str) -> Backbone:
     else:
         if name.count("/") != 1:
             raise BackboneError(
-                f"backbone '{name}': neither a directory nor a hub name; use one of {', '.join(SHIPPED_SCALES)}, "
-                f"{FRACAST}, a directory, or a name like 'amazon/chronos-bolt-small'"
+                f"backbone '{name}': neither a directory nor a hub name; use one of {', '.join(REGISTRY.names)}, "
+                f"a directory, or a name like 'amazon/chronos-bolt-small'"
             )
         # A cached download needs no network and keeps its version.
         cached = _cached(name, "config.json") is not None and _cached(name, _WEIGHTS) is not None
@@ -91,6 +94,21 @@ def _chronos(name: str) -> Backbone:
         weights = _cached(name, _WEIGHTS) or Path()
     _check_weights(name, pipeline.model, weights)
     return _wrapped(name, pipeline)
+
+
+def _shipped(name: str) -> Backbone:
+    """Chronos-Bolt trained on synthetic series of buildings, in this package."""
+    return _chronos(name)
+
+
+# Other distributions announce a function that returns a `Backbone` in the group `thermoforce_mpc.backbones`.
+REGISTRY: Registry[Callable[[], Backbone]] = Registry(
+    "backbone",
+    "backbones",
+    {**{name: functools.partial(_shipped, name) for name in SHIPPED_SCALES}, FRACAST: _fracast},
+    BackboneError,
+    builder,
+)
 
 
 def _label(name: str) -> str:

@@ -1,0 +1,187 @@
+"""Other distributions add plants, free responses, controllers and test cases; a bad one fails alone and by name."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from controllers.errors import ControllerConfigError
+from controllers.registry import REGISTRY, Entry
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.registry import check_plant
+from thermoforce_mpc.registry import Registry, builder, instance_of
+from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase
+
+ROOT = Path(__file__).parents[1]
+
+
+def distribution(where: Path, name: str, module: str, **announced: str) -> None:
+    """What an installer leaves of a distribution with one module, that announces controllers."""
+    info = where / f"{name.replace('-', '_')}-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+    lines = [f"{key} = {value}" for key, value in announced.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[thermoforce_mpc.controllers]", *lines]))
+    (where / f"{name.replace('-', '_')}.py").write_text(module)
+
+
+@pytest.fixture
+def registry() -> Registry[Entry]:
+    """The registry of controllers as a new process would have it."""
+    return Registry("controller", "controllers", REGISTRY.own, ControllerConfigError, instance_of(Entry))
+
+
+GOOD = """
+from controllers.registry import REGISTRY
+COPY = REGISTRY.find("thermostat")
+"""
+
+
+def test_a_plugin_is_found_by_name_and_imported_when_it_is_named(tmp_path, monkeypatch, registry):
+    distribution(tmp_path, "good-house", GOOD, copy="good_house:COPY")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert registry.names[-1] == "copy"
+    assert "copy" in registry
+    assert "good_house" not in sys.modules
+    assert registry.find("copy") is REGISTRY.find("thermostat")
+    (listed,) = (one for one in registry.listing() if one.name == "copy")
+    assert listed.origin == "good-house 1.2 (good_house:COPY)"
+    assert not listed.problem
+
+
+@pytest.mark.parametrize(
+    ("module", "what", "words"),
+    [
+        ("import nothing_of_this_name", "X", r"cannot be imported \(ModuleNotFoundError: .*nothing_of_this_name"),
+        ("raise SystemExit(3)", "X", r"cannot be imported \(SystemExit"),
+        ("def broken(:", "X", r"cannot be imported \(SyntaxError"),
+        ("Y = 1", "X", r"cannot be imported \(AttributeError"),
+        ("X = 1", "X", "cannot be used: it is a int, not a Entry"),
+    ],
+)
+def test_one_that_fails_is_named_with_its_distribution_and_fails_alone(
+    tmp_path, monkeypatch, registry, module, what, words
+):
+    monkeypatch.delitem(sys.modules, "bad_house", raising=False)
+    distribution(tmp_path, "bad-house", module, mine=f"bad_house:{what}")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ControllerConfigError, match=rf"controller 'mine' of bad-house 1\.2 \(bad_house:X\) {words}"):
+        registry.find("mine")
+    listed = {one.name: one for one in registry.listing()}
+    assert listed["mine"].found is None
+    assert "bad-house 1.2" in listed["mine"].problem
+    assert all(listed[name].found is REGISTRY.find(name) for name in REGISTRY.own)
+
+
+def test_names_that_clash(tmp_path, monkeypatch, registry):
+    distribution(tmp_path, "first-house", GOOD, copy="first_house:COPY", thermostat="first_house:COPY")
+    distribution(tmp_path, "second-house", GOOD, copy="second_house:COPY")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        ControllerConfigError, match=r"'copy' is announced by first-house 1\.2 .* and second-house 1\.2 .*uninstall one"
+    ):
+        registry.find("copy")
+    assert registry.find("thermostat") is REGISTRY.find("thermostat"), "ours is never replaced"
+    problems = {(one.name, one.origin): one.problem for one in registry.listing() if one.problem}
+    assert "rename" in problems["thermostat", "first-house 1.2 (first_house:COPY)"]
+    assert len(problems) == 2
+
+
+def test_unknown_names_are_told_what_is_known(registry):
+    with pytest.raises(ControllerConfigError, match="unknown controller 'thermostatt', did you mean 'thermostat'"):
+        registry.find("thermostatt")
+    assert builder(3) == "it is a int, not a function or class"
+    with pytest.raises(ConfigError, match=r"unknown testcase 'hous', did you mean 'house'"):
+        load_testcase("hous")
+
+
+@pytest.mark.parametrize(
+    ("spec", "testcase", "words"),
+    [
+        ({}, "bestest_air", "give the address of a BOPTEST service"),
+        ({"weather": "year.epw"}, "house:2rooms", r"plant\.weather: plant 'rooms'.*leave it out"),
+        ({"forecast_uncertainty": "low"}, "house:2rooms", r"plant\.forecast_uncertainty: plant 'rooms'"),
+        ({"options": {"leak": 1}}, "house:2rooms", r"plant\.options of plant 'rooms'.*\n.*leak: unknown key"),
+    ],
+)
+def test_a_plant_is_checked_before_it_is_built(spec, testcase, words):
+    with pytest.raises(ConfigError, match=words):
+        check_plant(PlantSpec(**spec), load_testcase(testcase))
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory) -> Path:
+    """examples/plugin, installed as its page says, into a folder of its own."""
+    target = tmp_path_factory.mktemp("site")
+    quiet = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check"]
+    command = [sys.executable, "-m", "pip", "install", *quiet, "--target", str(target), str(ROOT / "examples/plugin")]
+    subprocess.run(command, check=True, timeout=120)
+    return target
+
+
+SCRIPT = """
+import json, sys
+from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.simulation.checks import validate_scenario
+checked = validate_scenario(load_scenario(None, {"testcase": "north_house", "controller": {
+    "options": {"free_response": {"name": "yesterday", "options": {"spread_K": 2.0}}}}}))
+import numpy as np
+import thermoforce_mpc as tf
+done = tf.run("north_house", controller="night_setback", baselines=["native"], period="cold_week", days=1,
+              progress=False)
+from contextlib import closing
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.plants.registry import build_plant
+with closing(build_plant(done.scenario.plant, checked, 1)) as plant:
+    plant.reset(86400.0 * 30, 86400.0 * 3)
+    past, ahead = plant.past(3600.0), plant.forecast(86400.0, 3600.0)
+    forecast = build_free_response("yesterday", spread_K=2.0).forecast(past.T_zone_C[0], past, ahead)
+json.dump({"kpis": done.kpis, "levels": sorted(set(done.to_dataframe()["u_applied"])), "kind": done.plant.kind,
+           "median": list(forecast.median_C), "measured": list(past.T_zone_C[0][-24:]),
+           "width": float(np.ptp(forecast.quantiles_C[:, 0]))}, sys.stdout)
+"""
+
+
+def test_the_example_package_runs(example, tmp_path):
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{example}"}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert set(found["kpis"]) == {"night_setback", "native"}
+    assert found["kind"] == "generated"
+    assert found["levels"] == [0.0, 1.0]
+    assert found["kpis"]["night_setback"]["ener_tot"] != found["kpis"]["native"]["ener_tot"]
+    assert found["median"] == found["measured"]
+    assert found["width"] == 4.0
+
+
+LISTS = """
+from click.testing import CliRunner
+from thermoforce_mpc.cli import cli
+for words in (["controllers"], ["plants"], ["free-responses"], ["testcases"], ["controllers", "night_setback"]):
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    print(done.output)
+print(CliRunner().invoke(cli, ["controllers", "worse"]).exception)
+"""
+
+
+def test_the_command_line_lists_plugins_with_their_origin(example, tmp_path):
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    distribution(broken, "bad-house", "import nothing_of_this_name", worse="bad_house:X")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, example, broken)))}
+    done = subprocess.run([sys.executable, "-c", LISTS], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    for name, what in (("night_setback", "CONTROLLER"), ("north_house", "PLANT"), ("yesterday", "Yesterday")):
+        assert name in done.stdout
+        assert f"from tf-mpc-example 0.1 (tf_mpc_example:{what})" in done.stdout
+    assert "controller.options.night_C  (default 19.0)" in done.stdout
+    assert done.stdout.count("controller 'worse' of bad-house 1.2 (bad_house:X) cannot be imported") == 2

@@ -1,0 +1,41 @@
+"""Lists of what is registered by name, with its origin and its options."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import click
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+from thermoforce_mpc.registry import OWN, Registry
+
+T = TypeVar("T")
+
+
+def show_names(registry: Registry[T], summary: Callable[[T], str]) -> None:
+    """Print each name with its summary; under that of a plugin where it comes from, and why it cannot be used."""
+    for one in registry.listing():
+        click.echo(f"{one.name:18s} {'cannot be used' if one.found is None else summary(one.found)}".rstrip())
+        if one.origin != OWN:
+            click.echo(f"{'':18s} from {one.origin}")
+        if one.problem:
+            click.echo(f"{'':18s} {one.problem}")
+
+
+def show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:
+    """Print every option with its default and meaning, those of nested models by their full name."""
+    for key, field in model.model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        if isinstance(default, BaseModel):
+            show_options(type(default), defaults.get(key, {}), f"{prefix}{key}.")
+            continue
+        value = defaults.get(key, default)
+        shown = "required" if value is PydanticUndefined else f"default {value!r}"
+        click.echo(f"  {prefix}{key}  ({shown})\n      {field.description or ''}")
+
+
+def first_line(build: Callable[..., Any]) -> str:
+    """First line of the docstring of a function or class."""
+    return (getattr(getattr(build, "func", build), "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")

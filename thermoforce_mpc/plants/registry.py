@@ -1,0 +1,178 @@
+"""Registry of plants by name: which one implements a scenario's building. A new plant needs one entry here.
+
+Other distributions announce a `PlantEntry` in the group `thermoforce_mpc.plants`, see docs/plugins.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.registry import Registry, instance_of
+from thermoforce_mpc.scenario.scenario import PlantSpec
+from thermoforce_mpc.scenario.settings import StrictModel, validate
+from thermoforce_mpc.scenario.testcase import TestCase
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.boundary.forecast_error import ForecastError
+    from thermoforce_mpc.boundary.tariffs import Tariff
+
+WEATHER, PRICES, UNCERTAINTY = "weather", "prices_file", "forecast_uncertainty"
+
+
+class NoOptions(StrictModel):
+    """A plant without options of its own."""
+
+
+@dataclass(frozen=True)
+class PlantEntry:
+    """A plant as it is registered.
+
+    Attributes:
+        summary: one line for `tf-mpc plants`.
+        build: makes it from the scenario's `plant`, the test case, its validated options and a seed.
+        config: returns the class of its options (scenario key `plant.options`).
+        takes: keys of the scenario's `plant` that it heeds, of weather, prices_file and forecast_uncertainty.
+        missing: says what has to be installed first, or nothing.
+    """
+
+    summary: str
+    build: Callable[[PlantSpec, TestCase, Any, int], Plant]
+    config: Callable[[], type[StrictModel]] = lambda: NoOptions
+    takes: frozenset[str] = frozenset()
+    missing: Callable[[], str] = lambda: ""
+
+
+def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
+    """Build the plant of a scenario.
+
+    Raises:
+        ConfigError: the FMU cannot be used, or the test case or a setting does not fit the plant.
+        WeatherError: the weather file cannot be used.
+        PlantError: the service does not answer.
+    """
+    options = check_plant(spec, testcase)
+    return REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed)
+
+
+def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
+    """Name of the plant of a scenario: the one that it names, else the one that implements its test case.
+
+    Raises:
+        ConfigError: nothing implements the test case.
+    """
+    if spec.kind != "embedded":
+        return spec.kind
+    own = "emulator" if testcase.embedded else "energyplus" if testcase.energyplus else testcase.plant
+    if own is None:
+        raise ConfigError(
+            f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
+            "give the address of a BOPTEST service with --url, or the test case's FMU with --fmu"
+        )
+    return own
+
+
+def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
+    """Validated options of the plant of a scenario.
+
+    Raises:
+        ConfigError: there is no such plant, it lacks something, or it would ignore a setting.
+    """
+    name = plant_name(spec, testcase)
+    entry = REGISTRY.find(name)
+    for key in (WEATHER, PRICES, UNCERTAINTY):
+        if key not in entry.takes and getattr(spec, key) != PlantSpec.model_fields[key].default:
+            raise ConfigError(f"plant.{key}: plant '{name}' of test case '{testcase.name}' has its own; leave it out")
+    missing = entry.missing()
+    if missing:
+        raise ConfigError(f"test case '{testcase.name}': {missing}")
+    return validate(entry.config(), spec.options, f"plant.options of plant '{name}'")
+
+
+def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, testid: str | None = None) -> Plant:
+    """The plant behind a service; with `testid` the test that it has already."""
+    from boptest_client import TransportConfig
+    from thermoforce_mpc.plants.boptest.plant import BoptestPlant
+
+    config = TransportConfig(patience_s=60.0 * spec.patience_min)
+    uncertainty = spec.forecast_uncertainty
+    return BoptestPlant(spec.url, testcase, forecast_uncertainty=uncertainty, seed=seed, testid=testid, config=config)
+
+
+def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.fmu import FmuPlant
+
+    assert spec.path is not None  # PlantSpec has both or neither
+    return FmuPlant(Path(spec.path), testcase, forecast_error=_error(spec, seed))
+
+
+def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.rooms import house_of_rooms
+
+    return house_of_rooms(testcase.name)
+
+
+def _small_office(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
+
+    return SmallOfficePlant(testcase, highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+
+
+def _energyplus(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
+
+    return EnergyPlusPlant(testcase, highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+
+
+def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+    from thermoforce_mpc.plants.embedded import EmbeddedPlant
+
+    weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
+    return EmbeddedPlant(weather, highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+
+
+def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
+    from thermoforce_mpc.boundary.forecast_error import ForecastError
+
+    return None if spec.forecast_uncertainty == "none" else ForecastError(spec.forecast_uncertainty, seed)
+
+
+def _tariff(spec: PlantSpec) -> Tariff | None:
+    from thermoforce_mpc.boundary.tariffs import tariff_from_file
+
+    return tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
+
+
+def _without_engine() -> str:
+    from thermoforce_mpc.plants.energyplus.engine import is_available
+
+    return "" if is_available() else "it runs on EnergyPlus: pip install 'thermoforce-mpc[energyplus]'"
+
+
+_ON_ENGINE = frozenset({PRICES, UNCERTAINTY})
+_OWN = {
+    "emulator": PlantEntry(
+        "embedded emulator of bestest_hydronic_heat_pump", _emulator, takes=frozenset({WEATHER, PRICES, UNCERTAINTY})
+    ),
+    "rooms": PlantEntry("drawn house of rooms, a valve each, one heat pump (--testcase house:5rooms)", _rooms),
+    "energyplus": PlantEntry(
+        "a zone on EnergyPlus (--testcase energyplus:heating_chicago), extra [energyplus]",
+        _energyplus,
+        takes=_ON_ENGINE,
+        missing=_without_engine,
+    ),
+    "small_office": PlantEntry(
+        "an office of five zones on EnergyPlus (--testcase energyplus:small_office), extra [energyplus]",
+        _small_office,
+        takes=_ON_ENGINE,
+        missing=_without_engine,
+    ),
+    "boptest": PlantEntry("a BOPTEST service (--url)", boptest_plant, takes=frozenset({UNCERTAINTY})),
+    "fmu": PlantEntry("a test case's FMU (--fmu), extra [fmu]", _fmu, takes=frozenset({UNCERTAINTY})),
+}
+REGISTRY = Registry("plant", "plants", _OWN, ConfigError, instance_of(PlantEntry))

@@ -1,0 +1,174 @@
+"""Things found by name: those of this package, and those that other distributions announce by entry point.
+
+A distribution announces, say, a controller in its pyproject.toml; it is imported when somebody names it:
+
+    [project.entry-points."thermoforce_mpc.controllers"]
+    my_rule = "my_package:MY_RULE"
+
+See docs/plugins.md for what each group expects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import EntryPoint, distributions, entry_points
+from typing import Generic, TypeVar
+
+from thermoforce_mpc.errors import InputError, suggestion
+
+T = TypeVar("T")
+PREFIX = "thermoforce_mpc"
+OWN = "thermoforce-mpc"
+
+
+@dataclass(frozen=True)
+class Listed(Generic[T]):
+    """A name, the distribution that it comes from, and what it stands for, or why that cannot be used."""
+
+    name: str
+    origin: str
+    found: T | None
+    problem: str = ""
+
+
+class Registry(Generic[T]):
+    """Things of one kind by name.
+
+    A plugin that cannot be imported, is not what is expected or has a name of ours fails alone, when it is named.
+
+    Args:
+        kind: what is registered, in words, such as 'controller'.
+        group: the last part of the entry points' group, `thermoforce_mpc.<group>`.
+        own: those of this package.
+        error: raised by `find`.
+        wrong: says what is wrong with what a plugin gives, or nothing; see `instance_of`.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        group: str,
+        own: Mapping[str, T],
+        error: type[InputError],
+        wrong: Callable[[object], str],
+    ) -> None:
+        self.kind, self.group, self.own = kind, f"{PREFIX}.{group}", dict(own)
+        self._error, self._wrong = error, wrong
+        self._loaded: dict[str, T] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, ours first; nothing is imported."""
+        return (*self.own, *(name for name in self._announced if name not in self.own))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in self._announced
+
+    def find(self, name: str) -> T:
+        """What `name` stands for.
+
+        Raises:
+            InputError: of the kind given: nobody has the name, two distributions have it, or the plugin cannot be used.
+        """
+        if name in self.own:
+            return self.own[name]
+        if name in self._loaded:
+            return self._loaded[name]
+        if name not in self._announced:
+            raise self._error(_unknown(self.kind, name, self.names))
+        plugins = self._announced[name]
+        if len(plugins) > 1:
+            both = " and ".join(_told(plugin) for plugin in plugins)
+            raise self._error(f"{self.kind} '{name}' is announced by {both}: uninstall one of them")
+        self._loaded[name] = self._load(plugins[0])
+        return self._loaded[name]
+
+    def listing(self) -> tuple[Listed[T], ...]:
+        """All names with what they stand for; imports the plugins, and raises nothing for one that fails."""
+        out = [Listed(name, OWN, found) for name, found in self.own.items()]
+        for name, plugins in self._announced.items():
+            origin = " and ".join(_told(plugin) for plugin in plugins)
+            if name in self.own:
+                out.append(
+                    Listed(name, origin, None, f"not used: '{name}' is a {self.kind} of {OWN}; rename the plugin's")
+                )
+                continue
+            try:
+                out.append(Listed(name, origin, self.find(name)))
+            except InputError as problem:
+                out.append(Listed(name, origin, None, str(problem)))
+        return tuple(out)
+
+    @cached_property
+    def _announced(self) -> dict[str, list[EntryPoint]]:
+        return announced(self.group)
+
+    def _load(self, plugin: EntryPoint) -> T:
+        where = f"{self.kind} '{plugin.name}' of {_told(plugin)}"
+        try:
+            found = plugin.load()
+        except (Exception, SystemExit) as problem:  # whatever somebody's module does while it is imported
+            raise self._error(
+                f"{where} cannot be imported ({type(problem).__name__}: {' '.join(str(problem).split())[:300]}); "
+                "mend or uninstall it"
+            ) from problem
+        wrong = self._wrong(found)
+        if wrong:
+            raise self._error(f"{where} cannot be used: {wrong}")
+        return found
+
+
+def announced(group: str) -> dict[str, list[EntryPoint]]:
+    """Entry points of a group by name, in the order of names and distributions; nothing is imported."""
+    found: dict[str, list[EntryPoint]] = {}
+    for plugin in sorted(set(entry_points(group=group)), key=lambda one: (one.name, _told(one))):
+        found.setdefault(plugin.name, []).append(plugin)
+    return found
+
+
+def plugins() -> dict[str, str]:
+    """Versions of the installed distributions that announce anything in a group of ours, by name."""
+    ours = f"{PREFIX}."
+    return {
+        one.name: one.version
+        for one in distributions()
+        if one.name != OWN and any(plugin.group.startswith(ours) for plugin in one.entry_points)
+    }
+
+
+def known_name(kind: str, group: str, *own: str) -> Callable[[str], str]:
+    """The check that a name in a file is one of `own` or announced in `thermoforce_mpc.<group>`; nothing is imported.
+
+    Raises `ValueError` with all of them, as pydantic expects it.
+    """
+
+    def checked(name: str) -> str:
+        if name not in own and name not in (others := announced(f"{PREFIX}.{group}")):
+            raise ValueError(_unknown(kind, name, (*own, *others)))
+        return name
+
+    return checked
+
+
+def instance_of(expected: type) -> Callable[[object], str]:
+    """The check that a plugin gives an `expected`."""
+    return lambda found: (
+        "" if isinstance(found, expected) else f"it is a {type(found).__name__}, not a {expected.__name__}"
+    )
+
+
+def builder(found: object) -> str:
+    """The check that a plugin gives something that can be called."""
+    return "" if callable(found) else f"it is a {type(found).__name__}, not a function or class"
+
+
+def _unknown(kind: str, name: str, known: Collection[str]) -> str:
+    return f"unknown {kind} '{name}'{suggestion(name, known)}; known: {', '.join(known)}"
+
+
+def _told(plugin: EntryPoint) -> str:
+    """Distribution, version and object of an entry point."""
+    source = f"{plugin.dist.name} {plugin.dist.version}" if plugin.dist else "an unknown distribution"
+    return f"{source} ({plugin.value})"
