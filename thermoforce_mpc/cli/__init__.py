@@ -16,6 +16,7 @@ from thermoforce_mpc.version import VERSION
 
 # name: (module, one line for the overview)
 _COMMANDS = {
+    "init": ("thermoforce_mpc.cli.init", "Write a commented scenario to start from, and a test case or a map."),
     "run": ("thermoforce_mpc.cli.run", "Run a controller over a scored window and report KPIs."),
     "resume": ("thermoforce_mpc.cli.resume", "Go on with a run that was killed or interrupted."),
     "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
@@ -36,6 +37,7 @@ _COMMANDS = {
     "watch": ("thermoforce_mpc.cli.watch", "Watch a running controller, in the terminal or as a page."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
+    "schema": ("thermoforce_mpc.cli.schema", "Write the JSON Schema of scenario, test case, comparison or map files."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
     "train": ("thermoforce_mpc.cli.train", "Train the policy of the controller dpc through a saved model."),
     "plants": ("thermoforce_mpc.cli.plants", "List plants and their options."),

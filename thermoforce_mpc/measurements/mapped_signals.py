@@ -83,11 +83,13 @@ def _number_or_named(value: Any) -> Any:
     return value if isinstance(value, int | float) else _named(value)
 
 
-OfTemperature = Annotated[Temperature, BeforeValidator(_named)]
-OfPower = Annotated[Power, BeforeValidator(_named)]
-OfLevel = Annotated[Level, BeforeValidator(_named)]
-Bound = Annotated[float | Temperature, BeforeValidator(_number_or_named)]
-OfPrice = Annotated[float | Price, BeforeValidator(_number_or_named)]
+OfTemperature = Annotated[Temperature, BeforeValidator(_named, json_schema_input_type=str | Temperature)]
+OfPower = Annotated[Power, BeforeValidator(_named, json_schema_input_type=str | Power)]
+OfLevel = Annotated[Level, BeforeValidator(_named, json_schema_input_type=str | Level)]
+Bound = Annotated[
+    float | Temperature, BeforeValidator(_number_or_named, json_schema_input_type=float | str | Temperature)
+]
+OfPrice = Annotated[float | Price, BeforeValidator(_number_or_named, json_schema_input_type=float | str | Price)]
 
 
 class Sun(StrictModel):
@@ -105,7 +107,7 @@ class Sun(StrictModel):
         description="irradiance of a clear sky at `site`; with humidity times a clearness of each day "
         "(boundary/weather/clearness.py)",
     )
-    humidity: Annotated[Humidity, BeforeValidator(_named)] | None = None
+    humidity: Annotated[Humidity, BeforeValidator(_named, json_schema_input_type=str | Humidity)] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Sun:
@@ -123,4 +125,4 @@ class Sun(StrictModel):
         return Irradiance(**self.model_dump(exclude={"estimate", "humidity"}))
 
 
-OfSun = Annotated[Sun, BeforeValidator(_named)]
+OfSun = Annotated[Sun, BeforeValidator(_named, json_schema_input_type=str | Sun)]

@@ -27,7 +27,7 @@ class PlantSpec(StrictModel):
         "boptest: a service; fmu: an FMU; or a plugin's plant (`tf-mpc plants`)",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="options of a plugin's plant")
-    path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)")
+    path: str | None = Field(None, description="the test case's wrapped.fmu (kind: fmu)", examples=["wrapped.fmu"])
     url: str = Field("http://127.0.0.1:8000", description="base URL of the BOPTEST service (kind: boptest)")
     weather: str = Field("synthetic", description="'synthetic', or a .mos / .epw file (kind: embedded)")
     forecast_uncertainty: Literal["none", "low", "medium", "high"] = Field(
@@ -39,7 +39,9 @@ class PlantSpec(StrictModel):
     forecast_outage_h: float = Field(
         48.0, ge=0, le=720, description="how long the plant may give no forecast before the run ends, h"
     )
-    prices_file: str | None = Field(None, description="CSV with your own highly dynamic tariff (kind: embedded)")
+    prices_file: str | None = Field(
+        None, description="CSV with your own highly dynamic tariff (kind: embedded)", examples=["prices.csv"]
+    )
 
     @model_validator(mode="after")
     def _has_its_file(self) -> PlantSpec:
@@ -65,21 +67,29 @@ class PlantSpec(StrictModel):
 class ProbingSpec(StrictModel):
     """Source of the operator: a saved model, or days of probing before the warm-up of the scored window."""
 
-    model: str | None = Field(None, description="folder of a saved model; probing is skipped")
+    model: str | None = Field(None, description="folder of a saved model; probing is skipped", examples=["my_model"])
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
     most_days: float = Field(
         10.0, ge=1, le=60, description="days of probing after which it ends though the model is below the bar"
     )
     end_early: bool = Field(True, description="end probing before `days` once the effect is known well")
-    probing: dict[str, Any] = Field(default_factory=dict, description="probing options: levels, hold_steps, ...")
-    options: dict[str, Any] = Field(default_factory=dict, description="identification options: order, gamma, ...")
+    probing: dict[str, Any] = Field(
+        default_factory=dict,
+        description="probing options: levels, hold_steps, ...",
+        examples=[{"levels": [0.0, 0.5, 1.0]}],
+    )
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="identification options: order, gamma, ...", examples=[{"order": 2}]
+    )
 
 
 class ControllerSpec(StrictModel):
     """Controller and its options; `tf-mpc controllers` lists both."""
 
     name: str = Field("thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`")
-    options: dict[str, Any] = Field(default_factory=dict, description="options of that controller")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="options of that controller", examples=[{"horizon_h": 36}]
+    )
 
 
 class Scenario(StrictModel):
@@ -98,6 +108,7 @@ class Scenario(StrictModel):
         ge=300,
         le=14400,
         description="control step of all model-based controllers, s; default: their own",
+        examples=[3600],
     )
     price: Price = Field("constant", description="tariff")
     controller: ControllerSpec = ControllerSpec()
@@ -105,7 +116,7 @@ class Scenario(StrictModel):
     baselines: tuple[str, ...] = Field(("native", "thermostat"), description="controllers to compare with")
     seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
 
-    @field_validator("period", mode="before")
+    @field_validator("period", mode="before", json_schema_input_type=str | float)
     @classmethod
     def _day_number_as_text(cls, value: object) -> object:
         return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value

@@ -38,7 +38,7 @@ class ComparisonFile(StrictModel):
     prices: tuple[Price, ...] = Field((), description="tariffs")
     scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
 
-    @field_validator("windows", mode="before")
+    @field_validator("windows", mode="before", json_schema_input_type=tuple[str | float, ...])
     @classmethod
     def _day_numbers_as_text(cls, value: object) -> object:
         if not isinstance(value, list | tuple):
