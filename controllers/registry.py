@@ -1,6 +1,6 @@
 """Registry of controllers by name. A new controller needs one file and one entry here.
 
-Other distributions announce an `Entry` in the group `thermoforce_mpc.controllers`, see docs/plugins.md.
+Other distributions announce an `Entry` in the group `thermoforce_mpc.controllers`, see docs/how-to/plugins.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ A distribution announces, say, a controller in its pyproject.toml; it is importe
     [project.entry-points."thermoforce_mpc.controllers"]
     my_rule = "my_package:MY_RULE"
 
-See docs/plugins.md for what each group expects.
+See docs/how-to/plugins.md for what each group expects.
 """
 
 from __future__ import annotations

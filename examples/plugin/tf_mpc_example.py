@@ -1,4 +1,4 @@
-"""A controller, a free response and a plant for thermoforce-mpc, from a package of its own (docs/plugins.md)."""
+"""A controller, a free response and a plant for thermoforce-mpc, from a package of its own (docs/how-to/plugins.md)."""
 
 import numpy as np
 from pydantic import Field

@@ -14,7 +14,7 @@ def command(name: str | None) -> None:
     """List the controllers, or every option of the controller NAME with its default and unit.
 
     Options are set with --set controller.options.KEY=VALUE or in a scenario file. Controllers of other distributions
-    stand with their origin (docs/plugins.md).
+    stand with their origin (docs/how-to/plugins.md).
     """
     if name is None:
         show_names(REGISTRY, lambda entry: entry.summary)

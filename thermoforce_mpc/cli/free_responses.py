@@ -17,7 +17,7 @@ def command(name: str | None) -> None:
     One is chosen with --set controller.options.free_response.name=NAME, its options with
     --set controller.options.free_response.options.KEY=VALUE, the backbone of `residual` and `chronos` also with
     --backbone: one of those listed, a directory, or a hub name. Those of other distributions stand with their origin
-    (docs/plugins.md).
+    (docs/how-to/plugins.md).
     """
     if name is None:
         click.echo("Free responses:")

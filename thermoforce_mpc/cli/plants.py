@@ -15,7 +15,7 @@ def command(name: str | None) -> None:
 
     A test case names the plant that implements it; --url and --fmu choose another, and --set plant.kind=NAME a
     plugin's. Options are set with --set plant.options.KEY=VALUE or in a scenario file. Plants of other distributions
-    stand with their origin (docs/plugins.md).
+    stand with their origin (docs/how-to/plugins.md).
     """
     if name is None:
         show_names(REGISTRY, lambda entry: entry.summary)

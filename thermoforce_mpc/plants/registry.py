@@ -1,6 +1,6 @@
 """Registry of plants by name: which one implements a scenario's building. A new plant needs one entry here.
 
-Other distributions announce a `PlantEntry` in the group `thermoforce_mpc.plants`, see docs/plugins.md.
+Other distributions announce a `PlantEntry` in the group `thermoforce_mpc.plants`, see docs/how-to/plugins.md.
 """
 
 from __future__ import annotations

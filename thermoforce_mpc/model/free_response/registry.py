@@ -2,7 +2,7 @@
 
 Each name stands for a function or class whose parameters are the method's options, all with defaults, and that returns
 a `FreeResponse`. A keyword `rc` gets the identified linear free part. Other distributions announce theirs in the group
-`thermoforce_mpc.free_responses`, see docs/plugins.md.
+`thermoforce_mpc.free_responses`, see docs/how-to/plugins.md.
 """
 
 from __future__ import annotations
