@@ -36,6 +36,7 @@ _COMMANDS = {
     "explain": ("thermoforce_mpc.cli.explain", "Tell what a run decided at an instant, and why."),
     "watch": ("thermoforce_mpc.cli.watch", "Watch a running controller, in the terminal or as a page."),
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
+    "migrate": ("thermoforce_mpc.cli.migrate", "Rewrite a saved model of an older release for this one."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
     "schema": ("thermoforce_mpc.cli.schema", "Write the JSON Schema of scenario, test case, comparison or map files."),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),

@@ -30,6 +30,8 @@ from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
 FORMAT_VERSION = 5
+# The oldest that `migration` can rewrite, and the first with a hash of its content.
+OLDEST_VERSION, _HASHED_VERSION = 2, 4
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
@@ -86,30 +88,73 @@ def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     Raises:
         ArtifactError: the folder or a file is missing, damaged, not a model or of another version; names the file.
     """
-    json_path, arrays_path = folder / JSON_NAME, folder / ARRAYS_NAME
-    if not folder.is_dir():
-        raise ArtifactError(f"{folder}: no such folder; `tf-mpc identify` makes one")
-    content = _read_json(json_path)
+    path = folder / JSON_NAME
+    content = _read_json(folder)
+    version = content.get("version")
+    if version != FORMAT_VERSION:
+        raise ArtifactError(f"{path}: {_other_version(version, content.get('code_version'), folder)}")
+    _check_content(path, content)
+    return content, _read_arrays(folder, content)
+
+
+def read_older_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return the content and the arrays of a model of an older version, from `OLDEST_VERSION` on.
+
+    Raises:
+        ArtifactError: as `read_model_file`; also for a model of today's version.
+    """
+    content = _read_json(folder)
+    version = content.get("version")
+    if version == FORMAT_VERSION:
+        raise ArtifactError(f"{folder}: is of format version {version} already, there is nothing to migrate")
+    if not _is_older(version):
+        raise ArtifactError(f"{folder / JSON_NAME}: {_other_version(version, content.get('code_version'), folder)}")
+    if content["version"] >= _HASHED_VERSION:
+        _check_content(folder / JSON_NAME, content)
+    return content, _read_arrays(folder, content)
+
+
+def _check_content(path: Path, content: Mapping[str, Any]) -> None:
+    if content_sha256(content) != content.get("sha256"):
+        raise ArtifactError(f"{path}: damaged or edited, its content has another sha256 than it says; identify again")
+
+
+def _is_older(version: object) -> bool:
+    return type(version) is int and OLDEST_VERSION <= version < FORMAT_VERSION
+
+
+def _other_version(version: object, writer: object, folder: Path) -> str:
+    """What to do about a model of another version, written by the release `writer`."""
+    found = f"format version {version!r:.20}, this release reads {FORMAT_VERSION}"
+    if _is_older(version):
+        return f"{found}; rewrite it: tf-mpc migrate {folder} --out NEW_FOLDER"
+    if type(version) is int and version > FORMAT_VERSION:
+        return f"{found}; thermoforce-mpc {writer!s:.20} wrote it: pip install --upgrade thermoforce-mpc"
+    return (
+        f"{found} and migrates from {OLDEST_VERSION} on; identify again from the same data, or use "
+        f"thermoforce-mpc {writer!s:.20}, which wrote it"
+    )
+
+
+def _read_arrays(folder: Path, content: Mapping[str, Any]) -> dict[str, Array]:
+    arrays_path = folder / ARRAYS_NAME
     raw = read_bounded(arrays_path, _MOST_ARRAYS_BYTES, ArtifactError)
     found = hashlib.sha256(raw).hexdigest()
     if found != content.get("arrays_sha256"):
         raise ArtifactError(f"{arrays_path}: damaged or swapped, its sha256 is not the one in {JSON_NAME}")
     try:
-        return content, load_tensors(raw)
+        return load_tensors(raw)
     except (SafetensorError, ValueError, TypeError, KeyError) as error:  # the last two: a type that numpy lacks
         raise ArtifactError(f"{arrays_path}: not a readable safetensors file ({error})") from error
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _read_json(folder: Path) -> dict[str, Any]:
+    path = folder / JSON_NAME
+    if not folder.is_dir():
+        raise ArtifactError(f"{folder}: no such folder; `tf-mpc identify` makes one")
     document = parse_json(read_bounded(path, _MOST_JSON_BYTES, ArtifactError), str(path), ArtifactError)
     if document.get("format") != FORMAT:
         raise ArtifactError(f"{path}: not a model of thermoforce-mpc (its 'format' is not '{FORMAT}')")
-    if document.get("version") != FORMAT_VERSION:
-        raise ArtifactError(
-            f"{path}: format version {document.get('version')!r}, this release reads {FORMAT_VERSION}; identify again"
-        )
-    if content_sha256(document) != document.get("sha256"):
-        raise ArtifactError(f"{path}: damaged or edited, its content has another sha256 than it says; identify again")
     return document
 
 

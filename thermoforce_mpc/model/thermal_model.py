@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -234,7 +235,11 @@ def load_model(folder: Path | str) -> ThermalModel:
     """
     folder = Path(folder)
     content, arrays = read_model_file(folder)
-    path = folder / JSON_NAME
+    return model_from(content, arrays, folder / JSON_NAME)
+
+
+def model_from(content: Mapping[str, Any], arrays: Mapping[str, Array], path: Path) -> ThermalModel:
+    """The model that the file `path` holds as `content` and `arrays`; raises `ArtifactError`, as `load_model`."""
     try:
         model = ThermalModel(**decode(content, arrays))
     except KeyError as error:
