@@ -1,0 +1,194 @@
+"""What a stranger installs: wheel and sdist are whole, the wheel works outside the repository, extras are extra."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, shipped_folder
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("thermoforce_mpc", "controllers", "boptest_client")
+
+
+def build(source: Path, out: Path, *targets: str) -> list[Path]:
+    words = [word for target in targets for word in ("-t", target)]
+    command = [sys.executable, "-m", "hatchling", "build", *words, "-d", str(out)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True, timeout=120)
+    return sorted(out.iterdir())
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory) -> Path:
+    (found,) = build(ROOT, tmp_path_factory.mktemp("sdist"), "sdist")
+    return found
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist, tmp_path_factory) -> Path:
+    """The wheel as pip makes it of an sdist."""
+    unpacked = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(sdist) as content:
+        content.extractall(unpacked, filter="data")
+    (source,) = unpacked.iterdir()
+    (found,) = build(source, tmp_path_factory.mktemp("wheel"), "wheel")
+    return found
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory) -> Path:
+    target = tmp_path_factory.mktemp("site")
+    quiet = ["--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
+    command = [sys.executable, "-m", "pip", "install", *quiet, "--target", str(target), str(wheel)]
+    subprocess.run(command, check=True, timeout=120)
+    return target
+
+
+def run(words: list[str], where: Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(where)}
+    return subprocess.run(words, env=environment, cwd=cwd, capture_output=True, text=True, timeout=300)
+
+
+def test_the_wheel_holds_every_file_of_the_packages_and_the_configurations(wheel):
+    found = set(zipfile.ZipFile(wheel).namelist())
+    expected = {
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix not in (".nbi", ".nbc", ".pyc")
+    }
+    expected |= {f"thermoforce_mpc/{path.relative_to(ROOT)}" for path in (ROOT / "configs").rglob("*.*")}
+    assert len(expected) > 400
+    assert not expected - found
+    beside = {name.split("/")[0] for name in found - expected}
+    assert {name.partition("-")[0] for name in beside} == {"thermoforce_mpc"}, "something else is in the wheel"
+    (folder,) = beside
+    assert {f"{folder}/licenses/LICENSE", f"{folder}/licenses/NOTICE.md"} <= found
+    metadata = zipfile.ZipFile(wheel).read(f"{folder}/METADATA").decode()
+    assert "License-Expression: MIT" in metadata
+
+
+def test_the_sdist_holds_what_one_needs_to_join(sdist):
+    with tarfile.open(sdist) as content:
+        found = {name.partition("/")[2] for name in content.getnames()}
+    expected = {
+        "README.md",
+        "LICENSE",
+        "NOTICE.md",
+        "CHANGELOG.md",
+        "CITATION.cff",
+        "CONTRIBUTING.md",
+        "pyproject.toml",
+    }
+    expected |= {
+        str(path.relative_to(ROOT))
+        for folder in ("tests", "examples", "docs")
+        for path in (ROOT / folder).rglob("*.py")
+    }
+    assert not expected - found
+
+
+@pytest.mark.slow
+def test_the_wheel_works_outside_the_repository(installed, tmp_path):
+    tf_mpc = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()"]
+    where = run([sys.executable, "-c", "import thermoforce_mpc; print(thermoforce_mpc.__file__)"], installed, tmp_path)
+    assert where.stdout.startswith(str(installed)), where.stderr
+    cases = run([*tf_mpc, "testcases"], installed, tmp_path)
+    assert str(installed / "thermoforce_mpc" / "configs") in cases.stdout, cases.stderr
+    assert str(ROOT) not in cases.stdout
+    assert run([*tf_mpc, "init"], installed, tmp_path).returncode == 0
+    quick = ["--controller", "native", "--baselines", "", "--days", "0.1", "--quiet", "--out", "done"]
+    done = run([*tf_mpc, "run", "--config", "scenario.yaml", *quick], installed, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "done" / "report.html").is_file()
+
+
+# Refuses modules by their first name, then imports what every user may call.
+WITHOUT = """
+import importlib, sys
+refused = set(sys.argv[1].split(","))
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in refused:
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+sys.meta_path.insert(0, Refuse())
+import thermoforce_mpc, thermoforce_mpc.cli as cli
+for name in thermoforce_mpc.__all__:
+    getattr(thermoforce_mpc, name)
+for name, (module, _) in cli._COMMANDS.items():
+    assert callable(importlib.import_module(module).command), name
+import controllers.registry, thermoforce_mpc.plants.registry
+"""
+
+
+@pytest.mark.slow
+def test_without_any_extra_everything_can_be_imported_that_is_named(wheel, installed, tmp_path):
+    """Those parts that need an extra say so when they are used, see the tests of `serve`, `--fmu` and EnergyPlus."""
+    (folder,) = installed.glob("thermoforce_mpc-*.dist-info")
+    lines = re.findall(r"^Requires-Dist: (.*)$", (folder / "METADATA").read_text(), flags=re.M)
+    wanted = [Requirement(line) for line in lines]
+    always = {one.name.lower() for one in wanted if one.marker is None}
+    extra = {one.name.lower() for one in wanted if one.marker is not None} - always - {"thermoforce-mpc"}
+    provides = packages_distributions()
+    modules = {module for module, names in provides.items() if {name.lower() for name in names} & extra}
+    assert {"flask", "fmpy", "statsmodels"} <= modules
+    done = run(
+        [sys.executable, "-c", WITHOUT, ",".join(sorted(modules - {"packaging", "jsonschema"}))], installed, tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    heavy = {
+        "numpy",
+        "pandas",
+        "torch",
+        "casadi",
+        "matplotlib",
+        "numba",
+        "scipy",
+        "pydantic",
+        "pyarrow",
+        "requests",
+        "yaml",
+    }
+    code = f"import sys, thermoforce_mpc; print(*sorted({heavy!r} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=60, check=True
+    )
+    assert done.stdout.strip() == ""
+
+
+def test_the_notices_are_of_the_weights_that_ship():
+    notice = (ROOT / "NOTICE.md").read_text(encoding="utf-8")
+    for scale in SHIPPED_SCALES:
+        folder = shipped_folder(scale)
+        assert hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest() in notice
+        assert (folder / "DATA_CARD.md").is_file()
+    assert "MIT License" in (ROOT / "LICENSE").read_text(encoding="utf-8")
+
+
+def test_the_citation_is_of_this_version():
+    """The keys that the schema of cff-version 1.2.0 requires, and what must agree with pyproject.toml."""
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["cff-version"] == "1.2.0"
+    assert cited["type"] == "software"
+    assert cited["message"]
+    assert cited["title"]
+    for authors in (cited["authors"], *(one["authors"] for one in cited["references"])):
+        assert all(set(author) >= {"name"} or set(author) >= {"family-names", "given-names"} for author in authors)
+    assert all({"type", "title", "authors"} <= set(one) for one in cited["references"])
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert f'\nversion = "{cited["version"]}"\n' in project
+    assert f'\nlicense = "{cited["license"]}"\n' in project
