@@ -13,6 +13,7 @@ import pytest
 from controllers.errors import ControllerConfigError
 from controllers.registry import REGISTRY, Entry
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.registry import check_plant
 from thermoforce_mpc.registry import Registry, builder, instance_of
 from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase
@@ -20,13 +21,13 @@ from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase
 ROOT = Path(__file__).parents[1]
 
 
-def distribution(where: Path, name: str, module: str, **announced: str) -> None:
-    """What an installer leaves of a distribution with one module, that announces controllers."""
+def distribution(where: Path, name: str, module: str, group: str = "controllers", **announced: str) -> None:
+    """What an installer leaves of a distribution with one module, that announces things of a group."""
     info = where / f"{name.replace('-', '_')}-1.2.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
     lines = [f"{key} = {value}" for key, value in announced.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[thermoforce_mpc.controllers]", *lines]))
+    (info / "entry_points.txt").write_text("\n".join([f"[thermoforce_mpc.{group}]", *lines]))
     (where / f"{name.replace('-', '_')}.py").write_text(module)
 
 
@@ -92,6 +93,15 @@ def test_names_that_clash(tmp_path, monkeypatch, registry):
     assert len(problems) == 2
 
 
+def test_a_free_response_has_defaults_for_all_its_options(tmp_path, monkeypatch):
+    distribution(tmp_path, "odd-forecast", "def X(step, spread_K=1.0): ...", "free_responses", odd="odd_forecast:X")
+    monkeypatch.syspath_prepend(tmp_path)
+    fresh = Registry("free response", "free_responses", {}, ConfigError, FREE_RESPONSES._wrong)
+    with pytest.raises(ConfigError, match=r"'odd' of odd-forecast 1\.2 .* cannot be used: its parameters step have no"):
+        fresh.find("odd")
+    assert all(not FREE_RESPONSES._wrong(build) for build in FREE_RESPONSES.own.values())
+
+
 def test_unknown_names_are_told_what_is_known(registry):
     with pytest.raises(ControllerConfigError, match="unknown controller 'thermostatt', did you mean 'thermostat'"):
         registry.find("thermostatt")
@@ -147,6 +157,7 @@ json.dump({"kpis": done.kpis, "levels": sorted(set(done.to_dataframe()["u_applie
 """
 
 
+@pytest.mark.slow
 def test_the_example_package_runs(example, tmp_path):
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{example}"}
     done = subprocess.run(

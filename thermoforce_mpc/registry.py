@@ -130,12 +130,11 @@ def announced(group: str) -> dict[str, list[EntryPoint]]:
 
 def plugins() -> dict[str, str]:
     """Versions of the installed distributions that announce anything in a group of ours, by name."""
-    ours = f"{PREFIX}."
-    return {
-        one.name: one.version
-        for one in distributions()
-        if one.name != OWN and any(plugin.group.startswith(ours) for plugin in one.entry_points)
-    }
+    found: dict[str, str] = {}
+    for one in distributions():
+        if one.name != OWN and any(plugin.group.startswith(f"{PREFIX}.") for plugin in one.entry_points):
+            found.setdefault(one.name, one.version)  # the first on the path is the one that is imported
+    return found
 
 
 def known_name(kind: str, group: str, *own: str) -> Callable[[str], str]:

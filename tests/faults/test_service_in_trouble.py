@@ -13,8 +13,9 @@ from click.testing import CliRunner
 from boptest_client import BoptestClient, TransportConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import NoSuchTest, PlantError
+from thermoforce_mpc.plants import registry
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.simulation import composition, report
+from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation.journal import read_journal
 
 # A step is a quarter of an hour.
@@ -42,7 +43,7 @@ def at_once(monkeypatch, service):
             connect_timeout_s=1.0, read_timeout_s=10.0, patience_s=60.0 * spec.patience_min, sleep=lambda seconds: None
         )
 
-    monkeypatch.setattr(composition, "_patience", patience)
+    monkeypatch.setattr(registry, "patience", patience)
 
 
 def call(*words: object):
@@ -81,6 +82,7 @@ def killed_at(service, folder: Path, step: int, monkeypatch, *, after: bool) -> 
             begin(service, folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [False, True])
 def test_a_killed_run_is_taken_up_where_the_test_stands(service, whole, tmp_path, monkeypatch, after):
     folder = tmp_path / "killed"

@@ -18,6 +18,7 @@ from thermoforce_mpc.scenario.settings import StrictModel, validate
 from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:
+    from boptest_client import TransportConfig
     from thermoforce_mpc.boundary.forecast_error import ForecastError
     from thermoforce_mpc.boundary.tariffs import Tariff
 
@@ -95,12 +96,23 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
 
 def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, testid: str | None = None) -> Plant:
     """The plant behind a service; with `testid` the test that it has already."""
-    from boptest_client import TransportConfig
     from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 
-    config = TransportConfig(patience_s=60.0 * spec.patience_min)
-    uncertainty = spec.forecast_uncertainty
-    return BoptestPlant(spec.url, testcase, forecast_uncertainty=uncertainty, seed=seed, testid=testid, config=config)
+    return BoptestPlant(
+        spec.url,
+        testcase,
+        forecast_uncertainty=spec.forecast_uncertainty,
+        seed=seed,
+        testid=testid,
+        config=patience(spec),
+    )
+
+
+def patience(spec: PlantSpec) -> TransportConfig:
+    """How long a service may be away."""
+    from boptest_client import TransportConfig
+
+    return TransportConfig(patience_s=60.0 * spec.patience_min)
 
 
 def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:

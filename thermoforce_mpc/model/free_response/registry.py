@@ -75,9 +75,20 @@ _OWN: dict[str, Callable[..., FreeResponse]] = {
     "persistence": _persistence,
 }
 
-REGISTRY: Registry[Callable[..., FreeResponse]] = Registry(
-    "free response", "free_responses", _OWN, ConfigError, builder
-)
+
+def _wrong(found: object) -> str:
+    """What is wrong with a plugin's function or class: every parameter is an option, and options have defaults."""
+    if not callable(found):
+        return builder(found)
+    try:
+        parameters = inspect.signature(found).parameters.values()
+    except ValueError as error:
+        return str(error)
+    bare = [one.name for one in parameters if one.name != "rc" and one.default is inspect.Parameter.empty]
+    return f"its parameters {', '.join(bare)} have no default" if bare else ""
+
+
+REGISTRY: Registry[Callable[..., FreeResponse]] = Registry("free response", "free_responses", _OWN, ConfigError, _wrong)
 
 
 def own_options() -> dict[str, dict[str, Any]]:
