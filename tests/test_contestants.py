@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path):

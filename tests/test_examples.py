@@ -11,6 +11,8 @@ import pytest
 
 # Arguments with which an example that trains or controls for long is quick.
 QUICK = {"train_agent": ["--steps", "2048", "--days", "0.5", "--without-mpc"]}
+pytestmark = pytest.mark.slow
+
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
 
 

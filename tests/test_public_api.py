@@ -49,6 +49,7 @@ def blocks(page: str) -> list[str]:
     return re.findall(r"<!-- run-by-tests: tests/test_public_api\.py -->\n```python\n(.*?)```", text, re.S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "number"),
     [("README.md", 0), ("docs/reference/python.md", 0), ("docs/reference/python.md", 1)],

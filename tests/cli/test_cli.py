@@ -71,6 +71,7 @@ def test_every_command_has_help(name):
     assert len(done.output.splitlines()) > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -95,6 +96,7 @@ def test_bad_input_is_one_message_and_exit_code_2(words, message, tmp_path):
     assert not list(tmp_path.glob("runs/*")), "nothing half-written"
 
 
+@pytest.mark.slow
 def test_an_unreachable_service_is_exit_code_3(tmp_path):
     done = tf_mpc("run", "--testcase", TESTCASE, "--url", "http://127.0.0.1:9", "--quiet", cwd=tmp_path)
     assert done.returncode == 3, done.stderr
@@ -102,6 +104,7 @@ def test_an_unreachable_service_is_exit_code_3(tmp_path):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_path):
     done = simple("--controller", "thermostat", "--baselines", "native", "--days", "2")
     assert done.exit_code == 0, done.output
@@ -131,6 +134,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     assert resolved["controller"]["name"] == "thermostat"
 
 
+@pytest.mark.slow
 def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple, tmp_path, monkeypatch):
     """A day of probing by constant draws does not tell this house's effect well enough."""
     monkeypatch.setattr(cli_identify, "build_plant", lambda spec, testcase, seed: SimpleHouse())
@@ -153,6 +157,7 @@ def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple
     assert "What to do:" in page
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_under_native_control_where_nothing_can_be_identified(simple, tmp_path):
     simple.house._measure = lambda u=float("nan"): replace(type(simple.house)._measure(simple.house, u), T_zone_C=21.0)
     done = simple(
@@ -168,6 +173,7 @@ def test_a_run_goes_on_under_native_control_where_nothing_can_be_identified(simp
     assert isinstance(paper.exception, DataError), "without the gate there is nothing to act on"
 
 
+@pytest.mark.slow
 def test_a_second_run_never_overwrites(simple, tmp_path):
     for _ in range(2):
         assert simple("--controller", "native", "--baselines", "", "--days", "0.5").exit_code == 0

@@ -173,6 +173,7 @@ def test_the_group_reaches_model_file_layout_and_programme(tmp_path):
     assert mpc(case=coils(exclusive=[]))._assembly.machinery.exclusive == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("actuation", [{"mode": "duty"}, {"mode": "modulating", "lowest_level": 0.3}])
 def test_in_closed_loop_one_coil_acts_in_a_step_and_the_room_is_kept(actuation):
     period = replace(SimpleHouse().period("x"), scored_s=1.5 * DAY_S)

@@ -43,6 +43,7 @@ def run(house: SimpleHouse) -> RunResult:
     return run_closed_loop(house, mpc, house.period("x"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "says"),
     [

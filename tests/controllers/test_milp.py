@@ -95,6 +95,7 @@ def best_choice(problem: MPCProblem, operator: BuildingOperator) -> float:
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heat", [IDENTITY, HeatInput(heat=HEAT)], ids=["identity", "heat"])
 @pytest.mark.parametrize(
     ("signs", "machine_of", "lowest", "exclusive"),

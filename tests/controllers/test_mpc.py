@@ -188,6 +188,7 @@ def test_mistakes_of_the_caller_raise_before_anything_else():
         mpc.plan(Observation(fine, seen.boundary))
 
 
+@pytest.mark.slow
 def test_the_class_without_a_configuration_is_the_controller_of_the_command_line():
     testcase = load_testcase("bestest_hydronic_heat_pump")
     ours = ThermoForceMPC(simple_model(), free_response=OutdoorResponse())

@@ -22,6 +22,7 @@ class WeakHouse(SimpleHouse):
         return measurement
 
 
+@pytest.mark.slow
 def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
     found = {}
     for enabled in (False, True):

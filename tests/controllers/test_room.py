@@ -176,6 +176,7 @@ def test_probing_by_rooms_asks_for_nothing_that_only_levels_need():
     assert probe(WithoutPast(), 20 * DAY_S, 0.25, seed=1, layout=Layout.single("both", LOWEST)).n_steps == 24
 
 
+@pytest.mark.slow
 def test_one_operator_for_both_directions_is_found(model, tmp_path):
     office = LightOffice()
     full = np.array([1.0])
@@ -201,6 +202,7 @@ def test_a_record_without_cooling_cannot_identify_cooling(probed):
         identify(probed, mode="heating", floor_area_m2=48.0)
 
 
+@pytest.mark.slow
 def test_closed_loop_is_far_more_comfortable_than_native_control_at_nearly_its_cost(model):
     testcase = load_testcase("bestest_air")
     config = controller_config("thermoforce_mpc", {"free_response": {"name": "rc"}, "horizon_h": 24.0}, testcase)

@@ -70,6 +70,7 @@ def statuses(result: RunResult) -> list[PlanStatus]:
     return [step.plan.status for step in result.steps]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shows", "says"),
     [

@@ -83,6 +83,7 @@ def test_search_returns_the_cheapest_of_its_candidates():
     assert float(problem.cost(operator, solution.u)) == pytest.approx(float(problem.cost(operator, rows).min()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
     """Derivatives are not constant there: told that they were, Ipopt stopped early with its word for success."""

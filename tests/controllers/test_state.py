@@ -64,6 +64,7 @@ def same(a, b) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_the_same_observation_and_state_give_the_same_plan_in_any_order(kind):
     watched = Watched(CONTROLLERS[kind]())
@@ -72,6 +73,7 @@ def test_the_same_observation_and_state_give_the_same_plan_in_any_order(kind):
         same(watched.inner.plan(observation, state), plan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_one_controller_serves_two_runs_alternately(kind):
     alone = [Watched(CONTROLLERS[kind]()) for _ in range(2)]
@@ -85,6 +87,7 @@ def test_one_controller_serves_two_runs_alternately(kind):
             same(ours, plan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_twice_on_the_same_window_is_twice_the_same(kind):
     controller = CONTROLLERS[kind]()
@@ -114,6 +117,7 @@ class Failing:
         return self.inner.solve(problem, *guess)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("follow_steps", [0, 1])
 def test_minimum_times_hold_whatever_acts(follow_steps):
     for seed in range(3):

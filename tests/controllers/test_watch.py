@@ -70,6 +70,7 @@ def watched(result: RunResult) -> list[float]:
     return [step.time_s for step in result.steps if step.plan.status is PlanStatus.WATCH]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
@@ -98,6 +99,7 @@ def test_a_changed_plant_is_noticed_within_a_day_and_control_returns(fault, says
     assert all(sample.u_applied == (None,) for step in inside for sample in step.samples)
 
 
+@pytest.mark.slow
 def test_without_a_change_nothing_is_noticed_and_plans_are_the_same():
     with_watch, alone = run("none"), run("none", watch={"enabled": False})
     assert watched(with_watch) == []
@@ -114,6 +116,7 @@ def test_off_it_does_not_notice_and_the_papers_settings_leave_it_off():
         assert not controller_config(name, {}, testcase).watch.enabled
 
 
+@pytest.mark.slow
 def test_the_rule_can_act_instead_and_keeps_the_zone_warm():
     result = run("window", fallback={"stand_back": "rule"})
     steps = [step for step in result.steps if step.plan.status is PlanStatus.WATCH]
@@ -122,6 +125,7 @@ def test_the_rule_can_act_instead_and_keeps_the_zone_warm():
     assert result.kpis["tdis_tot"] <= 1.05 * run("window", watch={"enabled": False}).kpis["tdis_tot"]
 
 
+@pytest.mark.slow
 def test_a_machine_that_stays_weak_is_adapted_to():
     class Weak(FaultyHouse):
         @property
@@ -164,6 +168,7 @@ def test_false_alarms_are_no_more_frequent_than_stated():
     assert crossed.mean() <= 0.025
 
 
+@pytest.mark.slow
 def test_false_alarms_of_the_effect_are_no_more_frequent_than_stated():
     """Months of errors 1 h ahead as large as promised, on days with and without much acting."""
     rng, runs, hours = np.random.default_rng(8), 1000, 720

@@ -67,6 +67,7 @@ def test_a_forecast_endpoint_that_fails_for_good_is_bridged(setting, calm, tmp_p
     assert found.made[kinds.NO_FORECAST] < 100, "a patient request is repeated 65 times"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE])
 def test_a_run_outlives(setting, calm, kind):
     found = run_episode(setting, [trouble(kind)], seed=2, most_Kh=1.5 * calm.discomfort_Kh + 1.0)
@@ -128,6 +129,7 @@ def test_an_action_out_of_range_is_found(value):
     assert "oveHeaPumY_u" in wrong_inputs([{"oveHeaPumY_u": value, "oveHeaPumY_activate": 1.0}])[0]
 
 
+@pytest.mark.slow
 def test_the_command_prints_its_table_whatever_the_number_of_processes(tmp_path):
     simple_model().save(tmp_path / "model")
     words = ["--episodes", "2", "--days", "0.25", "--controller", "thermoforce_hourly", "--seed", "3"]
@@ -143,6 +145,7 @@ def test_the_command_prints_its_table_whatever_the_number_of_processes(tmp_path)
     assert rows[0] == rows[1]
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
     told = []
 

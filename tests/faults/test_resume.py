@@ -60,6 +60,7 @@ def killed(whole: Path, at: int, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.97])
 def test_a_run_killed_at_any_instant_goes_on_to_the_same_bytes(whole, tmp_path, share):
     size = (whole / "journal.jsonl").stat().st_size
@@ -74,6 +75,7 @@ def test_a_run_killed_at_any_instant_goes_on_to_the_same_bytes(whole, tmp_path, 
     assert "nothing to resume" in again.output
 
 
+@pytest.mark.slow
 def test_a_run_killed_between_two_records_goes_on_to_the_same_bytes(whole, tmp_path):
     """After a decision and before it acted (or before that was recorded); after the step was closed."""
     lines = (whole / "journal.jsonl").read_bytes().split(b"\n")
@@ -194,6 +196,7 @@ def test_damage_in_a_part_that_is_not_the_last_is_refused(tmp_path, monkeypatch,
         read_journal(path)
 
 
+@pytest.mark.slow
 def test_a_run_killed_in_a_later_part_goes_on_to_the_same_bytes(whole, tmp_path, monkeypatch):
     size = (whole / "journal.jsonl").stat().st_size
     monkeypatch.setattr(journal_module, "PART_BYTES", size // 4)
@@ -211,6 +214,7 @@ def test_a_run_killed_in_a_later_part_goes_on_to_the_same_bytes(whole, tmp_path,
     assert results(folder) == results(whole)
 
 
+@pytest.mark.slow
 def test_sigkill_and_sigterm_in_earnest(tmp_path):
     """The embedded plant in a process of its own: SIGKILL, then SIGTERM, then to the end."""
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}

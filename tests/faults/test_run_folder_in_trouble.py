@@ -61,6 +61,7 @@ def files_of_at_most(n_bytes: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_a_run_that_goes_on_when_there_is_room(call, tmp_path):
     whole, folder = tmp_path / "whole", tmp_path / "full"
     assert call(SimpleHouse(), *WORDS, "--days", 2, "--out", whole).exit_code == 0
@@ -122,6 +123,7 @@ def test_a_folder_that_cannot_be_made_is_refused(call):
     assert "/proc/self/run" in str(done.exception)
 
 
+@pytest.mark.slow
 def test_a_second_run_in_the_same_folder_is_refused_and_the_first_is_whole(call, tmp_path):
     folder, others = tmp_path / "shared", []
 

@@ -82,6 +82,7 @@ def test_the_plain_answer_is_understood(service, client, name):
     assert call(client)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALLS)
 def test_values_that_were_changed(service, client, name):
     call, plain = CALLS[name]
@@ -99,6 +100,7 @@ def test_values_that_were_changed(service, client, name):
     check()
 
 
+@pytest.mark.slow
 @fuzz(150)
 @given(
     content=mutated(enveloped(STATE)) | st.binary(max_size=50),
@@ -117,6 +119,7 @@ def test_bytes_of_any_kind(content, name, status):
         result_or_error(BoptestError, lambda: CALLS[name][0](client), names="http://127.0.0.1:9", most=3000)
 
 
+@pytest.mark.slow
 def test_an_answer_that_unpacks_to_no_end_is_read_no_further_than_its_bound():
     packer = zlib.compressobj(9, zlib.DEFLATED, 31)
     bomb = b"".join(packer.compress(b" " * 10_000_000) for _ in range(25)) + packer.flush()

@@ -154,6 +154,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bomb", BOMBS)
 def test_a_bomb_costs_little_memory(written, bomb):
     make, message = BOMBS[bomb]

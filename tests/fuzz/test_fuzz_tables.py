@@ -70,6 +70,7 @@ def test_bytes_of_a_year_that_were_changed(years, tmp_path, name):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", YEARS)
 def test_a_cell_of_a_year_that_was_changed(years, tmp_path, name):
     lines, separator = years[name].decode().split("\n"), "\t" if name == "w.mos" else ","

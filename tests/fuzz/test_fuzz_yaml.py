@@ -37,6 +37,7 @@ def beside(tmp_path):
     return lambda path: tmp_path / path.parent.name / path.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_bytes_that_were_changed(beside, path):
     @fuzz(8)
@@ -48,6 +49,7 @@ def test_bytes_that_were_changed(beside, path):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_values_that_were_changed(beside, path):
     @fuzz(12)
@@ -63,6 +65,7 @@ def test_values_that_were_changed(beside, path):
     check()
 
 
+@pytest.mark.slow
 @fuzz(60)
 @given(words=st.lists(st.text(max_size=30) | st.builds("{}={}".format, st.text(max_size=8), st.text()), max_size=3))
 def test_assignments_of_any_text(words):

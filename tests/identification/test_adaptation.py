@@ -47,6 +47,7 @@ def _effect(operator) -> float:
     return float(np.convolve(operator.impulse(24), v)[23])
 
 
+@pytest.mark.slow
 def test_a_machine_that_weakens_by_a_fifth_is_noticed(model, measured):
     run = _degrading(measured)
     found = OnlineAdaptation(model, ON).update(None, run.last(run.n_steps))  # all of it at once

@@ -25,6 +25,7 @@ def _verdict(run: Record, **options) -> Competence:
     return model.only.card.competence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_good_record_passes_with_margin(seed):
     verdict = _verdict(record(HOUSE, 3.0, seed=seed, noise_K=0.01))
@@ -58,6 +59,7 @@ def test_held_out_errors_are_those_of_the_predictor():
         assert score.persistence_K == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_sensor_of_another_room_is_not_acted_on(seed, measured):
@@ -68,6 +70,7 @@ def test_the_sensor_of_another_room_is_not_acted_on(seed, measured):
         identify([replace(run, T_zone_C=walk)], config=LINEAR, floor_area_m2=190.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_sun_that_swamps_everything_is_named(seed):
     sunny = record(House(solar_K=(15.0, 40.0)), 3.0, seed=seed, noise_K=0.01)
@@ -80,6 +83,7 @@ def test_sun_that_swamps_everything_is_named(seed):
         identify([replace(sunny, solar_W_m2=np.zeros(sunny.solar_W_m2.size))], config=LINEAR, floor_area_m2=190.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("measured", "words"), [(True, "the measured heat is that of heating"), (False, "sign of cooling")]
 )

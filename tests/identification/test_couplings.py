@@ -14,6 +14,8 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import load_model
 
+pytestmark = pytest.mark.slow
+
 STEP_S = 1800.0
 LINEAR = IdentificationConfig(modulation="linear")
 NAMES = Names(("living", "bed"), ("floor", "radiator"), ("pump", "boiler"))

@@ -37,6 +37,7 @@ def test_three_days_of_one_run_tell_what_an_action_does():
     np.testing.assert_allclose(model.only.power(np.array([0.0, 1.0]), 5.0), [0, 3600], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_without_priors_of_the_building_thirty_days_are_enough():
     record_ = record(HOUSE, 20.0, 1800.0, noise_K=0.01)
     model = identify([record_], config=LINEAR)  # no floor area: weak priors
@@ -107,6 +108,7 @@ def test_u_itself_drives_where_heat_is_not_measured():
         identify([record(HOUSE, 3.0, heat_measured=False)], config=IdentificationConfig(heat_input="heat"))
 
 
+@pytest.mark.slow
 def test_the_network_learns_what_the_linear_gain_cannot():
     """Without a heat capacity the gain depends on T_out; m(x) must find that, held out days must gain from it."""
     house = replace(HOUSE, slope_per_K=0.06, machine_W=(0.0, 10000.0))
@@ -145,6 +147,7 @@ def test_silent_sensor_in_between_is_left_out():
     assert rmse < 0.08 * effect
 
 
+@pytest.mark.slow
 def test_same_data_same_bytes(tmp_path):
     for name in ("a", "b"):
         identify([record(HOUSE, 2.0)], config=QUICK, floor_area_m2=190.0).save(tmp_path / name)
@@ -203,6 +206,7 @@ def _with_gaps(signal: str, *places: slice) -> Record:
     return replace(history, **{signal: values})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("history", "said"),
     [
@@ -236,6 +240,7 @@ def _holed(history: Record, signal: str) -> Record:
     return replace(history, **{signal: _at(9, np.nan)(np.array(getattr(history, signal)))})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("signal", "value"), [("heat_W", 1e7), ("power_W", 1e9), ("T_zone_C", 85.0), ("u", 1.4)])
 def test_one_absurd_reading_of_a_record_is_not_believed(signal, value):
     history = record(HOUSE, 4.0, noise_K=0.01)
@@ -328,6 +333,7 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)
 
 
+@pytest.mark.slow
 def test_a_heat_map_by_data_sheet_replaces_measured_heat():
     """Without a heat meter, the sheet says how heat depends on u and T_out; what is learned is the building."""
     house = replace(HOUSE, slope_per_K=0.06)

@@ -129,6 +129,7 @@ def test_schedules_that_nobody_can_run_are_refused(changes, message):
         probe_schedule(operated(np.full((1, 72), 0.4), 3), replace(HEATING, lowest=(-1.0,)))
 
 
+@pytest.mark.slow
 def test_run_by_hand_the_schedule_tells_what_operation_did_not():
     plant = EmbeddedPlant(synthetic_weather())
     record = Record.beginning(plant.reset(20 * DAY_S, 5 * DAY_S))

@@ -15,6 +15,8 @@ from thermoforce_mpc.research.bench.operator import run_operator_bench
 from thermoforce_mpc.research.bench.operator_data import cut, read_hourly_pairs, read_run
 from thermoforce_mpc.research.bench.operator_score import score_pairs
 
+pytestmark = pytest.mark.slow
+
 HOUSE = House()
 
 

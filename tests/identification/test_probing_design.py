@@ -74,6 +74,7 @@ def test_a_house_of_another_kind_can_be_probed():
     assert (np.abs(np.diff(record.u[0])) > 0).sum() >= 6
 
 
+@pytest.mark.slow
 def test_pairs_share_start_and_weather_and_identify(plant):
     config = ProbingConfig(warmup_days=2.0, levels=(0.0, 0.5, 1.0))
     pairs = [probe_pair(plant, day * DAY_S, 1.25, seeds=(day, day + 500), config=config) for day in (20, 50, 80)]

@@ -16,6 +16,8 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.identifying import identify_on
 
+pytestmark = pytest.mark.slow
+
 TESTCASE = load_testcase("bestest_hydronic_heat_pump").model_copy(update={"floor_area_m2": 192.0})
 LINEAR = IdentificationConfig(modulation="linear")
 SHORT = ProbingConfig(warmup_days=1.0, candidates=6)

@@ -123,6 +123,7 @@ def test_two_stages_of_another_order_are_refused():
         IdentificationConfig(method="two_stage", order=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_pairs", [False, True])
 def test_actions_of_the_wrong_sign_are_refused_as_by_the_joint_method(with_pairs):
     """Actions that cool where heating is declared: a model without any effect would be of no use to a controller."""

@@ -12,6 +12,8 @@ from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.report import plot_identification, rollouts
 from thermoforce_mpc.model.thermal_model import load_model
 
+pytestmark = pytest.mark.slow
+
 HOUSE = House()
 LINEAR = IdentificationConfig(order=3, modulation="linear")
 

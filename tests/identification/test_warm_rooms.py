@@ -12,6 +12,8 @@ from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.rooms import house_of_rooms
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def record():

@@ -120,6 +120,7 @@ class BiasedHouse(SimpleHouse):
 BOTH = pytest.mark.parametrize("correct", [False, True], ids=["output disturbance", "kalman"])
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("gain_error", [0.8, 1.2])
 def test_a_wrong_gain_leaves_no_lasting_offset(gain_error, correct):
@@ -131,6 +132,7 @@ def test_a_wrong_gain_leaves_no_lasting_offset(gain_error, correct):
     assert abs(lasting_offset_K(wrong, SimpleHouse(), correct)) < min(0.015, 0.5 * abs(rigid))
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_biased_outdoor_sensor_leaves_no_lasting_offset(correct):
     assert abs(lasting_offset_K(simple_model(), BiasedHouse(), correct)) < 0.01

@@ -208,6 +208,7 @@ def test_a_forecast_of_another_shape_or_clock_is_a_plant_error_with_its_endpoint
     assert plant.forecast(DAY_S, HOUR_S).n_steps == 24
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["results/", "advance/", "initialize/", "kpi/"])
 @pytest.mark.parametrize(
     "edit",

@@ -67,6 +67,7 @@ def test_any_control_step_gives_the_same_bytes(weather):
     assert all(final == finals[0] for final in finals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pieces", [[1.0], [7.5], [45.0], [59.0], [1.0, 7.5, 45.0, 3601.0, 0.25, 29.0]])
 @pytest.mark.parametrize("u", [None, 0.0, 0.6])
 def test_odd_steps_give_the_same_trajectory(weather, pieces, u):
@@ -319,6 +320,7 @@ def test_a_bad_start_is_refused(plant, start, warmup):
         plant.reset(start, warmup)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["peak", "-1", "365", "nan"])
 def test_a_bad_period_is_refused(plant, name):
     with pytest.raises(InputError, match="period"):

@@ -37,6 +37,7 @@ def inside():
     return EmbeddedPlant(synthetic_weather())
 
 
+@pytest.mark.slow
 def test_it_measures_forecasts_and_scores_as_the_emulator_inside(file, inside):
     with FmuPlant(file, TESTCASE) as plant:
         assert isinstance(plant, Plant)
@@ -62,6 +63,7 @@ def test_it_measures_forecasts_and_scores_as_the_emulator_inside(file, inside):
             np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_two_plants_live_side_by_side_and_the_same_run_gives_the_same_bytes(file):
     with FmuPlant(file, TESTCASE) as one, FmuPlant(file, TESTCASE) as other:
         one.reset(30 * DAY_S, 0.0)
@@ -86,6 +88,7 @@ def test_windows_are_those_of_the_fmu(file):
             plant.period("400")
 
 
+@pytest.mark.slow
 def test_forecast_errors_leave_the_truth_alone(file):
     with FmuPlant(file, TESTCASE, forecast_error=ForecastError("high", 3)) as plant:
         plant.reset(30 * DAY_S, 0.0)
@@ -95,6 +98,7 @@ def test_forecast_errors_leave_the_truth_alone(file):
         assert plant.advance(None, HOUR_S).T_out_C == pytest.approx(truth[1], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_crash_is_an_error_and_not_our_end(file, monkeypatch):
     monkeypatch.setenv("FMU_HOUSE_CRASHES_ON_DAY", "30.02")
     with FmuPlant(file, TESTCASE) as plant:
@@ -108,6 +112,7 @@ def test_a_crash_is_an_error_and_not_our_end(file, monkeypatch):
         assert plant.advance(0.5, HOUR_S).time_s == 30 * DAY_S + HOUR_S
 
 
+@pytest.mark.slow
 def test_a_step_the_fmu_refuses_is_an_error_with_its_day(file, monkeypatch):
     monkeypatch.setenv("FMU_HOUSE_FAILS_ON_DAY", "30.02")
     with FmuPlant(file, TESTCASE) as plant:
@@ -116,6 +121,7 @@ def test_a_step_the_fmu_refuses_is_an_error_with_its_day(file, monkeypatch):
             plant.advance(0.5, HOUR_S)
 
 
+@pytest.mark.slow
 def test_a_forecast_over_new_year_repeats_the_year(file):
     with FmuPlant(file, TESTCASE) as plant:
         plant.reset(364.5 * DAY_S, 0.0)
@@ -143,6 +149,7 @@ def test_what_needs_a_start_says_so(file):
                 ask()
 
 
+@pytest.mark.slow
 def test_a_start_beyond_the_data_is_refused(file, tmp_path):
     short = "time,TDryBul,HGloHor\n" + "".join(f"{hour * 3600},280.0,0.0\n" for hour in range(48))
     with FmuPlant(rewritten(file, tmp_path / "short.fmu", {"resources/weather.csv": short}), TESTCASE) as plant:
@@ -218,6 +225,7 @@ def test_a_description_that_does_not_fit(file, tmp_path, describe, message):
         FmuPlant(rewritten(file, tmp_path / "other.fmu", {}, describe), TESTCASE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -260,6 +268,7 @@ def test_binaries_of_another_platform(file, tmp_path):
         FmuPlant(other, TESTCASE)
 
 
+@pytest.mark.slow
 def test_without_kpis_json_the_test_case_file_says_what_counts(file, inside, tmp_path):
     with FmuPlant(rewritten(file, tmp_path / "bare.fmu", {"resources/kpis.json": None}), TESTCASE) as plant:
         for p in (plant, inside):
@@ -270,6 +279,7 @@ def test_without_kpis_json_the_test_case_file_says_what_counts(file, inside, tmp
         assert plant.kpis() == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_gas_is_billed_at_the_price_of_gas(file, inside, tmp_path):
     """Condenser heat declared as gas: every KPI can then be worked out from the emulator's own two meters."""
     held = "time,PriceGasPower,EmissionsGasPower\n0,0.05,0.2\n31536000,0.05,0.2\n"
@@ -289,6 +299,7 @@ def test_gas_is_billed_at_the_price_of_gas(file, inside, tmp_path):
     assert kpis["pgas_tot"] > kpis["pele_tot"] > 0
 
 
+@pytest.mark.slow
 def test_the_cli_runs_it(file, tmp_path):
     command = ["run", "--testcase", TESTCASE.name, "--fmu", str(file), "--period", "30", "--days", "0.25"]
     options = ["--controller", "thermostat", "--baselines", "", "--out", str(tmp_path / "run")]

@@ -89,6 +89,7 @@ def test_loads_lie_where_tabula_has_them_and_floors_only_where_they_can_heat():
 # --- physics --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("emitter", ["floor", "radiator", "air"])
 def test_the_energy_balance_closes(emitter):
     plant = GeneratedHousePlant(house_with(emitter=emitter))
@@ -104,6 +105,7 @@ def test_the_energy_balance_closes(emitter):
     assert stored == pytest.approx(into, abs=1e-9 * exchanged)
 
 
+@pytest.mark.slow
 def test_steady_state_is_that_of_the_hand_calculation():
     # Convector: all heat to the air. Ventilation, and windows and structure in parallel behind the surface film.
     house = house_with(emitter="air", machine="electric")

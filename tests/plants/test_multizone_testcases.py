@@ -95,6 +95,7 @@ def test_the_level_of_a_box_is_0_at_rest_and_has_the_sign_of_what_its_loop_does(
     assert sum(load_testcase(OFFICE).layout.shares) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [HOUSE, OFFICE])
 def test_it_is_probed_planned_for_and_written_to_by_the_command_line(name, service, tmp_path):
     """Little data and no gate: what is tested is the way from the YAML file to the points, not what a plan is worth."""
@@ -127,6 +128,7 @@ def test_it_is_probed_planned_for_and_written_to_by_the_command_line(name, servi
         assert len(last) == 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [HOUSE, OFFICE])
 def test_thermostats_and_native_control_run_beside_each_other(name, service):
     plant = {"kind": "boptest", "url": service.url}

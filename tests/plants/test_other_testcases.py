@@ -83,6 +83,7 @@ def fmus(tmp_path_factory):
     }
 
 
+@pytest.mark.slow
 def test_more_u_is_more_effort_and_costs_more(fmus):
     testcase = load_testcase("bestest_hydronic")
     reached, spent = [], []
@@ -102,6 +103,7 @@ def test_more_u_is_more_effort_and_costs_more(fmus):
     assert np.diff(spent).min() > 1.0, spent
 
 
+@pytest.mark.slow
 def test_room_setpoints_are_kept_and_the_level_is_the_measured_heat(fmus):
     testcase = load_testcase("bestest_air")
     with FmuPlant(fmus["bestest_air"], testcase) as plant:
@@ -155,6 +157,7 @@ def test_gas_and_electricity_each_at_their_price(fmus):
     assert released.points["oveTSetSup_y"] != 293.15, "native control is back"
 
 
+@pytest.mark.slow
 def test_its_own_windows_and_native_control_by_the_command_line(fmus, tmp_path):
     with FmuPlant(fmus["bestest_air"], load_testcase("bestest_air")) as plant:
         assert plant.period("mix_day").start_s == (350 - 7) * DAY_S
@@ -167,6 +170,7 @@ def test_its_own_windows_and_native_control_by_the_command_line(fmus, tmp_path):
     assert "USD" in done.output
 
 
+@pytest.mark.slow
 def test_points_are_held_and_let_go_over_rest():
     testcase = load_testcase("bestest_hydronic_heat_pump")
     actuator = testcase.actuator.model_copy(update={"held": {"ovePum": 1.0}})
@@ -182,6 +186,7 @@ def test_points_are_held_and_let_go_over_rest():
         assert free.points["ovePum_activate"] == free.points["oveHeaPumY_activate"] == 0.0
 
 
+@pytest.mark.slow
 def test_the_set_point_follows_the_room_so_that_heat_does_not(fmus):
     """A radiator at one level heats a cold and a warm room alike, and what native control does has its level too."""
     testcase = load_testcase("bestest_hydronic")

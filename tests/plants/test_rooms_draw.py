@@ -23,6 +23,7 @@ def test_a_house_is_drawn_again_and_differs_by_seed_and_number():
     assert len({draw_rooms(n, seed).floor_area_m2 for n, seed in ((5, 3), (5, 4), (6, 3))}) == 3
 
 
+@pytest.mark.slow
 def test_names_resolve_to_houses():
     plant = house_of_rooms("house:5rooms")
     assert plant.zones == ("living", "kitchen", "bath", "bedroom_1", "bedroom_2")

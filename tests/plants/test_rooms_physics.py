@@ -64,6 +64,7 @@ class Still:
         return rows[:, physics.ROOMS + 2 * self.n :].T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}])
 def test_the_energy_balance_closes(emitters):
     plant = HouseOfRooms(house_with(emitters))
@@ -80,6 +81,7 @@ def test_the_energy_balance_closes(emitters):
     assert rows[:, physics.HEAT] == pytest.approx(rows[:, physics.ROOMS + 10 :].sum(axis=1))
 
 
+@pytest.mark.slow
 def test_steady_state_of_one_room_is_that_of_the_hand_calculation():
     house = house_with({"radiator"}, n=1)
     room = house.rooms[0]

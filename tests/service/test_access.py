@@ -72,6 +72,7 @@ def test_the_command_says_who_can_reach_it_and_takes_no_address_without_token(mo
     assert served["token"] == TOKEN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "header", [None, "", "Bearer", "Bearer ", f"Basic {TOKEN}", f"Bearer {TOKEN[:-1]}", f"Bearer {TOKEN}x", TOKEN]
 )

@@ -105,6 +105,7 @@ def test_answers_are_as_described(app, described):
     assert all("{testid}" not in template for template, _ in unseen), unseen
 
 
+@pytest.mark.slow
 def test_whatever_fits_the_document_gets_an_answer_that_does(app):
     """Schema-based fuzzing of every operation: no 5xx, no status, type or content that is not described."""
     schema = schemathesis.openapi.from_wsgi("/openapi.json", app)

@@ -18,6 +18,7 @@ from thermoforce_mpc.errors import ConfigError, PlantError
 SERVE = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()", "serve"]
 
 
+@pytest.mark.slow
 def test_it_says_where_it_serves_and_ends_on_interrupt():
     def interruptible() -> None:  # whoever runs the tests in the background may have had interrupts ignored
         signal.signal(signal.SIGINT, signal.SIG_DFL)

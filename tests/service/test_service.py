@@ -216,6 +216,7 @@ def test_steps_of_any_length_last_as_long_as_they_say(client):
         assert all(record["oveHeaPumY_activate"][1:])
 
 
+@pytest.mark.slow
 def test_a_scenario_ends_on_time_whatever_the_step(client):
     start = client.set_scenario(Scenario(time_period="typical_heat_day"))
     client.set_step(13 * DAY_S + 0.1)

@@ -26,6 +26,7 @@ def memory_of(work) -> int:
     return min(found)
 
 
+@pytest.mark.slow
 def test_neither_a_step_nor_its_kpis_read_the_steps_before():
     plant = EmbeddedPlant(synthetic_weather())
     session = Session(plant, plant.period)

@@ -41,6 +41,7 @@ def folder(tmp_path_factory):
     return root / "run"
 
 
+@pytest.mark.slow
 def test_a_step_is_explained_as_it_was_recorded(folder, tmp_path):
     steps = (folder / "steps.csv").read_text().splitlines()
     done = call("explain", folder, "--at", "10 04:30", "--hours", "3", "--json", tmp_path / "told.json")

@@ -75,6 +75,7 @@ def about_as_good(result: RunResult, clean: RunResult) -> bool:
     return bool(discomfort < 0.3 and result.kpis["cost_tot"] < 1.1 * clean.kpis["cost_tot"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal", ["T_out_C", "solar_W_m2"])
 def test_one_missing_sample_of_the_weather_costs_at_most_one_plan(run, clean, signal):
     result = run({12: reads(**{signal: NAN})})
@@ -98,6 +99,7 @@ def test_where_u_is_not_reported_what_was_applied_counts(run, clean):
     assert "bridged" not in result.steps[-1].plan.why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("watts", [1e7, 1e12, -1e6, 1e5, np.inf])
 def test_one_absurd_heat_reading_changes_next_to_nothing(run, clean, watts):
     result = run({8: reads(heat_W=watts)})

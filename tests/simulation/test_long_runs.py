@@ -34,6 +34,7 @@ def ran(record_days: float, free=None, **options):
     return controller, run_closed_loop(SimpleHouse(), controller, period, record_days=record_days)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correct", [False, True])
 def test_forgetting_the_oldest_days_changes_nothing_that_does_not_depend_on_them(correct):
     options = {"estimator": {"correct": correct}}
@@ -45,6 +46,7 @@ def test_forgetting_the_oldest_days_changes_nothing_that_does_not_depend_on_them
     assert short.kpis["ener_tot"] == whole.kpis["ener_tot"]
 
 
+@pytest.mark.slow
 def test_a_forecaster_that_learns_from_the_record_learns_from_the_latest_days():
     (_, whole), (_, short) = (ran(days, free_response={"name": "linear_weather"}) for days in (99.0, 3.0))
     assert short.fallback_levels()["solved"] == whole.fallback_levels()["solved"] == len(short.steps)

@@ -149,6 +149,7 @@ def test_counterfactual_command(house: Path) -> None:
     assert (house / "cf.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_forecast_of_a_past_day_beside_what_was_measured(house: Path) -> None:
     code, said = _tf(house, "forecast", "--start", "2026-01-05", "--out", str(house / "fc.csv"), "--plot",
                      str(house / "fc.svg"))  # fmt: skip
@@ -160,6 +161,7 @@ def test_forecast_of_a_past_day_beside_what_was_measured(house: Path) -> None:
     assert np.abs(table["T_zone_C"] - table["measured_C"]).max() < 2.0
 
 
+@pytest.mark.slow
 def test_forecast_of_the_coming_day_needs_only_weather(house: Path) -> None:
     time_s = _DAYS * DAY_S + np.arange(30) * HOUR_S
     ahead = pd.DataFrame({"at": _ORIGIN + pd.to_timedelta(time_s, unit="s"), "out": outdoor_C(time_s)})

@@ -53,6 +53,7 @@ def test_the_interval_holds_the_truth_and_claims_what_is_there() -> None:
     assert claimed >= 10
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_where_nothing_was_saved() -> None:
     found = [verified_saving(*_halves(_record(seed, 0.0))) for seed in range(12)]
     assert sum(f.claimed for f in found) <= 1
@@ -120,6 +121,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert "not inside the measurements (2026-01-01" in str(late.exception)
 
 
+@pytest.mark.slow
 def test_a_case_of_the_bench_knows_the_truth() -> None:
     case = replace(bench.cases(5, 7, before_days=10, after_days=7)[4], change="2 K lower on weekdays", number=4)
     row = bench.run_case(case)

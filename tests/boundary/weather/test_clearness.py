@@ -101,6 +101,7 @@ def test_on_a_year_it_was_not_fitted_to_days_are_told_apart(shared):
     assert errors["range"] < errors["humidity"] < 1.05 * errors["range"]
 
 
+@pytest.mark.slow
 def test_over_many_climates_humidity_says_more_than_the_range_of_temperature():
     energyplus = pytest.importorskip("pyenergyplus")
     years = sorted((Path(energyplus.__file__).parent / "data" / "weather").glob("*.epw"))

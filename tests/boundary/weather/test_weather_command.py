@@ -59,6 +59,7 @@ def test_another_file_of_that_name_in_the_cache_is_refused(tmp_path):
         CliRunner().invoke(command, ["fetch", "--out", str(tmp_path)], catch_exceptions=False, standalone_mode=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["run", "--testcase", TESTCASE], ["identify", "--testcase", TESTCASE], ["serve"]])
 @pytest.mark.parametrize(
     ("T", "message"),

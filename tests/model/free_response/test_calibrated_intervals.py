@@ -133,6 +133,7 @@ def test_errors_that_hang_together_for_a_day_are_covered_over_two_weeks(half_K: 
     assert np.mean(inside) == pytest.approx(0.8, abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_weights_hashed_are_those_of_the_method_inside() -> None:
     calibrated = build_free_response("residual")
     assert calibrated.weight_hash() == build_free_response("chronos").weight_hash()

@@ -341,6 +341,7 @@ def test_residual_adds_the_backbone_to_the_linear_model_and_tells_its_hash(bolt_
     assert (warmer.median_C - residual.forecast(free, history, cold).median_C)[-1] > 0
 
 
+@pytest.mark.slow
 def test_checking_names_and_naive_forecasts_load_no_torch() -> None:
     code = (
         "import sys\n"

@@ -85,6 +85,7 @@ def test_three_forms_follow_the_recursion(order):
     assert ForcedResponseOperator(params).numpy().feedback
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None, derandomize=True)
 @given(params=operators, seed=st.integers(0, 2**32 - 1))
 def test_every_effect_lies_in_the_certified_interval(params, seed):

@@ -251,6 +251,7 @@ def test_other_levels_need_to_have_been_seen():
     np.testing.assert_allclose(duty(0.25, 3.0), 0.25 * HEAT_MAP(1.0, 3.0))
 
 
+@pytest.mark.slow
 def test_using_an_operator_imports_neither_torch_nor_casadi():
     code = (
         "import sys, numpy as np\n"

@@ -13,6 +13,8 @@ from thermoforce_mpc.plants.energyplus.engine import is_available
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 
+pytestmark = pytest.mark.slow
+
 needs_engine = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 HEATED, COOLED = load_testcase("energyplus:heating_chicago"), load_testcase("energyplus:cooling_phoenix")
 

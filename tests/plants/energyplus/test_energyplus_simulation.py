@@ -35,6 +35,7 @@ def records():
     return simulate_all(jobs, workers=1)
 
 
+@pytest.mark.slow
 def test_same_job_gives_the_same_bits(records):
     for name in ("T_zone_C", "u", "T_out_C", "solar_W_m2"):
         assert getattr(records[0], name).tobytes() == getattr(records[1], name).tobytes()

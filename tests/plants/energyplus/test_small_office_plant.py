@@ -13,6 +13,8 @@ from thermoforce_mpc.plants.energyplus.office import SmallOffice
 from thermoforce_mpc.plants.energyplus.office_model import WEATHER, ZONES, OfficeRun, office_schedules
 from thermoforce_mpc.plants.energyplus.simulate import Wiring, run_engine
 
+pytestmark = pytest.mark.slow
+
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
 HEATING, COOLING = slice(0, 5), slice(5, 10)

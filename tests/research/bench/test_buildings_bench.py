@@ -40,6 +40,7 @@ def by_name(outcomes: list[Outcome]) -> list[tuple[float, bool]]:
     return [(target.value, target.holds) for target in targets(outcomes)]
 
 
+@pytest.mark.slow
 def test_one_short_window_for_real(tmp_path):
     first = run_case(Case(7, 3, "cold_week", out=tmp_path, **SHORT))
     assert first.failed == ""

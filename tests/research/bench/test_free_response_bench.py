@@ -12,6 +12,8 @@ from thermoforce_mpc.research.bench.free_response_runs import context_rows, cost
 from thermoforce_mpc.research.bench.free_response_score import forecast_origins, mae_K, score, window
 from thermoforce_mpc.research.bench.free_response_sources import Source
 
+pytestmark = pytest.mark.slow
+
 
 def source(days: int, *, gap: slice | None = None) -> Source:
     """Hourly: a daily wave on weather that matters a little, all made from a seed."""

@@ -12,6 +12,8 @@ from thermoforce_mpc.research.bench import free_response_limit
 from thermoforce_mpc.research.bench.free_response_limit import cross_validated, in_sample, limit_rows, weather_features
 from thermoforce_mpc.research.bench.free_response_sources import Source
 
+pytestmark = pytest.mark.slow
+
 DAYS = 24
 
 

@@ -33,6 +33,7 @@ def record(path, shift_K: float) -> None:
     pd.DataFrame(rows).to_csv(path, index=False)
 
 
+@pytest.mark.slow
 def test_its_own_record_scores_zero_and_a_shifted_one_fails(tmp_path, own_weather):
     (tmp_path / "w.mos").write_text("")
     record(tmp_path / "excite_same.csv.gz", 0.0)
@@ -62,6 +63,7 @@ def record_hourly_pair(path, shift_K: float) -> None:
     table.to_csv(path, index=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shift_K", "holds"), [(0.0, True), (0.2, False)])
 def test_effects_of_hourly_pairs(tmp_path, own_weather, shift_K, holds):
     (tmp_path / "w.mos").write_text("")
@@ -80,6 +82,7 @@ def native_kpis(price: str) -> dict[str, float]:
     return plant.kpis()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("real_prices", [True, False])
 def test_native_windows_cost_what_the_folders_own_prices_say(tmp_path, own_weather, real_prices):
     (tmp_path / "w.mos").write_text("")
@@ -125,6 +128,7 @@ def test_an_empty_folder_is_refused(tmp_path, own_weather):
         bench.run_plant_bench(tmp_path)
 
 
+@pytest.mark.slow
 def test_processes_and_their_number_leave_no_trace_in_the_results():
     weather = synthetic_weather()
     one, two = (run_in_processes(weather, [0.3, 0.9, 0.3], 2, n) for n in (1, 2))

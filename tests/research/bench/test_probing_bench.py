@@ -8,6 +8,8 @@ import pytest
 
 from thermoforce_mpc.research.bench.probing import run_probing_bench
 
+pytestmark = pytest.mark.slow
+
 
 def test_bench_of_probing_and_adaptation():
     result = run_probing_bench(quick=True)

@@ -61,6 +61,7 @@ def _error(scores: Scores, method: str, hours: str = "6") -> float:
     return next(iter(scores.errors[method].values()))[hours]
 
 
+@pytest.mark.slow
 def test_all_methods_are_scored_at_both_horizons(run: tuple[list[Scores], Path]) -> None:
     for scores in run[0]:
         assert set(scores.errors) == set(METHODS)
@@ -157,6 +158,7 @@ def test_wins_and_wilcoxon() -> None:
     assert found["RMSE over raw TSFM, 24 h, median"].holds
 
 
+@pytest.mark.slow
 def test_the_bench_writes_tables_figures_manifest_and_page(homes: list[Home], tmp_path: Path) -> None:
     result = run_factual_bench(
         homes[:1], tmp_path, backbone="shipped_tiny", others=["shipped_tiny"], quick=True, workers=1
@@ -170,6 +172,7 @@ def test_the_bench_writes_tables_figures_manifest_and_page(homes: list[Home], tm
     assert {t["name"] for t in kept["targets"]} == {t["name"] for t in result["targets"]}
 
 
+@pytest.mark.slow
 def test_your_own_table_by_its_map(homes: list[Home], tmp_path: Path) -> None:
     record = homes[0].record
     frame = pd.DataFrame(

@@ -71,6 +71,7 @@ def test_the_weights_asked_for_reach_the_method_that_builds_its_own_forecaster(t
     assert built == [("residual", {"backbone": "some/weights", "calibrate": False})]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "share"), [("tsfm_covariates", 0.4), ("tsfm_covariates_ar", 0.4), ("rc_probe", 0.05)])
 def test_baselines_find_most_of_the_effect_when_the_data_allow_it(climate, training, size, name, share):
     """A baseline that cannot learn a linear zone without noise would be a weak one."""
@@ -78,6 +79,7 @@ def test_baselines_find_most_of_the_effect_when_the_data_allow_it(climate, train
     assert effect_rmse(METHODS[name].build(training, daily), climate.part("test")) < share * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "share"), [(MONOTONE, 0.15), (TWO_STATE, 0.03), ("thermoforce_unconstrained", 0.2)])
 def test_ours_find_the_effect_with_its_sign_and_without_violations(climate, training, size, name, share, monkeypatch):
     # A network that is trained for a sixth of the usual time does for a zone without noise.
@@ -153,6 +155,7 @@ def test_a_method_is_told_nothing_of_what_came_of_its_plans(climate, training):
         assert predictor.respond(one, asked).tobytes() == predictor.respond(blind, asked).tobytes(), name
 
 
+@pytest.mark.slow
 def test_the_surrogate_learns_more_than_nothing_and_twice_the_same(climate, training, size, monkeypatch):
     from thermoforce_mpc.research.interventions.methods import surrogate
 

@@ -14,6 +14,8 @@ from thermoforce_mpc.research.bench import interventions
 from thermoforce_mpc.research.interventions.dataset import load_or_simulate
 from thermoforce_mpc.research.interventions.protocol import QUICK
 
+pytestmark = pytest.mark.slow
+
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
 TINY = replace(QUICK, probe_days=(1,), validation_days=1, test_days=1, climates=("heating_chicago",))

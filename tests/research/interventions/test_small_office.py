@@ -20,6 +20,7 @@ from thermoforce_mpc.research.interventions.small_office import (
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
 
+@pytest.mark.slow
 def test_a_shift_of_the_set_point_changes_nothing_before_it_and_heats_after():
     setpoint = np.full(2 * 96, 20.0)
     moved = setpoint.copy()

@@ -134,6 +134,7 @@ def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, 
         pretrain(tmp_path / "narrow", narrow, lambda _: None, start=first)
 
 
+@pytest.mark.slow
 def test_the_loss_falls():
     """Twenty-five steps on one fixed batch: gradients reach the weights through both optimisers."""
     from thermoforce_mpc.research.pretraining.model import build_model
@@ -156,6 +157,7 @@ def test_the_loss_falls():
     assert np.mean(losses[-5:]) < 0.7 * losses[0]
 
 
+@pytest.mark.slow
 def test_the_shipped_checkpoint_beats_plain_forecasts_on_held_out_series(trained):
     shipped = evaluate(SHIPPED, series=256, seed=5)["contexts"]
     assert [row["context"] for row in shipped] == list(CONTEXTS)

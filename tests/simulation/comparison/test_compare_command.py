@@ -21,6 +21,7 @@ def tf_mpc(*words: str):
     return CliRunner().invoke(cli, list(words))
 
 
+@pytest.mark.slow
 def test_cells_run_once_failed_ones_again_and_the_rest_goes_on(tmp_path):
     out, model = tmp_path / "comparison", tmp_path / "model"
     model.mkdir()

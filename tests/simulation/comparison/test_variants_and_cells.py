@@ -32,6 +32,7 @@ def keys(
     return cell.key, cell.identification_key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", named_configs("comparisons"))
 def test_every_comparison_that_ships_is_valid(name):
     file = load_comparison(name)
