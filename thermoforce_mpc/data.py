@@ -346,9 +346,11 @@ class Boundary:
             record: what was measured until now.
             outdoor: column of the outdoor temperature, °C.
             solar: column of the global horizontal irradiance, W/m²; None where the record has none either.
-            lower, upper: comfort bounds, °C; a column, or one number. A plan needs them, a prediction does not.
+            lower: lower comfort bound, °C; a column, or one number. A plan needs both bounds, a prediction does not.
+            upper: upper comfort bound, °C; the same.
             price: energy price, currency/kWh; the same.
-            occupancy, emission: persons and kg CO2/kWh; a column, or one number.
+            occupancy: persons; a column, or one number.
+            emission: kg CO2/kWh; a column, or one number.
 
         Raises:
             DataError: a column is missing, the rows do not begin at the end of `record` or are not in order.
