@@ -19,10 +19,10 @@ _WORDS = (
     ("price", r"price|tariff|preis|prix"),
     ("lower", r"lower|t_?min|heating.?set"),
     ("upper", r"upper|t_?max|cooling.?set"),
-    ("level", r"^u$|level|valve|position|signal|modul|speed|ove"),
+    ("level", r"^u$|level|valve|position|signal|modul|speed|compressor|duty|ove"),
     ("energy", r"k?wh|energy|btu"),
     ("power", r"^p(_|el|$)|power|watt|_w$|_kw$|heat"),
-    ("temperature", r"^t\d*(_|$)|temp|room|zone|deg|°|_[cfk]$"),
+    ("temperature", r"^t\d*([ _]|$)|temp|room|zone|living|kitchen|bath|deg|°|_[cfk]$"),
 )
 _ROWS = 2000
 _COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
