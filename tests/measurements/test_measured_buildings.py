@@ -1,4 +1,4 @@
-"""Two measured buildings, through the door that anyone uses, by the maps of the guide."""
+"""Two measured buildings, through the door that anyone uses, by the maps of the documentation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import yaml
 import thermoforce_mpc as tf
 from thermoforce_mpc.identification.operating import findings, telling_part, tellings
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "own-data.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "records.md"
 
 
 def guide_map(name: str) -> dict[str, Any]:

@@ -116,7 +116,7 @@ def _lines(decision: Decision) -> list[str]:
             f"measured: {zones}; outdoors {_C(decision.before.T_out_C)}, sun {decision.before.solar_W_m2:.0f} W/m²"
         )
     lines += [f"in doubt: {note}" for note in decision.notes]
-    lines.append(f"acted: {told['status']} – {_RUNGS.get(told['status'], 'see docs/how-it-works/controller.md')}")
+    lines.append(f"acted: {told['status']} – {_RUNGS.get(told['status'], 'see docs/how-it-works/fallback.md')}")
     if len(set(told["acting"])) > 1:
         acting = zip(names.actuators, told["acting"], strict=True)
         lines.append("at each actuator: " + ", ".join(f"{name} {status}" for name, status in acting))

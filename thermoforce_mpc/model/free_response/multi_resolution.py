@@ -2,7 +2,7 @@
 
 A model that forecasts 64 steps at once covers 16 h at 15 min and must be unrolled beyond. An hourly series of the same
 history reaches further back and ahead in one pass: beyond 16 h errors are a few percent smaller, and the interval, far
-too narrow when unrolled, is nearly right (docs/how-it-works/free-responses.md). The mean over resolutions is
+too narrow when unrolled, is nearly right (docs/evidence/free-responses.md). The mean over resolutions is
 better than most single ones. Quantiles are averaged level by level (Lichtendahl et al. 2013).
 """
 

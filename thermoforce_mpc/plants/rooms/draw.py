@@ -1,4 +1,4 @@
-"""Seeded draw of a house of rooms. Distributions and sources: docs/evidence/house-of-rooms.md, and at each draw."""
+"""Seeded draw of a house of rooms. Distributions and sources: docs/how-it-works/house-of-rooms.md, and at each draw."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def emulator_fixed_share() -> float:
 def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     """Draw a house of `n_rooms` rooms; the same arguments give the same house.
 
-    Every distribution is given here; sources in docs/evidence/house-of-rooms.md.
+    Every distribution is given here; sources in docs/how-it-works/house-of-rooms.md.
 
     Raises:
         InputError: `n_rooms` is not a whole number from 1 to 30.

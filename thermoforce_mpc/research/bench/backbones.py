@@ -65,7 +65,7 @@ def run_backbone_bench(
 
     Args:
         backbones: names, directories or hub names as in `load_backbone`; by default `default_backbones()`.
-        reference: folder of records of the real test case in the layout of docs/how-it-works/plant.md; optional.
+        reference: folder of records of the real test case in the layout of docs/evidence/plant.md; optional.
         quick: fewer origins.
         out: folder for the plot `backbones.png`; no plot if None.
         progress: callback for progress lines.

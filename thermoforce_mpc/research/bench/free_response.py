@@ -48,7 +48,7 @@ def run_free_response_bench(
     with BOPTEST's low, medium and high forecast errors.
 
     Args:
-        reference: folder of records of the real test case in the layout of docs/how-it-works/plant.md; optional.
+        reference: folder of records of the real test case in the layout of docs/evidence/plant.md; optional.
         houses: folder with `mons_house_30min.csv.gz`; optional.
         backbone: weights of the forecaster, as in `build_free_response`.
         quick: fewer origins, without the two-week runs and the limit of weather corrections.

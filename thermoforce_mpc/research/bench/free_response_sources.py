@@ -1,6 +1,6 @@
 """Control-free temperature series for the free-response bench, none from the generator of the training series.
 
-A reference folder has the layout of docs/how-it-works/plant.md (records of the real BOPTEST test case); a folder of
+A reference folder has the layout of docs/evidence/plant.md (records of the real BOPTEST test case); a folder of
 houses holds the measured Mons house (Candanedo, Feldheim and Deramaix 2018). The embedded plant needs no folder.
 """
 
@@ -158,7 +158,5 @@ def _mode_states(heat_W: Array, step_h: float, start_W: Array) -> Array:
 
 def _existing(path: Path) -> Path:
     if not path.is_file():
-        raise DataError(
-            f"{path} is missing: give a folder of reference data in the layout of docs/how-it-works/plant.md"
-        )
+        raise DataError(f"{path} is missing: give a folder of reference data in the layout of docs/evidence/plant.md")
     return path

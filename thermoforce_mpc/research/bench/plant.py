@@ -28,7 +28,7 @@ def run_plant_bench(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
-    """Score the embedded plant against all records in `reference` (layout in docs/how-it-works/plant.md).
+    """Score the embedded plant against all records in `reference` (layout in docs/evidence/plant.md).
 
     Args:
         reference: folder with any of excite_*.csv.gz, off_*.csv.gz, native_*.csv.gz, baseline_kpis*.csv, pairs/.
