@@ -16,7 +16,9 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.registry import check_plant
 from thermoforce_mpc.registry import Registry, builder, instance_of
-from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.simulation.comparison.cells import expand
+from thermoforce_mpc.simulation.comparison.variants import Variant
 
 ROOT = Path(__file__).parents[1]
 
@@ -77,6 +79,27 @@ def test_one_that_fails_is_named_with_its_distribution_and_fails_alone(
     assert listed["mine"].found is None
     assert "bad-house 1.2" in listed["mine"].problem
     assert all(listed[name].found is REGISTRY.find(name) for name in REGISTRY.own)
+
+
+@pytest.mark.parametrize("file", ["own_rules.py", "own_rules/__init__.py", "own_rules/weights/policy.json"])
+def test_a_run_is_made_anew_after_a_change_in_a_plugins_files(tmp_path, monkeypatch, file):
+    distribution(tmp_path, "own-rules", GOOD, mine="own_rules:COPY")
+    if file != "own_rules.py":
+        (tmp_path / "own_rules" / "weights").mkdir(parents=True)
+        (tmp_path / "own_rules.py").rename(tmp_path / "own_rules" / "__init__.py")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def key() -> str:
+        base = Scenario(testcase="bestest_hydronic_heat_pump", days=1)
+        (cell,) = expand(base, {"any": Variant(controller="thermostat")}, ["44"], ["constant"])
+        return cell.key
+
+    before = key()
+    (tmp_path / "__pycache__").mkdir()
+    assert key() == before
+    (tmp_path / file).write_text(f"{GOOD}\n# changed")
+    assert key() != before
+    assert "own_rules" not in sys.modules
 
 
 def test_names_that_clash(tmp_path, monkeypatch, registry):

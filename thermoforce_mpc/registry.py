@@ -10,10 +10,13 @@ See docs/how-to/plugins.md for what each group expects.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import EntryPoint, distributions, entry_points
+from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from thermoforce_mpc.errors import InputError, suggestion
@@ -130,11 +133,52 @@ def announced(group: str) -> dict[str, list[EntryPoint]]:
 
 def plugins() -> dict[str, str]:
     """Versions of the installed distributions that announce anything in a group of ours, by name."""
-    found: dict[str, str] = {}
+    return {name: one.version for name, one in _announcing().items()}
+
+
+def plugin_sources() -> dict[str, str]:
+    """Version and content hash of what `plugins` lists; nothing is imported.
+
+    The content is that of each announced module: its file, or all files of its top-level package.
+
+    Raises:
+        OSError: a file of a plugin cannot be read.
+    """
+    return {
+        name: f"{one.version} {_content(sorted({plugin.module.partition('.')[0] for plugin in _ours(one)}))}"
+        for name, one in _announcing().items()
+    }
+
+
+def _announcing() -> dict[str, Distribution]:
+    found: dict[str, Distribution] = {}
     for one in distributions():
-        if one.name != OWN and any(plugin.group.startswith(f"{PREFIX}.") for plugin in one.entry_points):
-            found.setdefault(one.name, one.version)  # the first on the path is the one that is imported
+        if one.name != OWN and _ours(one):
+            found.setdefault(one.name, one)  # the first on the path is the one that is imported
     return found
+
+
+def _ours(one: Distribution) -> list[EntryPoint]:
+    return [plugin for plugin in one.entry_points if plugin.group.startswith(f"{PREFIX}.")]
+
+
+def _content(modules: Collection[str]) -> str:
+    """Hash of modules' files, 16 hexadecimal digits; a module that is not there has none."""
+    total = hashlib.sha256()
+    for module in modules:
+        total.update(module.encode())
+        spec = find_spec(module)
+        if spec is None:
+            continue
+        if spec.submodule_search_locations is None:
+            files = [Path(spec.origin)] if spec.has_location and spec.origin else []
+        else:
+            folders = [Path(folder) for folder in spec.submodule_search_locations]
+            files = [file for folder in folders for file in sorted(folder.rglob("*")) if file.is_file()]
+        for file in files:
+            if "__pycache__" not in file.parts:
+                total.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
+    return total.hexdigest()[:16]
 
 
 def known_name(kind: str, group: str, *own: str) -> Callable[[str], str]:

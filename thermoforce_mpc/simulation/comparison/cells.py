@@ -12,7 +12,7 @@ from typing import Any
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.registry import plugins
+from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
@@ -72,6 +72,7 @@ def expand(
 ) -> list[Cell]:
     """All cells, validated; raises `ConfigError` naming the variant and the wrong key."""
     hash_of = _FileHashes()
+    made = _made_by()
     cells: list[Cell] = []
     for window in windows:
         for price in prices:
@@ -79,7 +80,7 @@ def expand(
                 for name, variant in variants.items():
                     try:
                         scenario = variant_scenario(base, variant, window, price, uncertainty)
-                        cells.append(_cell(name, scenario, hash_of))
+                        cells.append(_cell(name, scenario, made, hash_of))
                     except ConfigError as error:
                         raise ConfigError(f"variant '{name}': {error}") from error
     return cells
@@ -122,7 +123,17 @@ class _FileHashes:
         return self._known[path]
 
 
-def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
+def _made_by() -> dict[str, Any]:
+    """What makes the results: this package, and the plugins with their content."""
+    try:
+        installed = plugin_sources()
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: a plugin's file cannot be read ({error.strerror or error})") from error
+    made: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    return made | ({"plugins": installed} if installed else {})
+
+
+def _cell(name: str, scenario: Scenario, made: Mapping[str, Any], hash_of: Callable[[str], str]) -> Cell:
     """The cell of a scenario. Its keys are hashes of all inputs of the run and of the identification.
 
     For a controller without a model the identification settings are not part of the key, so that its runs are reused
@@ -131,9 +142,6 @@ def _cell(name: str, scenario: Scenario, hash_of: Callable[[str], str]) -> Cell:
     """
     testcase = validate_scenario(scenario)
     controller = scenario.controller.name
-    made: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    if installed := plugins():
-        made["plugins"] = installed
     task, identification_key = None, None
     model: str | dict[str, Any] | None = None
     if find_entry(controller).needs_model:
