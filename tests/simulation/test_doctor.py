@@ -39,10 +39,11 @@ def test_a_service_is_tried_and_left_as_it_was(tmp_path):
         assert found("clock", tmp_path, url=service.url).told.endswith("as the service's")
         (finding,) = doctor.examine(testcase="bestest_air", url=service.url, folder=tmp_path, only=["service"])
         assert finding.state == "failed"
+        assert "--testcase" in finding.todo
     gone = found("service", tmp_path, url="http://127.0.0.1:9")
     assert gone.state == "failed"
     assert "127.0.0.1:9" in gone.told
-    assert gone.todo
+    assert "running" in gone.todo
     assert found("service", tmp_path).state == "skipped"
 
 

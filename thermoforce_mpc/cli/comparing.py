@@ -49,6 +49,7 @@ def comparison_options(function: Function) -> Function:
             click.option("--forecast-uncertainty", metavar="A,B", help="none, low, medium, high.  [default: none]"),
             click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file."),
             click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+            click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
             click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
@@ -99,7 +100,7 @@ def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
     assignments = list(options["assignments"])
     if options["identification_days"] is not None:
         assignments.insert(0, f"identification.days={options['identification_days']!r}")
-    same = ("testcase", "config", "days", "weather", "seed", "model", "fmu")
+    same = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu")
     return {key: options[key] for key in same} | {"prices": options["tariff_file"], "assignments": assignments}
 
 

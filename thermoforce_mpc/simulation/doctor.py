@@ -227,8 +227,10 @@ def _service(testcase: str, url: str | None) -> Finding:
     try:
         with BoptestPlant(url, load_testcase(testcase), config=TransportConfig(read_timeout_s=30.0)) as plant:
             told = f"version {plant.info.version}, {testcase} selected, its points checked, stopped"
+    except ConfigError as error:
+        return Finding("", "failed", str(error), "`--testcase` takes another test case, `tf-mpc testcases` lists them")
     except ThermoForceError as error:
-        return Finding("", "failed", str(error), "is it running? `curl URL/version`; `tf-mpc testcases` lists names")
+        return Finding("", "failed", str(error), "is it running? `curl URL/version`")
     return Finding("", "ok", f"{told} in {time.perf_counter() - began:.1f} s")
 
 

@@ -6,6 +6,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from emulator_service import running_emulator_service
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -51,6 +52,18 @@ def test_cells_run_once_failed_ones_again_and_the_rest_goes_on(tmp_path):
     without = tf_mpc(*call, "--out", str(out))
     assert without.exit_code == 0, without.output
     assert (out / "comparison.html").exists()
+
+
+@pytest.mark.slow
+def test_controllers_are_compared_on_a_service(tmp_path):
+    words = ("--controllers", "thermostat", "--windows", "44", "--days", "0.25", "--jobs", "1", "--out", str(tmp_path))
+    with running_emulator_service() as url:
+        done = tf_mpc("compare", "--testcase", TESTCASE, "--url", url, *words)
+    assert done.exit_code == 0, done.output
+    (row,) = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["rows"]
+    assert row["cost_tot"] > 0
+    gone = tf_mpc("compare", "--testcase", TESTCASE, "--url", url, *words)
+    assert "1 already done" in gone.output
 
 
 def test_only_whole_and_finished_files_count_as_done(tmp_path):
