@@ -72,7 +72,7 @@ def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
     if own is None:
         raise ConfigError(
             f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
-            "give the address of a BOPTEST service with --url, or the test case's FMU with --fmu"
+            "give the address of a BOPTEST service (--url, in Python url=), or the test case's FMU (--fmu, fmu=)"
         )
     return own
 
