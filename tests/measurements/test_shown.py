@@ -8,9 +8,11 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
+from thermoforce_mpc.cli.data_shown import show_measurements
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.picture import draw_measurements
 from thermoforce_mpc.measurements.starting_map import starting_map
+from thermoforce_mpc.simulation.display import RunDisplay
 
 
 def test_a_starting_map_reads_its_table(tmp_path):
@@ -40,6 +42,69 @@ def test_a_map_for_stamps_that_are_numbers_asks_what_they_count_from(tmp_path):
     rules = yaml.safe_load(starting_map(tmp_path / "box.csv"))
     assert rules["time"]["unit"] == "s"
     assert rules["time"]["since"].startswith("FILL IN")
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8-sig", "utf-16"])
+def test_a_starting_map_reads_what_excel_writes(tmp_path, encoding):
+    row = np.arange(400)
+    local = pd.date_range("2025-03-28", periods=400, freq="15min", tz="Europe/Berlin")  # over the change of clocks
+    df = pd.DataFrame(
+        {"Datum/Uhrzeit": local.strftime("%d.%m.%Y %H:%M"), "Raum 1.01 Ist [°C]": 20 + row % 7 / 4}
+        | {"Raum 1.01 Soll [°C]": 21.5, "Vorlauf [°C]": 35.25, "Außentemperatur [°C]": 4.5 - row / 300}
+        | {"Globalstrahlung [W/m²]": 0.0, "Ventil Y 1.01 [%]": 50.0 * (row // 8 % 3), "WMZ [kWh]": 812.5 + row / 8}
+    )
+    df.to_csv(tmp_path / "bms.csv", sep=";", decimal=",", index=False, encoding=encoding)
+    text = starting_map(tmp_path / "bms.csv")
+    assert "# not used: Raum 1.01 Soll [°C], Vorlauf [°C]" in text
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    found = tf.read_measurements(tmp_path / "bms.csv", tmp_path / "map.yaml")
+    assert found.record.names.zones == ("raum_1_01",)
+    assert found.record.n_steps == 399  # none lost or added by the change of clocks
+    np.testing.assert_allclose(found.record.T_zone_C[0], df["Raum 1.01 Ist [°C]"])
+    np.testing.assert_allclose(found.record.u[0], (row // 8 % 3)[:-1] / 2)
+    np.testing.assert_allclose(found.record.power_W, 500.0)
+
+
+def test_a_thermostat_that_writes_on_and_off_has_a_level(tmp_path):
+    row = np.arange(200)
+    df = pd.DataFrame(
+        {"Timestamp": pd.date_range("2025-01-10", periods=200, freq="15min"), "Current temperature": 20 + row % 9 / 8}
+        | {"Target temperature": 21.0, "Outside temperature": row / 40, "Heating": np.where(row // 8 % 2, "On", "off")}
+    )
+    df.to_csv(tmp_path / "home.csv", index=False)
+    (tmp_path / "map.yaml").write_text(starting_map(tmp_path / "home.csv"), encoding="utf-8")
+    found = tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml")
+    assert found.record.names.zones == ("current",)
+    np.testing.assert_array_equal(found.record.u[0], (row // 8 % 2)[:-1])
+    df.loc[3, "Heating"] = "perhaps"
+    df.to_csv(tmp_path / "home.csv", index=False)
+    with pytest.raises(DataError, match="'Heating' holds"):
+        tf.read_measurements(tmp_path / "home.csv", tmp_path / "map.yaml")
+
+
+@pytest.mark.parametrize(
+    ("first", "expected"),
+    [
+        ("13/02/2025 08:00", ["format: '%d/%m/%Y %H:%M'\n"]),
+        ("02/03/2025 08:00", ["format: '%d/%m/%Y %H:%M'  # or '%m/%d/%Y %H:%M'"]),
+        ("2025.02.13 08h00", ["format: FILL IN", "2025.02.13 08h00"]),
+    ],
+)
+def test_a_starting_map_says_how_it_read_the_stamps(tmp_path, first, expected):
+    (tmp_path / "house.csv").write_text(f"at,T_room\n{first},20\n")
+    text = starting_map(tmp_path / "house.csv")
+    assert all(words in text for words in expected)
+
+
+def test_names_in_brackets_are_shown_whole(tmp_path, capsys):
+    at = pd.date_range("2025-01-10", periods=200, freq="15min")
+    df = pd.DataFrame(
+        {"T": 20.0 + np.arange(200) % 5, "out": np.arange(200) / 9, "P [kW]": np.arange(200) % 3}, index=at
+    )
+    rules = {"outdoor": "out", "zones": {"room": {"temperature": "T"}}}
+    rules["machines"] = {"hp": {"power": {"column": "P [kW]", "unit": "kW"}}}
+    show_measurements(tf.read_measurements(df, rules), RunDisplay().console)
+    assert "P [kW]" in capsys.readouterr().out
 
 
 def test_the_picture_is_drawn_whatever_is_missing(tmp_path):

@@ -126,7 +126,7 @@ def run_comparison(
     cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties)
     testcase = load_testcase(base.testcase)
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
     found = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in found]

@@ -63,7 +63,7 @@ def command(
     time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s))
     u = levels_of(schedule, level, record.names, time_s, record.origin)
     found = counterfactual(thermal, record, u, start=begin)
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     _show(found, console)
     if out is not None:
         with written(out) as aside:

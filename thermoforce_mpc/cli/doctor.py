@@ -33,7 +33,7 @@ def command(url: str | None, testcase: str, out: Path, only: str | None, json_fi
       tf-mpc doctor
       tf-mpc doctor --url http://127.0.0.1:8000 --only service,clock
     """
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
     findings: list[Finding] = []
     for found in examine(testcase=testcase, url=url, folder=out, only=(only or "").split(",") if only else ()):
         findings.append(found)

@@ -59,7 +59,7 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
       tf-mpc explain runs/my-run --at '16 06:30' --hours 24
     """
     decision = decision_at(run, at, controller)
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
     for line in _lines(decision):
         console.print(line, markup=False)
     if decision.plan:
@@ -79,7 +79,7 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
 def _print(table: Table, console: Console) -> None:
     """Print a table, wider than a narrow terminal rather than with figures cut off."""
     wide = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
-    Console(highlight=False, width=max(console.width, wide)).print(table)
+    Console(highlight=False, markup=False, width=max(console.width, wide)).print(table)
 
 
 def _alternatives(decision: Decision, others: Alternatives) -> Table:

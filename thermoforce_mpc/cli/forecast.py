@@ -87,7 +87,7 @@ def command(
     if applied is None or not np.isfinite(applied).all():
         raise DataError(f"the levels from {start} on were not all measured: give --level or --schedule")
     found = thermal.predict(past.last(round(_BACK_DAYS * DAY_S / record.step_s)), ahead, applied)
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     _show(found, truth, console)
     table = found.to_dataframe()
     for name, values in record.names.columns(T_zone_C=truth).items():

@@ -44,7 +44,7 @@ def command(model: Path) -> None:
 
     The certificate is recomputed from the weights; a model that fails it is refused with exit code 2.
     """
-    show_model(str(model), load_model(model), Console(highlight=False))
+    show_model(str(model), load_model(model), Console(highlight=False, markup=False))
 
 
 def show_model(name: str, thermal: ThermalModel, console: Console) -> None:

@@ -56,7 +56,7 @@ def command(
         stamps = record.stamps()
         raise DataError(f"--changed {changed} is not inside the measurements ({stamps[begin]} to {stamps[end]})")
     found = verified_saving(record.slice(begin, split), record.slice(split, end), level=interval)
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     _show(found, record, console)
     if out is not None:
         with written(out) as aside:

@@ -56,7 +56,7 @@ def command(run: Path, controller: str | None, hours: float, every: float, once:
     if web:
         _serve(live, port)
         return
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     if once or not console.is_terminal:
         console.print(shown(view, hours))
         return

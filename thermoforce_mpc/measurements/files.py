@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import bz2
+import codecs
 import csv
 import glob
 import gzip
 import itertools
 import lzma
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -132,7 +134,7 @@ def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
             begun += len(block)
 
 
-def head_of(path: Path, rows: int) -> pd.DataFrame:
+def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     """The first `rows` rows of a file with all its columns, the time stamps (or the index) first."""
     if path.suffix in _PARQUET:
         import pyarrow.parquet as parquet
@@ -140,11 +142,35 @@ def head_of(path: Path, rows: int) -> pd.DataFrame:
         names = parquet.read_schema(path).names
         df = _parquet(path, None, names).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
-    separator, names = _header(path, CsvFormat())
+    separator, names = _header(path, form)
     try:
-        return pd.read_csv(path, sep=separator, nrows=rows, index_col=False).set_axis(names, axis=1)
+        df = pd.read_csv(path, sep=separator, decimal=form.decimal, encoding=form.encoding, nrows=rows, index_col=False)
+        return df.set_axis(names, axis=1)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError) as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+
+
+def guessed_form(path: Path) -> CsvFormat:
+    """How a CSV file seems to be written: UTF-8, else UTF-16 or the code page of Excel; decimal point or comma."""
+    if path.suffix in _PARQUET:
+        return CsvFormat()
+    try:
+        with _COMPRESSED.get(path.suffix, open)(path, "rb") as file:
+            start = file.read(_BLOCK)
+    except (OSError, EOFError, lzma.LZMAError) as error:
+        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
+    decoder = codecs.getincrementaldecoder(encoding)
+    try:
+        text = decoder().decode(start)  # the last character may be cut
+    except UnicodeError:
+        encoding, text = "cp1252", start.decode("cp1252", errors="replace")
+    form = CsvFormat(encoding=encoding)
+    separator, _ = _header(path, form)
+    cells = "" if separator == "," else text.partition("\n")[2]
+    cell = rf"(?:^|[{separator}\"])-?\d+{{}}\d+(?=[{separator}\"\r\n]|$)"
+    points, commas = (len(re.findall(cell.format(mark), cells, re.M)) for mark in (r"\.", ","))
+    return CsvFormat(encoding=encoding, decimal="," if commas > points else ".")
 
 
 def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
@@ -159,7 +185,10 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
                     f"{path}, line {form.skip_lines + 1}: no names of columns; set csv.skip_lines of the map"
                 )
     except UnicodeError as error:
-        raise DataError(f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map") from error
+        raise DataError(
+            f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map: "
+            "cp1252 for a file of Excel, utf-16 for its Unicode text"
+        ) from error
     except (OSError, EOFError, LookupError, lzma.LZMAError) as error:
         raise DataError(f"{path}: cannot be read ({_short(error)})") from error
     separator = form.separator or max(_SEPARATORS, key=header.count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,9 @@ import pandas as pd
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.settings import suggestion
+
+# Words of a column that says on or off.
+_SWITCH = {"on": 1.0, "off": 0.0, "ein": 1.0, "an": 1.0, "aus": 0.0, "true": 1.0, "false": 0.0}
 
 
 @dataclass(frozen=True)
@@ -52,8 +56,18 @@ def known_column(key: str, columns: pd.Index, name: str) -> str:
     if key not in known:
         first = "; if that is not the line of column names, set csv.skip_lines or csv.separator of the map"
         hint = first if len(known) == 1 else ""
+        if key == "FILL IN":
+            raise DataError(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(known)}")
         raise DataError(f"{name}: no column '{key}'{suggestion(key, known)}; there are {', '.join(known)}{hint}")
     return key
+
+
+def as_numbers(column: pd.Series) -> pd.Series:
+    """The numbers of a column of text, 1 and 0 where it holds nothing but on and off; NaN for what is none."""
+    switch = column.dropna().astype(str).str.strip().str.lower()
+    if len(switch) and switch.isin(_SWITCH).all():
+        return column.astype(str).str.strip().str.lower().map(_SWITCH)
+    return pd.to_numeric(column, errors="coerce")
 
 
 def _numbers(column: pd.Series, key: str, table: RawTable) -> Array:
@@ -61,12 +75,18 @@ def _numbers(column: pd.Series, key: str, table: RawTable) -> Array:
         raise DataError(f"{table.name}: there are {column.shape[1]} columns '{key}'; give each a name of its own")
     if pd.api.types.is_numeric_dtype(column):
         return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
-    numbers = pd.to_numeric(column, errors="coerce")
+    numbers = as_numbers(column)
     wrong = np.flatnonzero((numbers.isna() & column.notna()).to_numpy())
     if wrong.size:
         more = f" ({wrong.size} such cells)" if wrong.size > 1 else ""
+        first = str(column.iloc[wrong[0]])
+        comma = re.fullmatch(r"\s*-?\d+,\d+\s*", first) is not None
+        advice = (
+            "a decimal comma: set csv: {decimal: ','} in the map"
+            if comma
+            else "if it stands for an empty cell, name it in csv.missing of the map"
+        )
         raise DataError(
-            f"{table.where(int(wrong[0]))}: column '{key}' holds {str(column.iloc[wrong[0]])!r}, which is no number"
-            f"{more}; if it stands for an empty cell, name it in csv.missing of the map; csv.decimal sets a comma"
+            f"{table.where(int(wrong[0]))}: column '{key}' holds {first!r}, which is no number{more}; {advice}"
         )
     return np.asarray(numbers.to_numpy(dtype=np.float64, na_value=np.nan))

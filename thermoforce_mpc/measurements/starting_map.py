@@ -9,20 +9,31 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.files import found_files, head_of
+from thermoforce_mpc.measurements.files import found_files, guessed_form, head_of
+from thermoforce_mpc.measurements.mapped_table import CsvFormat
+from thermoforce_mpc.measurements.raw_table import as_numbers
 
 # Words in names of columns, by what they probably are; the first match counts.
 _WORDS = (
-    ("humidity", r"^rh|hum"),
-    ("sun", r"sun|solar|irrad|ghi|glohor|radiation|i_sol"),
+    ("humidity", r"^rh|hum|feuchte"),
+    ("sun", r"sun|solar|irrad|ghi|glohor|radiation|i_sol|strahlung|w/m"),
     ("outdoor", r"out|ext|ambient|aussen|außen|dry.?bulb|tdrybul"),
     ("price", r"price|tariff|preis|prix"),
     ("lower", r"lower|t_?min|heating.?set"),
     ("upper", r"upper|t_?max|cooling.?set"),
-    ("level", r"^u$|level|valve|position|signal|modul|speed|compressor|duty|ove"),
-    ("energy", r"k?wh|energy|btu"),
-    ("power", r"^p(_|el|$)|power|watt|_w$|_kw$|heat"),
-    ("temperature", r"^t\d*([ _]|$)|temp|room|zone|living|kitchen|bath|deg|°|_[cfk]$"),
+    ("other", r"set.?point|target|soll|supply|return|vorlauf|rücklauf|ruecklauf|\b[vr]l\b"),
+    ("level", r"^u$|level|valve|position|signal|modul|speed|compressor|duty|ove|ventil|stell|drehzahl|verdichter"),
+    ("energy", r"k?wh|energ|btu"),
+    ("power", r"^p(_|el|$)|power|watt|_w$|_kw$|heat|leistung|[\[(]k?w[\])]"),
+    ("temperature", r"^t\d*([ _]|$)|temp|room|zone|living|kitchen|bath|deg|°|_[cfk]$|raum|zimmer"),
+)
+# What is only on or off acts where its column is named so.
+_SWITCHED = r"heat|heiz|boiler|burner|brenner|pump|cool|kühl|relay|relais"
+# Stamps that are not ISO 8601; of those that fit all rows, in the order of time, the first counts.
+_STAMPS = tuple(
+    f"{day} {clock}"
+    for day in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d")
+    for clock in ("%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p")
 )
 _ROWS = 2000
 _COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
@@ -35,20 +46,23 @@ def starting_map(file: str | Path) -> str:
         DataError: the file cannot be read, or no column looks like a zone's or the outdoor temperature.
     """
     path = found_files([file])[0]
-    head = head_of(path, _ROWS)
+    form = guessed_form(path)
+    head = head_of(path, _ROWS, form)
     stamps, *columns = [str(column) for column in head.columns]
     found: dict[str, list[str]] = {kind: [] for kind, _ in _WORDS}
     for column in columns:
-        numbers = pd.to_numeric(head[column], errors="coerce")
+        numbers = as_numbers(head[column])
         kind = next((kind for kind, words in _WORDS if re.search(words, column.lower())), None)
+        if kind in (None, "power") and set(numbers.dropna()) == {0.0, 1.0}:
+            kind = "level" if re.search(_SWITCHED, column.lower()) else kind
         if kind is not None and numbers.notna().any():
             found[kind].append(column)
     if not found["temperature"] and not found["outdoor"]:
         raise DataError(f"{path}: none of {', '.join(columns)} looks like a temperature: write the map by hand")
-    return _text(path, stamps, head, found)
+    return _text(path, stamps, head, form, found)
 
 
-def _text(path: Path, stamps: str, head: pd.DataFrame, found: dict[str, list[str]]) -> str:
+def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, found: dict[str, list[str]]) -> str:
     def temperature(column: str) -> str:
         return f"{{column: {_quoted(column)}, unit: '{_degrees(head[column])}'}}"
 
@@ -62,8 +76,9 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, found: dict[str, list[str
         "time:",
         f"  column: {_quoted(stamps)}",
         f"  zone: Europe/Brussels  # FILL IN; Etc/GMT-1 for a clock without summer time{zone}",
-        *([_COUNTED] if counted else []),
+        *([_COUNTED] if counted else _stamp_format(head.iloc[:, 0])),
         "  marks: start  # a row's powers, energies and levels hold from its stamp on (end: until it)",
+        *_written(form),
         "# site: {latitude: 50.8, longitude: 4.4}  # for an estimate of the sun",
         f"outdoor: {temperature(outdoor[0]) if outdoor else 'FILL IN  # outdoor temperature'}",
     ]
@@ -87,13 +102,13 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, found: dict[str, list[str
         lines.append(f"    zone: {_name(rooms[0])}  # the zone that it serves")
     lines.append("    mode: heating  # or cooling")
     if acts:
-        unit = "'%'" if pd.to_numeric(head[acts[0]], errors="coerce").max() > 1.5 else "0-1"
+        unit = "'%'" if as_numbers(head[acts[0]]).max() > 1.5 else "0-1"
         lines.append(f"    level: {{column: {_quoted(acts[0])}, unit: {unit}}}")
     else:
         lines.append("    # level: {column: ..., unit: '%'}  # without it, power over its 99th percentile")
     lines += ["machines:", "  machine:"]
     if power:
-        unit = "Wh per step" if power[0] in found["energy"] else "W"
+        unit = "W" if power[0] in found["power"] else "Wh counter" if _counts(head[power[0]]) else "Wh per step"
         unit = "k" + unit if "kw" in power[0].lower() else unit
         lines.append(f"    power: {{column: {_quoted(power[0])}, unit: {unit}}}  # electric power that is paid for")
     else:
@@ -107,6 +122,35 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, found: dict[str, list[str
     return "\n".join(lines) + "\n"
 
 
+def _stamp_format(column: pd.Series) -> list[str]:
+    """The line for stamps that are not ISO 8601; none for those that are."""
+    stamps = column.dropna()
+    if pd.to_datetime(stamps, format="ISO8601", utc=True, errors="coerce").notna().all():
+        return []
+    fitting = []
+    for form in _STAMPS:
+        read = pd.to_datetime(stamps, format=form, errors="coerce")
+        if read.notna().all() and (read.diff() < pd.Timedelta(0)).sum() <= 1:  # the end of summer time goes back
+            fitting.append(form)
+    if not fitting:
+        return [f"  format: FILL IN  # of stamps such as {stamps.iloc[0]}: %d day, %m month, %Y year, %H:%M"]
+    other = f"  # or '{fitting[1]}': both fit" if fitting[1:] else ""
+    return [f"  format: '{fitting[0]}'{other}"]
+
+
+def _written(form: CsvFormat) -> list[str]:
+    """The line on how the file is written, where that is not the default."""
+    other = {"decimal": f"'{form.decimal}'", "encoding": form.encoding}
+    given = [f"{key}: {value}" for key, value in other.items() if getattr(form, key) != getattr(CsvFormat(), key)]
+    return [f"csv: {{{', '.join(given)}}}"] if given else []
+
+
+def _counts(column: pd.Series) -> bool:
+    """Whether an energy is the reading of a counter, which only rises, rather than one per step."""
+    numbers = pd.to_numeric(column, errors="coerce").dropna()
+    return bool(len(numbers) > 10 and numbers.is_monotonic_increasing and numbers.iloc[-1] > numbers.iloc[0])
+
+
 def _degrees(column: pd.Series) -> str:
     middle = float(np.nanmedian(pd.to_numeric(column, errors="coerce")))
     return "K" if middle > 200.0 else "°F" if middle > 45.0 else "°C"
@@ -118,4 +162,6 @@ def _quoted(column: str) -> str:
 
 def _name(column: str) -> str:
     """A zone's name from that of its column."""
-    return re.sub(r"\W+", "_", re.sub(r"_?(deg_?c|°c|temp\w*)$", "", column, flags=re.I)).strip("_").lower() or "zone"
+    plain = re.sub(r"[\[(].*?[\])]", "", column).strip()
+    plain = re.sub(r"[_ ]?(deg_?c|°c|temp\w*|ist|ist-?wert)$", "", plain, flags=re.I)
+    return re.sub(r"\W+", "_", plain).strip("_").lower() or "zone"

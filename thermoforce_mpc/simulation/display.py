@@ -147,7 +147,7 @@ class RunDisplay:
     """Console output of a run: messages, progress of the loops, and the KPI table."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self.console = Console(highlight=False)
+        self.console = Console(highlight=False, markup=False)
         if not self.console.is_terminal:
             # Do not wrap tables in files.
             self.console.width = max(self.console.width, _FILE_WIDTH)
