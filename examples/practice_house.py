@@ -16,6 +16,8 @@ from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+if not folder.is_dir():
+    sys.exit(f"{folder}: no such folder\n{__doc__}")
 plant = EmbeddedPlant(synthetic_weather())
 record = probe(plant, start_s=20 * DAY_S, days=3.0, seed=1)  # levels that change for other reasons than the weather
 

@@ -72,7 +72,8 @@ def _tell(folder: Path, texts: dict[str, str], *, implemented: bool, data: str |
     for kind in texts:
         click.echo(f"Wrote {folder / kind}.yaml")
     enter = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
-    click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml")
+    what = " (the simulated test case, not your measurements)" if data is not None else ""
+    click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml{what}")
     if not implemented:
         click.echo("The plant is a BOPTEST service: set plant.url, or plant.kind: fmu and plant.path.")
     if data is not None:
