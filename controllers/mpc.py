@@ -102,7 +102,8 @@ class ThermoForceMPC(FallingBack):
             if power is None:
                 of = "" if len(model.machines) == 1 else f" of {machine}"
                 raise ControllerConfigError(
-                    f"the model was identified without measured power{of}: energy cost cannot be computed"
+                    f"the model was identified without measured power{of}: energy cost cannot be computed;"
+                    " identify it anew from measurements with power (without a meter: the level times full power)"
                 )
         self._zones = tuple(model.actuator(a) for a in range(len(layout.names.actuators)))
         choices = [

@@ -90,7 +90,7 @@ def _show(found: Counterfactual, console: Console) -> None:
         shown.add_column("other", justify="right")
     for name in names.zones:
         shown.add_column(f"{name}: was, °C", justify="right")
-        shown.add_column("other (90 %)", justify="right")
+        shown.add_column("other (90 %)", justify="right", no_wrap=True)
         shown.add_column("effect, K (certified)", justify="right", no_wrap=True)
     every = max(1, -(-len(frame) // _ROWS))
     for k in range(0, len(frame), every):

@@ -124,7 +124,8 @@ def plan_table(plan: Plan, ahead: Boundary) -> pd.DataFrame:
 def _show(plan: Plan, table: pd.DataFrame, display: RunDisplay) -> None:
     """Print times and levels; with several zones without their bands and bounds, which the file has."""
     names, one_zone = plan.names, len(plan.names.zones) == 1
-    shown = Table(title="Levels to set, and what they lead to by the end of the step", title_justify="left")
+    title = "Levels to set (of a machine that is on or off: share of the step), and what they lead to by its end"
+    shown = Table(title=title, title_justify="left")
     shown.add_column("from", no_wrap=True)
     zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]
     for heading in (*names.actuators, *zones, *(["bounds, °C"] if one_zone else []), "power, kW", "price", "cost"):

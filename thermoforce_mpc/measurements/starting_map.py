@@ -112,7 +112,8 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, found: d
         unit = "k" + unit if "kw" in power[0].lower() else unit
         lines.append(f"    power: {{column: {_quoted(power[0])}, unit: {unit}}}  # electric power that is paid for")
     else:
-        lines.append("    # power: {column: ..., unit: W}  # without it nothing can be planned")
+        lines.append("    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take")
+        lines.append("    #   the column of the level, with factor: the W of a reading of 1")
     price = f"{_quoted(found['price'][0])}" if found["price"] else "0.30"
     lines.append(f"    price: {price}  # per kWh, a number or a column")
     text = "\n".join(lines)
