@@ -112,6 +112,23 @@ def test_the_end_of_a_run_is_said(single, tmp_path):
     assert shown(view, 3.0)
 
 
+def test_a_finished_run_shows_its_controller_and_names_the_baselines(tmp_path):
+    book = RunBook.begin(tmp_path, load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}), ["tf-mpc", "run"])
+    journaled = book.connect(lambda _: SimpleHouse())
+    for name in ("thermoforce_mpc", "thermostat"):
+        journaled.noted("loop", lambda name=name: {"controller": name})
+        controller = ThermoForceMPC(simple_model(), MPCConfig(**OPTIONS))
+        run_closed_loop(journaled, controller, Period("test", 10 * DAY_S, 2 * HOUR_S, 2 * DAY_S), keeper=journaled)
+    book.journal.close()
+    assert LiveRun(tmp_path).now().controller == "thermostat"  # as it runs, the latest
+    for name in ("manifest.json", "report.html"):
+        (tmp_path / name).touch()
+    view = LiveRun(tmp_path).now()
+    assert (view.controller, view.counts) == ("thermoforce_mpc", {"solved": 2})
+    assert "thermostat" in view.said
+    assert LiveRun(tmp_path, "thermostat").now().controller == "thermostat"
+
+
 def test_what_cannot_be_watched_is_refused(single, tmp_path):
     assert isinstance(CliRunner().invoke(cli, ["watch", str(tmp_path)]).exception, JournalError)
     with pytest.raises(InputError, match="pi: did not run yet; there are thermoforce_mpc"):

@@ -25,7 +25,9 @@ _COLOURS = {"solved": "green", "rule": "green", "bridged": "yellow", "acceptable
 
 @click.command(short_help="Watch a running controller, in the terminal or as a page.")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--controller", metavar="NAME", help="Which of the run.  [default: the latest]")
+@click.option(
+    "--controller", metavar="NAME", help="Which of the run.  [default: the latest; of a finished run the first]"
+)
 @click.option("--hours", type=click.FloatRange(0.1), default=8.0, show_default=True, help="Hours of the plan to show.")
 @click.option(
     "--every", type=click.FloatRange(0.2, 3600), default=2.0, show_default=True, help="Seconds between looks."

@@ -91,7 +91,7 @@ class LiveRun:
 
     Args:
         folder: run folder.
-        controller: whose loop, by default the latest.
+        controller: whose loop, by default the latest; of a run that has finished the first, the baselines come later.
 
     Raises:
         JournalError: there is no journal, it is damaged, or of another format.
@@ -99,6 +99,7 @@ class LiveRun:
 
     def __init__(self, folder: Path, controller: str | None = None) -> None:
         self._folder, self._wanted = folder, controller
+        self._latest = not is_complete(folder)
         self._tail = JournalTail(folder / NAME)
         self._scenario: Mapping[str, Any] = {}
         self._seen: list[str] = []
@@ -138,7 +139,7 @@ class LiveRun:
             self._scenario = entry.content["scenario"]
         if entry.kind == "loop":
             self._seen.append(str(entry.content["controller"]))
-            if self._wanted in (None, self._seen[-1]):
+            if self._wanted == self._seen[-1] or (self._wanted is None and (self._latest or len(self._seen) == 1)):
                 self._begin(self._seen[-1])
         if not self._seen or self._seen[-1] != self._controller:
             return
@@ -239,7 +240,9 @@ class LiveRun:
 
     def _state(self) -> tuple[str, str]:
         if is_complete(self._folder):
-            return "finished", "results and report are in the folder"
+            others = [name for name in self._seen if name != self._controller]
+            more = f"; --controller shows another that ran: {', '.join(others)}" if others else ""
+            return "finished", f"results and report are in the folder{more}"
         early = self._folder / "INCOMPLETE.txt"
         # One that is older than the journal is of a run that was resumed.
         if early.is_file() and early.stat().st_mtime >= self._tail.path.stat().st_mtime:
