@@ -351,7 +351,8 @@ def test_a_heat_map_by_data_sheet_replaces_measured_heat():
     )
     assert with_sheet.only.operator.heat_input.heat.coefficients == sheet["coefficients"]
     assert without.only.operator.heat_input.kind == "identity"
-    assert effect_rmse(with_sheet, house)[0] < 0.5 * effect_rmse(without, house)[0]
+    # Without a sheet the dependence on T_out is estimated, that on u is not.
+    assert effect_rmse(with_sheet, house)[0] < 0.7 * effect_rmse(without, house)[0]
 
 
 def test_impossible_data_sheets_are_refused():
