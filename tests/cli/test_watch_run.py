@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import threading
-from contextlib import contextmanager
 
 import pytest
 import requests
@@ -21,6 +19,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.service.live_page import page_server
+from thermoforce_mpc.service.server import running
 from thermoforce_mpc.simulation import journal as journal_module
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.journal import Journal, JournalError, JournalTail, read_journal
@@ -164,16 +163,8 @@ def test_the_tail_of_a_journal_in_parts_is_what_is_read_at_once(tmp_path, monkey
     assert len({entry.path for entry in found}) > 3
 
 
-@contextmanager
 def served(view):
-    server = page_server(view, 0)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{int(server.effective_port)}"
-    finally:
-        server.close()
-        thread.join(timeout=5)
+    return running(page_server(view, 0))
 
 
 def test_the_page_is_for_this_machine_and_tells_the_view(single):

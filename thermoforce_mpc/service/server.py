@@ -118,7 +118,13 @@ def serving(weather: Weather, **options: Any) -> Iterator[str]:
 
     Options and errors as for `build_server`.
     """
-    server = build_server(weather, port=0, **options)
+    with running(build_server(weather, port=0, **options)) as address:
+        yield address
+
+
+@contextmanager
+def running(server: Any) -> Iterator[str]:
+    """Address of a server on loopback, in a thread of this process until the block ends; then it is closed."""
     thread = threading.Thread(target=server.run, name="tf-mpc service", daemon=True)
     thread.start()
     try:
