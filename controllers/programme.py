@@ -276,6 +276,16 @@ class Programme:
         per_n = np.zeros((0, 1)) if p.cooling is None else p.cooling.power_per_u_W[self._signed]
         return per_v, per_n, p.power_fixed_W[self._shared], np.where(self._held_in, fixed, 0.0)
 
+    def _power_numbers(self, p: MPCProblem) -> Array:
+        """1, then the parts of the power in the order of `_power`, in `POWER_UNIT_W`."""
+        return np.concatenate([np.ones(1), *(part.ravel() / POWER_UNIT_W for part in self._power_parts(p))])
+
+    def power(self, p: MPCProblem) -> sparse.csc_matrix:
+        """The building's power over each step as a linear map of the variables, `POWER_UNIT_W`, (N, variables)."""
+        found = self._power(0)
+        values = -found.factor * self._power_numbers(p)[found.of]
+        return sparse.csc_matrix((values, (found.rows, found.columns)), shape=(self.shape.n_steps, self.n_variables))
+
     def drive(self, p: MPCProblem) -> Drive:
         """Drive of the modes at the features of an instance."""
         machinery = self.shape.machinery
@@ -377,9 +387,7 @@ class Programme:
         if self.shape.capped and p.power_cap is not None:
             low[row : row + n] = -p.power_cap.limit_W / POWER_UNIT_W
         if self.shape.peak or self.shape.capped:
-            powers = [part.ravel() / POWER_UNIT_W for part in self._power_parts(p)]
-            values = np.concatenate([np.ones(1), *powers])
-            G = self._G.filled(self._bounds_entries.factor * values[self._bounds_entries.of])
+            G = self._G.filled(self._bounds_entries.factor * self._power_numbers(p)[self._bounds_entries.of])
         else:
             G = self._G_constant
         curvature = np.zeros(self.n_variables)

@@ -1,0 +1,21 @@
+"""Buildings that share a limit or a price of their summed power, each solving its own quadratic programme."""
+
+from __future__ import annotations
+
+from controllers.coordination.exchange import Coordination, coordinate
+from controllers.coordination.joint import solve_jointly
+from controllers.coordination.limit import SharedPower
+from controllers.coordination.member import Answer, Member, QPMember, Settled
+from controllers.coordination.settling import Agreement
+
+__all__ = [
+    "Agreement",
+    "Answer",
+    "Coordination",
+    "Member",
+    "QPMember",
+    "Settled",
+    "SharedPower",
+    "coordinate",
+    "solve_jointly",
+]

@@ -1,0 +1,124 @@
+"""Questions to many buildings at once: who does not answer is left out, with the most it may draw set aside."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from typing import TypeVar
+
+import numpy as np
+
+from controllers.coordination.limit import SharedPower
+from controllers.coordination.member import Answer, Member
+from controllers.errors import said
+from thermoforce_mpc.data import Array
+
+A = TypeVar("A")
+
+# Answers that are kept, of all buildings together: what a linear programme combines in a second.
+_ANSWERS = 1200
+
+
+class Conversation:
+    """The buildings that answer, what they answered, and what is left for them of what is shared.
+
+    `members` by name; `silent`: why a building is left out, by name; `powers`: the last power of each, kW (N,);
+    `answers`: the last answers of each; `reserved_kW` (N,); `messages`: vectors sent either way.
+    """
+
+    def __init__(self, members: Sequence[Member], shared: SharedPower, executor: Executor | None) -> None:
+        self._shared = shared
+        self._map: Callable[[Callable[[Member], A], Iterable[Member]], Iterable[A]] = executor.map if executor else map
+        self.members = {member.name: member for member in members}
+        self.silent: dict[str, str] = {}
+        self.powers: dict[str, Array] = {}
+        self.answers: dict[str, deque[Answer]] = {}
+        self.reserved_kW = np.zeros(shared.limit_kW.size)
+        self.messages = 0
+
+    @property
+    def left(self) -> SharedPower:
+        """What is shared, less what is set aside."""
+        return self._shared.less(self.reserved_kW)
+
+    @property
+    def mean_kW(self) -> Array:
+        """Mean of the last powers (N,)."""
+        powers = list(self.powers.values())
+        return np.mean(powers, axis=0) if powers else np.zeros(self.reserved_kW.size)
+
+    @property
+    def excess(self) -> float:
+        """Largest power above the limit, relative to it."""
+        limit, total = self.left.limit_kW, len(self.powers) * self.mean_kW
+        limited = np.isfinite(limit)
+        return float(np.max((total - limit)[limited] / np.maximum(limit[limited], 1e-6), initial=0.0))
+
+    @property
+    def why_over(self) -> str:
+        """'', or why the limit may be exceeded whatever the others do."""
+        over = self.reserved_kW > self._shared.limit_kW
+        if not over.any():
+            return ""
+        return (
+            f"the {len(self.silent)} buildings that do not answer may draw {self.reserved_kW[over].max():.4g} kW, more "
+            f"than the limit of {self._shared.limit_kW[over].min():.4g} kW"
+        )
+
+    def all_answer(self, question: Callable[[Member], Answer | None]) -> None:
+        """Ask all, keep what they answer, and leave out who does not."""
+        for member, answer, why in self.ask(question, self._unfit):
+            if why or answer is None:
+                self.leave_out(member, why)
+                continue
+            self.powers[member.name] = answer.power_kW
+            self.keep(member, answer)
+
+    def all_at(self, price: Array) -> float:
+        """Least sum of cost and price · power of all, currency; −∞ if one does not answer, which costs only that."""
+        nothing, total = np.zeros(price.size), 0.0
+        for member, answer, why in self.ask(lambda member: member.answer(price, nothing, 0.0), self._unfit):
+            if why or answer is None:
+                total = -np.inf
+                continue
+            total += answer.cost + float(price @ answer.power_kW)
+            self.keep(member, answer)
+        return total
+
+    def keep(self, member: Member, answer: Answer) -> None:
+        """Keep an answer in place of an old one."""
+        self.answers.setdefault(member.name, deque(maxlen=max(_ANSWERS // len(self.members), 1))).append(answer)
+
+    def leave_out(self, member: Member, why: str) -> None:
+        """Leave a building to its own controller."""
+        self.silent[member.name] = why
+        self.reserved_kW = self.reserved_kW + member.largest_kW
+        for kept in (self.members, self.powers, self.answers):
+            kept.pop(member.name, None)
+
+    def ask(
+        self, question: Callable[[Member], A | None], unfit: Callable[[A], str] = lambda answer: ""
+    ) -> Iterator[tuple[Member, A | None, str]]:
+        """Each building with its answer, and why that is none, or ''."""
+
+        def asked(member: Member) -> A | Exception | None:
+            try:
+                return question(member)
+            except Exception as error:
+                return error
+
+        members = list(self.members.values())
+        self.messages += len(members)
+        for member, answer in zip(members, list(self._map(asked, members)), strict=True):
+            if isinstance(answer, Exception):
+                yield member, None, f"did not answer ({said(answer)})"
+                continue
+            self.messages += answer is not None
+            yield member, answer, "did not answer" if answer is None else unfit(answer)
+
+    def _unfit(self, answer: Answer) -> str:
+        if np.shape(answer.power_kW) != self.reserved_kW.shape:
+            return f"answered with powers of shape {np.shape(answer.power_kW)}, not {self.reserved_kW.shape}"
+        finite = np.isfinite(answer.power_kW).all() and np.isfinite(answer.cost)
+        return "" if finite else "answered with numbers that are not finite"

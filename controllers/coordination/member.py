@@ -1,0 +1,158 @@
+"""One building of several that share power: its programme with a price, a wish or a limit of its own power."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+
+from controllers.errors import ControllerConfigError
+from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
+from controllers.programme import Programme
+from controllers.qp_backends import Clarabel, Piqp, QPConfig, QPData
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
+
+# Power above its limit that a checked plan may have, kW: a solver's tolerance.
+_LIMIT_TOLERANCE_KW = 1e-5
+
+
+def diagonal(values: Array) -> sparse.csc_matrix:
+    """A diagonal matrix that keeps its zeros, so that they can become other numbers."""
+    places = np.arange(values.size + 1)
+    return sparse.csc_matrix((values, places[:-1], places), shape=(values.size, values.size))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Power over each step, kW (N,), and what it costs the building without any price or wish on top, currency."""
+
+    power_kW: Array
+    cost: float
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A plan within a limit: the solution, its cost (currency) and mean power over each step, kW (N,)."""
+
+    solution: Solution
+    cost: float
+    power_kW: Array
+
+
+class Member(Protocol):
+    """What a coordinator asks of a building; an answer of None, or an exception, is no answer.
+
+    `largest_kW` (N,): the most it may draw over each step whatever happens.
+    """
+
+    name: str
+    largest_kW: Array
+
+    def answer(self, price: Array, wish_kW: Array, weight: float) -> Answer | None:
+        """What minimises its cost + price · power + weight/2 · |power − wish_kW|².
+
+        `price` (N,), currency per kW of each step; `wish_kW` (N,); `weight` currency/kW².
+        """
+        ...
+
+    def settle(self, limit_kW: Array) -> Settled | None:
+        """Its plan whose power stays within `limit_kW` (N,)."""
+        ...
+
+
+class QPMember:
+    """A building whose problem is a convex quadratic programme, in this process.
+
+    Raises:
+        ControllerConfigError: the problem is not convex.
+    """
+
+    def __init__(
+        self, name: str, operator: BuildingOperator, shape: ProblemShape, problem: MPCProblem, config: QPConfig
+    ) -> None:
+        if not shape.convex(operator):
+            raise ControllerConfigError(
+                f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "
+                "without feedback"
+            )
+        self.name, self._config, self._operator = name, config, operator
+        self._programme = Programme(operator, shape)
+        self._problem = self._programme.as_solved(problem)
+        self._drive = self._programme.drive(self._problem)
+        self.data = self._with_power(self._programme.numbers(self._problem, self._drive))
+        self._piqp = Piqp(config)
+        self.largest_kW = self._largest_kW()
+
+    def answer(self, price: Array, wish_kW: Array, weight: float) -> Answer | None:
+        """What minimises its cost + price · power + weight/2 · |power − wish_kW|²; None where no solver finds it."""
+        linear, quadratic = self.data.linear.copy(), self.data.quadratic.copy()
+        linear[self.of_power] += (price - weight * wish_kW) / self.data.unit
+        quadratic.data[self.of_power] += weight / self.data.unit
+        data = replace(self.data, linear=linear, quadratic=quadratic)
+        for solve in (self._piqp, Clarabel(self._config)):
+            found = solve(data)
+            if found.solved and np.isfinite(found.x).all():
+                return Answer(np.maximum(found.x[self.of_power], 0.0), self.data.objective(found.x))
+        return None
+
+    def settle(self, limit_kW: Array) -> Settled | None:
+        """Its plan whose power stays within `limit_kW` (N,); None where no solver finds one."""
+        x_high = self.data.x_high.copy()
+        x_high[self.of_power] = limit_kW
+        data = replace(self.data, x_high=x_high)
+        for solve in (Piqp(self._config), Clarabel(self._config)):
+            answer = solve(data)
+            solution = self._checked(answer.x, data) if answer.solved else None
+            if solution is None or not solution.ok:
+                continue
+            power_kW = self._problem.power_W(solution.u).sum(axis=0) / POWER_UNIT_W
+            if (power_kW <= limit_kW + _LIMIT_TOLERANCE_KW).all():
+                modes = self._programme.modes(self._problem, self._drive, solution.u)
+                return Settled(solution, float(self._problem.cost_under(solution.u, modes)), power_kW)
+        return None
+
+    def _checked(self, x: Array, data: QPData) -> Solution:
+        own = x[: self._programme.n_variables]
+        u = self._programme.levels(own)
+
+        def modes_of(levels: Array) -> Array:
+            return self._programme.modes(self._problem, self._drive, levels)
+
+        return checked_solution(self._problem, modes_of, u, data.objective(x), "settled", 0)
+
+    def _largest_kW(self) -> Array:
+        """Power with every actuator at its end that takes most, within the capacity of its machine."""
+        machinery, n = self._problem.machinery, self._problem.n_steps
+        full = np.repeat(machinery.u_max[:, None], n, axis=1)
+        power = self._problem.power_W(full).sum(axis=0)
+        if machinery.signed.size:
+            cooling = np.where(machinery.u_min < 0.0, machinery.u_min, machinery.u_max)
+            power = np.maximum(power, self._problem.power_W(np.repeat(cooling[:, None], n, axis=1)).sum(axis=0))
+        return np.asarray(power / POWER_UNIT_W)
+
+    def _with_power(self, q: QPData) -> QPData:
+        """The programme with the power of each step, kW, as further variables."""
+        n, width = self._problem.n_steps, q.linear.size
+        self.of_power = width + np.arange(n)
+        power = self._programme.power(self._problem)
+        eye = sparse.identity(n, format="csc")
+        A = sparse.vstack(
+            [sparse.hstack([q.A, sparse.csc_matrix((q.A.shape[0], n))]), sparse.hstack([power, -eye])], format="csc"
+        )
+        G = sparse.hstack([q.G, sparse.csc_matrix((q.G.shape[0], n))], format="csc")
+        return QPData(
+            diagonal(np.concatenate([q.quadratic.diagonal(), np.zeros(n)])),
+            np.concatenate([q.linear, np.zeros(n)]),
+            A,
+            np.concatenate([q.b, np.zeros(n)]),
+            G,
+            q.low.copy(),
+            q.high.copy(),
+            np.concatenate([q.x_low, np.full(n, -np.inf)]),
+            np.concatenate([q.x_high, np.full(n, np.inf)]),
+            q.unit,
+            q.constant,
+        )
