@@ -9,13 +9,15 @@ import pytest
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
-from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.envelope import MASSES
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.generated.draw import MACHINES, heat_pump_cop
 from thermoforce_mpc.plants.generated.schedule import bounds_C, native_setpoint_C
 from thermoforce_mpc.plants.occupants import PATTERNS, at_home
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase
 
 SEED = 7
 
@@ -344,8 +346,8 @@ def test_weeks_are_the_coldest_and_a_sunny_one_with_heating():
 
 def test_wrong_inputs_are_refused():
     plant = GeneratedHousePlant(draw_house(SEED, 0))
-    with pytest.raises(InputError, match="tariff 'dynamic'"):
-        plant.reset(0.0, 0.0, "dynamic")
+    with pytest.raises(InputError, match="tariff 'free'"):
+        plant.reset(0.0, 0.0, "free")
     with pytest.raises(InputError, match="level"):
         plant.advance(1.2, 900.0)
 
@@ -400,3 +402,27 @@ def test_the_synthetic_year_can_be_warmer_and_clearer():
     assert 1.5 < other.T_dry_C.mean() - plain.T_dry_C.mean() < 2.6
     assert synthetic_weather(3, warmer_K=0.0, clearer=0.0).fingerprint == plain.fingerprint
     assert other.name != plain.name
+
+
+def test_a_house_is_found_by_the_name_of_its_test_case():
+    testcase = load_testcase(f"generated:{SEED}:3")
+    assert testcase == house_testcase(draw_house(SEED, 3))
+    with build_plant(PlantSpec(), testcase, 1) as plant:
+        assert plant.house == draw_house(SEED, 3)
+    with pytest.raises(ConfigError, match="expected generated:SEED:INDEX"):
+        load_testcase("generated:7")
+
+
+@pytest.mark.parametrize("gas", [True, False], ids=["boiler", "electric"])
+def test_the_tariff_prices_electricity_and_gas_costs_the_same_in_all(gas):
+    house = next(h for h in (draw_house(SEED, i) for i in range(100)) if (h.machine == "boiler") == gas)
+    plant = GeneratedHousePlant(house)
+    costs = {}
+    for price in ("constant", "dynamic", "highly_dynamic"):
+        plant.reset(20 * DAY_S, DAY_S, price)
+        ahead = plant.forecast(DAY_S, HOUR_S).price_per_kWh
+        assert (np.ptp(ahead) > 0) == (price != "constant" and not gas)
+        plant.advance(1.0, 8 * HOUR_S)  # from midnight: an hour of the day price
+        costs[price] = plant.kpis()["cost_tot"]
+    assert (costs["dynamic"] < costs["constant"]) == (not gas)
+    assert len(set(costs.values())) == (1 if gas else 3)

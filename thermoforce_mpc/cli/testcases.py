@@ -21,6 +21,8 @@ def command() -> None:
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
     click.echo("      plant: its own, nothing to install (docs/how-it-works/house-of-rooms.md)")
+    click.echo("  generated:SEED:INDEX\n      house number INDEX of a population, one zone, any emitter and machine")
+    click.echo("      plant: its own, nothing to install (docs/how-it-works/generated-houses.md)")
     for made in MADE_TESTCASES.listing():
         if made.origin != OWN:
             click.echo(f"  {made.name}\n      {made.problem or 'made by a plugin'}\n      from {made.origin}")

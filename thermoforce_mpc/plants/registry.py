@@ -128,6 +128,12 @@ def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plan
     return house_of_rooms(testcase.name)
 
 
+def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.generated import GeneratedHousePlant, generated_house
+
+    return GeneratedHousePlant(generated_house(testcase.name), highly_dynamic=_tariff(spec))
+
+
 def _small_office(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
 
@@ -172,6 +178,11 @@ _OWN = {
         "embedded emulator of bestest_hydronic_heat_pump", _emulator, takes=frozenset({WEATHER, PRICES, UNCERTAINTY})
     ),
     "rooms": PlantEntry("drawn house of rooms, a valve each, one heat pump (--testcase house:5rooms)", _rooms),
+    "generated": PlantEntry(
+        "generated house of one zone, by seed and number (--testcase generated:2026:0)",
+        _generated,
+        takes=frozenset({PRICES}),
+    ),
     "energyplus": PlantEntry(
         "a zone on EnergyPlus (--testcase energyplus:heating_chicago), extra [energyplus]",
         _energyplus,

@@ -30,7 +30,7 @@ from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
 
 
-_OWN_PLANTS = ("rooms", "small_office")
+_OWN_PLANTS = ("rooms", "generated", "small_office")
 PlantName = Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)]
 
 
@@ -139,7 +139,7 @@ class TestCase(StrictModel):
     plant: Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)] | None = (
         Field(
             None,
-            description="plant that implements this test case: rooms, small_office, or a plugin's (`tf-mpc plants`)",
+            description="plant that implements this test case: one of our own or a plugin's (`tf-mpc plants`)",
         )
     )
 

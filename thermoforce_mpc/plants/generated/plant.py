@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from types import TracebackType
 
 import numpy as np
@@ -21,7 +22,7 @@ from thermoforce_mpc.plants.checks import (
 )
 from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
 from thermoforce_mpc.plants.generated import physics, schedule
-from thermoforce_mpc.plants.generated.draw import House
+from thermoforce_mpc.plants.generated.draw import House, draw_house
 from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.occupants import at_home
@@ -33,6 +34,8 @@ from thermoforce_mpc.version import VERSION
 # The baseline thermostat's set-point above the tightest lower bound, K, as in the shipped test case (21.3 for 21 °C).
 THERMOSTAT_ABOVE_K = 0.3
 
+_NAME = re.compile(r"generated:(\d{1,9}):(\d{1,9})")
+
 _KELVIN = 273.15
 _CLOCK_S = 1e-6
 _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
@@ -40,10 +43,22 @@ _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
 _FULL_SUN_W_M2 = 800.0
 
 
+def generated_house(name: str) -> House:
+    """Return the house `generated:SEED:INDEX`: number INDEX of the population SEED.
+
+    Raises:
+        InputError: `name` has another form.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None:
+        raise InputError(f"house '{name}': expected generated:SEED:INDEX, such as generated:2026:0")
+    return draw_house(int(match[1]), int(match[2]))
+
+
 def house_testcase(house: House) -> TestCase:
     """Return the test case of a house: point names, floor area and the baseline thermostat's set-point; no defaults."""
     return TestCase(
-        name=house.name,
+        name=f"generated:{house.seed}:{house.index}",
         description=house.words,
         floor_area_m2=house.floor_area_m2,
         mode="heating",
@@ -57,7 +72,13 @@ def house_testcase(house: House) -> TestCase:
             return_water="T_return" if house.heat_metered else None,
         ),
         thermostat_C=house.lower_C + THERMOSTAT_ABOVE_K,
+        plant="generated",
     )
+
+
+def named_testcase(name: str) -> TestCase:
+    """Return the test case of `generated:SEED:INDEX`; raises `InputError` for another name."""
+    return house_testcase(generated_house(name))
 
 
 class GeneratedHousePlant:
@@ -66,8 +87,11 @@ class GeneratedHousePlant:
     Comfort is judged by the true operative temperature; records and measurements hold what the sensor reads.
     """
 
-    def __init__(self, house: House) -> None:
+    def __init__(self, house: House, highly_dynamic: tariffs.Tariff | None = None) -> None:
+        """Build the house; `highly_dynamic` replaces the synthetic tariff of that name. Gas costs the same in all."""
         self.house = house
+        by_name = tariffs.by_name(highly_dynamic)
+        self._tariffs = {name: _gas if house.machine == "boiler" else by_name[name] for name in by_name}
         self.testcase = house_testcase(house)
         self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
         self._grid = build_grid(house, self.weather)
@@ -108,11 +132,12 @@ class GeneratedHousePlant:
         """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
 
         Raises:
-            InputError: a time is not a finite nonnegative number inside the year, or the tariff is not constant.
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
         """
         check_start(start_s, warmup_s)
-        if price != "constant":
-            raise InputError(f"tariff '{price}': generated houses have the tariff 'constant' only")
+        if price not in self._tariffs:
+            raise InputError(f"tariff '{price}': expected one of {', '.join(self._tariffs)}")
+        self._price = price
         self._state = np.zeros(physics.N_STATES)
         self._state[: physics.INTEGRAL] = self.house.lower_C
         self._start_s = float(start_s)
@@ -147,7 +172,7 @@ class GeneratedHousePlant:
         """
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         lower, upper = schedule.bounds_C(self.house, time_s)
-        price, emission = self._prices
+        price, emission = self._prices(time_s)
         return Boundary(
             time_s=time_s,
             T_out_C=self.weather.at("T_dry_C", time_s),
@@ -155,8 +180,8 @@ class GeneratedHousePlant:
             occupancy=self.house.people * at_home(self.house.pattern, time_s).astype(np.float64),
             lower_C=lower,
             upper_C=upper,
-            price_per_kWh=np.full(time_s.shape, price),
-            emission_kg_per_kWh=np.full(time_s.shape, emission),
+            price_per_kWh=price,
+            emission_kg_per_kWh=emission,
         )
 
     def past(self, step_s: float) -> Record:
@@ -180,10 +205,10 @@ class GeneratedHousePlant:
         record = self.recorded(self._start_s, self._now_s)
         time_s = record["time"]
         lower, upper = schedule.bounds_C(self.house, time_s)
-        price, emission = self._prices
+        price, emission = self._prices(time_s)
         carrier = "GasPower" if self.house.machine == "boiler" else "ElectricPower"
         power_W = record["P_billed"]
-        supply = Supply(carrier, power_W, np.full(time_s.shape, price), np.full(time_s.shape, emission))
+        supply = Supply(carrier, power_W, price, emission)
         return building_kpis(
             time_s,
             supplies=[supply],
@@ -210,12 +235,11 @@ class GeneratedHousePlant:
     ) -> None:
         self.close()
 
-    @property
-    def _prices(self) -> tuple[float, float]:
-        """Price per kWh and emissions, kg/kWh, of the billed energy."""
-        if self.house.machine == "boiler":
-            return tariffs.GAS, tariffs.GAS_EMISSION_KG_PER_KWH
-        return tariffs.CONSTANT, tariffs.EMISSION_KG_PER_KWH
+    def _prices(self, time_s: Array) -> tuple[Array, Array]:
+        """Price per kWh and emissions, kg/kWh, of the billed energy at each time."""
+        gas = self.house.machine == "boiler"
+        emission = tariffs.GAS_EMISSION_KG_PER_KWH if gas else tariffs.EMISSION_KG_PER_KWH
+        return self._tariffs[self._price](time_s), np.full(time_s.shape, emission)
 
     def _advance(self, forced: float, duration_s: float) -> None:
         n = max(math.floor(duration_s / physics.STEP_S + 1e-9), 1)
@@ -250,6 +274,10 @@ class GeneratedHousePlant:
         row[_COLUMN["solar"]] = float(self.weather.at("global_W_m2", now)[0])
         row[_COLUMN["stored_J"]] = physics.stored_J(self._parameters, self._state)
         return row
+
+
+def _gas(time_s: Array) -> Array:
+    return np.full(np.shape(time_s), tariffs.GAS)
 
 
 def build_grid(house: House, weather: Weather) -> Array:
