@@ -1,0 +1,26 @@
+"""Many independent tasks on the cores of this machine or on a Dask cluster: one layer for everything that is many."""
+
+from thermoforce_mpc.execution.engine import Engine, tell
+from thermoforce_mpc.execution.execute import Results, Watcher, collect, execute
+from thermoforce_mpc.execution.keys import content_key, source_fingerprint
+from thermoforce_mpc.execution.local import LocalEngine
+from thermoforce_mpc.execution.progress import TaskProgress
+from thermoforce_mpc.execution.results import JsonResults
+from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
+
+__all__ = [
+    "Engine",
+    "JsonResults",
+    "LocalEngine",
+    "Outcome",
+    "Results",
+    "Task",
+    "TaskFailed",
+    "TaskProgress",
+    "Watcher",
+    "collect",
+    "content_key",
+    "execute",
+    "source_fingerprint",
+    "tell",
+]

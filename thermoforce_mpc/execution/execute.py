@@ -1,0 +1,232 @@
+"""Run tasks in the order of their needs, each result stored once, whatever happens to the workers."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
+from graphlib import TopologicalSorter
+from typing import Any, Protocol
+
+from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Engine, Lost, Told, payload_of
+from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
+
+# A worker may die of something else than its task: the task is begun again, then without company.
+MOST_ATTEMPTS = 3
+
+
+class Results(Protocol):
+    """Where results are kept; called in the process that executes, so that workers share no disk."""
+
+    def get(self, task: Task) -> Any:
+        """The value of a task; raises `KeyError` where there is none."""
+        ...
+
+    def put(self, task: Task, value: Any) -> None:
+        """Keep the value of a task, whole or not at all."""
+        ...
+
+
+class Watcher(Protocol):
+    """Receives progress."""
+
+    def planned(self, n: int) -> None:
+        """`n` tasks will be run: those without a result, and what they need."""
+        ...
+
+    def begun(self, task: Task) -> None:
+        """A worker has begun `task`."""
+        ...
+
+    def told(self, task: Task, share: float) -> None:
+        """A `share` of `task`, 0 to 1, is done."""
+        ...
+
+    def ended(self, outcome: Outcome) -> None:
+        """A task has ended: with a value, or with the reason why there is none."""
+        ...
+
+
+def execute(
+    tasks: Iterable[Task], engine: Engine, results: Results | None = None, watcher: Watcher | None = None
+) -> Iterator[Outcome]:
+    """Run tasks and what they need, each key once; yields the outcomes of all that as they come.
+
+    Tasks whose results are kept come first, with no attempts. A task that raises has failed and is not repeated; a task
+    of which a need failed fails with it. Where a worker dies, its task is begun again, twice at most and alone, and is
+    then poisoned; the others go on. At an exception, an interrupt or the end of the iteration, what is under way is
+    cancelled and what was finished is kept.
+
+    Args:
+        tasks: what is wanted.
+        engine: where it is run.
+        results: where values are looked up, and kept before they are yielded.
+        watcher: progress of the tasks that are run.
+
+    Raises:
+        StorageError: a result could not be kept.
+        ConfigError: the engine refused a worker, or is gone.
+    """
+    wanted = {task.key: task for task in tasks}
+    todo: list[Task] = []
+    for task in wanted.values():
+        try:
+            yield Outcome(task, _kept(results, task))
+        except KeyError:
+            todo.append(task)
+    plan = _Plan(todo, results)
+    if watcher:
+        watcher.planned(len(plan.tasks))
+    ready: deque[Task] = deque()
+    suspects: deque[Task] = deque()
+    attempts: Counter[str] = Counter()
+    since: dict[str, float] = {}
+
+    def submit(task: Task) -> Outcome | None:
+        """Begin a task; the outcome of one that cannot be begun."""
+        reason = plan.missing(task)
+        if reason:
+            return Outcome(task, reason=reason)
+        try:
+            payload = payload_of(task.function, task.inputs, plan.results_of_needs(task))
+        except Exception as error:  # pickle raises errors of many kinds
+            return Outcome(task, reason=f"cannot be sent to a worker: {type(error).__name__}: {error}")
+        since[task.key] = time.monotonic()
+        engine.submit(task.key, task.title, payload)
+        return None
+
+    def come(event: Ended | Lost) -> Outcome | None:
+        """The outcome of an event; None for a task that is to be begun again."""
+        task, seconds = plan.tasks[event.key], time.monotonic() - since.pop(event.key)
+        if isinstance(event, Ended):
+            attempts[task.key] += 1
+            return _outcome(task, event.answer, attempts[task.key])
+        attempts[task.key] += event.attempts
+        n = attempts[task.key]
+        if n < MOST_ATTEMPTS:
+            suspects.append(task)
+            return None
+        reason = f"its worker died at each of {n} attempts ({event.why}); the task is left out as poisoned"
+        return Outcome(task, None, reason, seconds, n, poisoned=True)
+
+    try:
+        while plan.open:
+            ready.extend(plan.take_ready())
+            outcome: Outcome | None = None
+            if ready and engine.room > 0:
+                outcome = submit(ready.popleft())
+            elif suspects and not since:
+                outcome = submit(suspects.popleft())
+            else:
+                event = engine.wait()
+                if event.key not in since:  # told late
+                    continue
+                if isinstance(event, Ended | Lost):
+                    outcome = come(event)
+                elif watcher and isinstance(event, Begun):
+                    watcher.begun(plan.tasks[event.key])
+                elif watcher and isinstance(event, Told):
+                    watcher.told(plan.tasks[event.key], event.share)
+            if outcome is not None:
+                if results and not outcome.reason:
+                    results.put(outcome.task, outcome.value)
+                plan.end(outcome)
+                if watcher:
+                    watcher.ended(outcome)
+                yield outcome
+    finally:
+        if since:
+            engine.cancel()
+
+
+def collect(
+    tasks: Sequence[Task], engine: Engine, results: Results | None = None, watcher: Watcher | None = None
+) -> list[Any]:
+    """The values of all tasks, in their order; the first failure ends the rest.
+
+    Raises:
+        ThermoForceError: that of the task, of its kind.
+        TaskFailed: any other error in a task, or its worker died at every attempt.
+    """
+    values = {}
+    for outcome in execute(tasks, engine, results, watcher):
+        if outcome.error is not None:
+            raise outcome.error(outcome.reason)
+        if outcome.reason:
+            raise TaskFailed(outcome)
+        values[outcome.task.key] = outcome.value
+    return [values[task.key] for task in tasks]
+
+
+def _kept(results: Results | None, task: Task) -> Any:
+    if results is None:
+        raise KeyError(task.key)
+    return results.get(task)
+
+
+def _outcome(task: Task, answer: Answer, attempts: int) -> Outcome:
+    value, reason = None, answer.reason
+    if not reason:
+        try:
+            value = pickle.loads(answer.value)
+        except Exception as error:  # made of something that this process does not have
+            reason = f"its result cannot be read: {type(error).__name__}: {error}"
+    return Outcome(task, value, reason, answer.seconds, attempts, error=answer.error, details=answer.details)
+
+
+class _Plan:
+    """The order of what is to be done, and the values that some of it needs, kept as long as they are needed."""
+
+    def __init__(self, todo: Sequence[Task], results: Results | None) -> None:
+        self.tasks: dict[str, Task] = {}
+        self._values: dict[str, Any] = {}
+        self._failed: dict[str, str] = {}
+        self._users: Counter[str] = Counter()
+        self._order: TopologicalSorter[str] = TopologicalSorter()
+        for task in todo:
+            self._add(task, results)
+        self._order.prepare()
+
+    def _add(self, task: Task, results: Results | None) -> None:
+        if task.key in self.tasks:
+            return
+        self.tasks[task.key] = task
+        for need in task.needs:
+            self._users[need.key] += 1
+            if need.key not in self.tasks and need.key not in self._values:
+                try:
+                    self._values[need.key] = _kept(results, need)
+                except KeyError:
+                    self._add(need, results)
+        self._order.add(task.key, *(need.key for need in task.needs if need.key in self.tasks))
+
+    @property
+    def open(self) -> bool:
+        """Whether anything is left to do."""
+        return self._order.is_active()
+
+    def take_ready(self) -> list[Task]:
+        """Tasks with all needs done, not taken before; first those for which most others wait."""
+        return [self.tasks[key] for key in sorted(self._order.get_ready(), key=lambda key: -self._users[key])]
+
+    def missing(self, task: Task) -> str:
+        """Why a need of `task` has no result; empty if all have."""
+        return next((self._failed[need.key] for need in task.needs if need.key in self._failed), "")
+
+    def results_of_needs(self, task: Task) -> tuple[Any, ...]:
+        """The values of what `task` needs."""
+        return tuple(self._values[need.key] for need in task.needs)
+
+    def end(self, outcome: Outcome) -> None:
+        """A task has ended."""
+        task = outcome.task
+        if outcome.reason:
+            self._failed[task.key] = f"'{task.title}', which it needs, failed: {outcome.reason}"
+        elif self._users[task.key]:
+            self._values[task.key] = outcome.value
+        for need in task.needs:
+            self._users[need.key] -= 1
+            if not self._users[need.key]:
+                self._values.pop(need.key, None)
+        self._order.done(task.key)

@@ -1,0 +1,213 @@
+"""Tasks on the cores of this machine: processes of the standard library's pool, one pool a process.
+
+In a pool of several, the death of one process breaks the tasks of all; so each has its own, and what dies takes one
+task with it. Processes compute on one thread, so that they do not compete for cores and results do not depend on their
+number.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
+from typing import Any
+
+from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told, answer_to
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+_LEAVE_S = 5.0
+_TERMINATED = 143
+
+
+class LocalEngine:
+    """Tasks in `jobs` processes, started when first needed and used again; a context manager.
+
+    Spawned, not forked: a fork would copy locks of compiled code in an undefined state.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._idle: list[_Process] = []
+        self._busy: dict[str, _Process] = {}
+        self._events: queue.SimpleQueue[Event | tuple[str, _Process, Future[Answer]]] = queue.SimpleQueue()
+
+    def __enter__(self) -> LocalEngine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cancel()
+        while self._idle:
+            self._idle.pop().leave()
+
+    @property
+    def room(self) -> int:
+        """Processes without a task."""
+        return self._jobs - len(self._busy)
+
+    def submit(self, key: str, title: str, payload: bytes) -> None:
+        """Run `payload` in a process."""
+        process = self._idle.pop() if self._idle else _Process(self._events)
+        try:
+            future = process.submit(key, payload)
+        except BrokenProcessPool:  # it died since its last task
+            process.leave()
+            process = _Process(self._events)
+            future = process.submit(key, payload)
+        self._busy[key] = process
+        self._events.put(Begun(key))
+        future.add_done_callback(lambda done: self._events.put((key, process, done)))
+
+    def wait(self) -> Event:
+        """The next event."""
+        while True:
+            event = self._events.get()
+            if not isinstance(event, tuple):
+                return event
+            key, process, future = event
+            if self._busy.get(key) is process:  # else it was cancelled
+                del self._busy[key]
+                return self._ended(key, process, future)
+
+    def _ended(self, key: str, process: _Process, future: Future[Answer]) -> Event:
+        try:
+            answer = future.result()
+        except BrokenProcessPool:
+            return Lost(key, process.leave())
+        self._idle.append(process)
+        return Ended(key, answer)
+
+    def cancel(self) -> None:
+        """End processes that have a task: first by SIGTERM, so that they release what they hold."""
+        for process in self._busy.values():
+            process.terminate()
+        while self._busy:
+            self._busy.popitem()[1].leave(_LEAVE_S)
+
+
+class _Process:
+    """A pool of one process, and what its task tells."""
+
+    def __init__(self, events: queue.SimpleQueue[Any]) -> None:
+        self._context = _Remembering()
+        here, self._there = self._context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(1, self._context, _begin, (self._there,))
+        threading.Thread(target=_listen, args=(here, events), daemon=True).start()
+
+    def submit(self, key: str, payload: bytes) -> Future[Answer]:
+        """Run `payload`; raises `BrokenProcessPool`."""
+        with one_thread_each(), _interrupts_blocked():  # the first task starts the process
+            future = self._pool.submit(_work, key, payload)
+        self._there.close()  # so that the pipe ends with the process
+        return future
+
+    def terminate(self) -> None:
+        for process in self._context.started:
+            process.terminate()
+
+    def leave(self, patience_s: float | None = None) -> str:
+        """Wait for the end of the process, kill it after `patience_s`; returns how it ended."""
+        for process in self._context.started:
+            if patience_s is not None:
+                process.join(patience_s)
+                process.kill()
+        self._pool.shutdown()
+        return ", ".join(_how_ended(process.exitcode or 0) for process in self._context.started)
+
+
+def _how_ended(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    with suppress(ValueError):
+        return f"signal {signal.Signals(-code).name}"
+    return f"signal {-code}"
+
+
+class _Remembering(SpawnContext):
+    """Remembers its processes: a pool neither ends nor describes them."""
+
+    def __init__(self) -> None:
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        self.started.append(SpawnProcess(*args, **kwargs))
+        return self.started[-1]
+
+
+def _listen(channel: Connection, events: queue.SimpleQueue[Any]) -> None:
+    """Thread: hand on what a process tells, until it ends."""
+    with channel, suppress(EOFError, OSError):
+        while True:
+            events.put(Told(*channel.recv()))
+
+
+_channel: Connection | None = None
+
+
+def _begin(channel: Connection) -> None:
+    """In the process: interrupts are for the parent, which ends this process by SIGTERM; so does its own end."""
+    global _channel
+    _channel = channel
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _terminate)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _terminate(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the release short
+    sys.exit(_TERMINATED)
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _work(key: str, payload: bytes) -> Answer:
+    try:
+        return answer_to(payload, lambda share: _tell(key, share))
+    except SystemExit:  # what the task held is released; the pool would go on
+        for child in multiprocessing.active_children():
+            child.terminate()
+        os._exit(_TERMINATED)
+
+
+def _tell(key: str, share: float) -> None:
+    if _channel is not None:
+        with suppress(OSError):  # the parent has ended
+            _channel.send((key, share))
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Set the variables that limit processes started inside to one thread (read when libraries are loaded)."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Start processes inside that a Ctrl-C never reaches, not even while they start."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,111 @@
+"""Progress of many tasks on a console: bars on a terminal, else a line for each start and end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from thermoforce_mpc.execution.task import Outcome, Task
+
+# More bars than this would push the first off the screen.
+_MOST_BARS = 12
+
+
+def summary(outcome: Outcome) -> str:
+    """Title and computing time of a task that has ended."""
+    return f"{outcome.task.title} ({outcome.seconds:.0f} s)"
+
+
+class TaskProgress:
+    """A `Watcher` that shows how far tasks are and how long the rest will take; a context manager.
+
+    Args:
+        console: where to.
+        quiet: show nothing.
+        line: text for a task that has succeeded.
+    """
+
+    def __init__(self, console: Console, *, quiet: bool = False, line: Callable[[Outcome], str] = summary) -> None:
+        self._console, self._quiet, self._line = console, quiet, line
+        self._n, self._ended, self._since = 0, 0, time.monotonic()
+        self._shares: dict[str, float] = {}
+        self._bars: dict[str, TaskID] = {}
+        self._progress: Progress | None = None
+        self._all = TaskID(0)
+
+    def __enter__(self) -> TaskProgress:
+        if self._console.is_terminal and not self._quiet:
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+            self._progress = Progress(
+                *columns, TextColumn("{task.fields[left]}"), console=self._console, transient=True
+            )
+            self._progress.start()
+            self._all = self._progress.add_task("", visible=False, left="")
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._progress:
+            self._progress.stop()
+
+    def planned(self, n: int) -> None:
+        """`n` tasks will be run."""
+        self._n, self._since = n, time.monotonic()
+        if self._progress and n:
+            self._progress.update(self._all, total=n, visible=True)
+            self._show_all()
+
+    def begun(self, task: Task) -> None:
+        """A worker has begun `task`."""
+        self._shares[task.key] = 0.0
+        if self._progress:
+            if len(self._bars) < _MOST_BARS:
+                self._bars[task.key] = self._progress.add_task(task.title, total=None, left="")
+        elif not self._quiet:
+            self._print(f"started {task.title}")
+
+    def told(self, task: Task, share: float) -> None:
+        """A share of `task` is done."""
+        self._shares[task.key] = share
+        if self._progress:
+            if task.key in self._bars:
+                self._progress.update(self._bars[task.key], total=1.0, completed=share)
+            self._show_all()
+
+    def ended(self, outcome: Outcome) -> None:
+        """A task has ended."""
+        self._shares.pop(outcome.task.key, None)
+        self._ended += 1
+        if self._progress:
+            if outcome.task.key in self._bars:
+                self._progress.remove_task(self._bars.pop(outcome.task.key))
+            self._show_all()
+        if self._quiet:
+            return
+        left = "" if self._progress or not self._left() else f"; {self._left()}"
+        count = f"[{self._ended}/{self._n}]"
+        if outcome.reason:
+            self._print(f"FAILED  {count} {outcome.task.title}: {outcome.reason}{left}")
+        else:
+            self._print(f"done    {count} {self._line(outcome)}{left}")
+
+    def _show_all(self) -> None:
+        if self._progress:
+            done = self._ended + sum(self._shares.values())
+            text = f"{self._ended} of {self._n}"
+            self._progress.update(self._all, description=text, completed=done, left=self._left())
+
+    def _left(self) -> str:
+        """Time left at the rate so far; empty before anything is done, and at the end."""
+        done = self._ended + sum(self._shares.values())
+        if not done or self._ended >= self._n:
+            return ""
+        seconds = (time.monotonic() - self._since) * (self._n - done) / done
+        if seconds < 90:
+            return f"about {seconds:.0f} s left"
+        return f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True, markup=False)
