@@ -58,6 +58,10 @@ class NoSuchTest(ThermoForceError):
     """A run cannot be continued, since the service no longer has its test (exit code 5)."""
 
 
+class EngineError(ThermoForceError):
+    """The cluster that runs many tasks is gone, or has a worker that does not fit (exit code 7)."""
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ", did you mean ...?" if a known word is close, else an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)

@@ -32,11 +32,11 @@ def die(inputs: dict, *results: int) -> int:
     raise AssertionError
 
 
-def die_at_first(inputs: dict) -> int:
+def die_at_first(inputs: dict, *results: int) -> int:
     began = _log(inputs)
     if began < inputs["times"]:
         os.kill(os.getpid(), signal.SIGKILL)
-    return inputs["n"]
+    return inputs["n"] + sum(results)
 
 
 def hold(inputs: dict) -> int:
@@ -55,6 +55,16 @@ def tell_all(inputs: dict) -> int:
         time.sleep(0.3)
         tell((n + 1) / 4)
     return 0
+
+
+def tell_for_ever(inputs: dict) -> int:
+    """As `hold`, where a cluster can reach it."""
+    try:
+        while True:
+            time.sleep(0.1)
+            tell(0.5)
+    finally:
+        (Path(inputs["log"]).parent / "released").write_text("released", encoding="utf-8")
 
 
 def threads(inputs: dict) -> list[str | None]:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import click
 
-from thermoforce_mpc.errors import InputError, NoSuchTest, PlantError, StorageError
+from thermoforce_mpc.errors import EngineError, InputError, NoSuchTest, PlantError, StorageError
 from thermoforce_mpc.reading import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
@@ -89,7 +89,8 @@ def cli() -> None:
     Exit codes: 0 done, 2 bad input, 3 the plant or its service failed, 4 the
     model is below the bar (identify, plan), 5 the service no longer
     has the test (resume only), 6 a file cannot be written (disk full, folder
-    read-only or removed), 130 interrupted by Ctrl-C, 143 ended by SIGTERM.
+    read-only or removed), 7 the Dask cluster of --scheduler is gone or does
+    not fit, 130 interrupted by Ctrl-C, 143 ended by SIGTERM.
     """
 
 
@@ -136,6 +137,9 @@ def main() -> None:
     except StorageError as error:
         click.echo(f"Cannot be written: {error}", err=True)
         sys.exit(6)
+    except EngineError as error:
+        click.echo(f"Tasks cannot be run: {error}", err=True)
+        sys.exit(7)
     except Terminated:
         click.echo("Terminated.", err=True)
         sys.exit(143)

@@ -54,9 +54,9 @@ def execute(
     """Run tasks and what they need, each key once; yields the outcomes of all that as they come.
 
     Tasks whose results are kept come first, with no attempts. A task that raises has failed and is not repeated; a task
-    of which a need failed fails with it. Where a worker dies, its task is begun again, twice at most and alone, and is
-    then poisoned; the others go on. At an exception, an interrupt or the end of the iteration, what is under way is
-    cancelled and what was finished is kept.
+    of which a need failed fails with it. Where a worker dies, its task is begun again, after the others and alone, and
+    is poisoned after `MOST_ATTEMPTS`; the others go on. At an exception, an interrupt or the end of the iteration, what
+    is under way is cancelled and what was finished is kept.
 
     Args:
         tasks: what is wanted.
@@ -66,7 +66,7 @@ def execute(
 
     Raises:
         StorageError: a result could not be kept.
-        ConfigError: the engine refused a worker, or is gone.
+        EngineError: the engine is gone, or has a worker that does not fit.
     """
     wanted = {task.key: task for task in tasks}
     todo: list[Task] = []
@@ -80,6 +80,7 @@ def execute(
         watcher.planned(len(plan.tasks))
     ready: deque[Task] = deque()
     suspects: deque[Task] = deque()
+    alone: set[str] = set()
     attempts: Counter[str] = Counter()
     since: dict[str, float] = {}
 
@@ -104,7 +105,7 @@ def execute(
             return _outcome(task, event.answer, attempts[task.key])
         attempts[task.key] += event.attempts
         n = attempts[task.key]
-        if n < MOST_ATTEMPTS:
+        if n < MOST_ATTEMPTS or task.key not in alone:
             suspects.append(task)
             return None
         reason = f"its worker died at each of {n} attempts ({event.why}); the task is left out as poisoned"
@@ -117,6 +118,7 @@ def execute(
             if ready and engine.room > 0:
                 outcome = submit(ready.popleft())
             elif suspects and not since:
+                alone.add(suspects[0].key)
                 outcome = submit(suspects.popleft())
             else:
                 event = engine.wait()

@@ -1,0 +1,172 @@
+"""Tasks on a Dask cluster: as on local processes, and what only a cluster can do to them."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import executed_tasks as functions
+import pytest
+
+from thermoforce_mpc.errors import ConfigError, EngineError
+from thermoforce_mpc.execution import DaskEngine, JsonResults, LocalEngine, Task, cluster, collect, execute, open_engine
+
+pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def dask_cluster():
+    """Two workers of one thread, each a process that a nanny starts again."""
+    import dask
+    from distributed import LocalCluster
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=60) as made,
+    ):
+        yield made.scheduler_address
+
+
+@pytest.fixture
+def engine(dask_cluster):
+    with DaskEngine(dask_cluster) as made:
+        yield made
+
+
+def task(n: int, folder: Path, function=functions.total, needs=(), **inputs) -> Task:
+    return Task(f"key{n}", f"task {n}", function, {"n": n, "log": str(folder / "log"), **inputs}, tuple(needs))
+
+
+def stored(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_worker_that_is_killed_costs_no_result(engine, tmp_path):
+    """The same bytes as local processes give undisturbed, each task done once."""
+    local, dask = JsonResults(tmp_path / "local"), JsonResults(tmp_path / "dask")
+    (tmp_path / "calm").mkdir()
+
+    def tasks(folder: Path, function) -> list[Task]:
+        first = task(0, folder)
+        return [task(n, folder, function if n == 2 else functions.total, needs=(first,), times=1) for n in range(1, 5)]
+
+    with LocalEngine(1) as calm:
+        list(execute(tasks(tmp_path / "calm", functions.total), calm, local))
+    outcomes = list(execute(tasks(tmp_path, functions.die_at_first), engine, dask))
+    assert stored(dask.folder) == stored(local.folder)
+    assert {o.task.key: o.attempts for o in outcomes}["key2"] == 2
+    assert sorted(functions.begun(tmp_path / "log")) == ["0", "1", "2", "2", "3", "4"]
+    assert all(o.attempts == 0 for o in execute(tasks(tmp_path, functions.die), engine, dask))
+
+
+def test_a_poisoned_task_is_left_out_and_the_others_are_done(engine, tmp_path):
+    tasks = [task(1, tmp_path, functions.die), *(task(n, tmp_path) for n in range(2, 6))]
+    outcomes = {o.task.key: o for o in execute(tasks, engine)}
+    assert [key for key, o in outcomes.items() if o.poisoned] == ["key1"]
+    assert [outcomes[f"key{n}"].value for n in range(2, 6)] == [2, 3, 4, 5]
+    began = functions.begun(tmp_path / "log")
+    assert sorted(began) == ["1", "1", "1", "2", "3", "4", "5"]
+    assert began[-1] == "1", "again only after the rest"
+
+
+def test_a_task_tells_how_far_it_is_and_can_be_ended(engine, tmp_path):
+    shares = []
+
+    class Watcher:
+        planned = begun = ended = staticmethod(lambda of: None)
+        told = staticmethod(lambda task, share: shares.append(share))
+
+    collect([Task("t", "t", functions.tell_all, {})], engine, watcher=Watcher)
+    assert shares
+    outcomes = execute([task(1, tmp_path, functions.tell_for_ever), task(2, tmp_path)], engine)
+    assert next(outcomes).task.key == "key2"
+    outcomes.close()
+    until = time.monotonic() + 10
+    while not (tmp_path / "released").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    assert (tmp_path / "released").exists()
+
+
+def test_a_worker_of_another_version_is_refused(dask_cluster, engine, monkeypatch):
+    here = cluster.environment()
+    monkeypatch.setattr(cluster, "environment", lambda: here | {"casadi": "0.1"})
+    with pytest.raises(ConfigError, match=r"worker tcp://.* has casadi .* instead of 0\.1"):
+        open_engine(scheduler=dask_cluster)
+    with pytest.raises(EngineError, match=r"instead of 0\.1"):  # as of a worker that came later
+        collect([Task("t", "t", functions.threads, {})], engine)
+
+
+def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    address = f"tcp://127.0.0.1:{_free_port()}"
+    with pytest.raises(ConfigError, match=f"{address}: no Dask scheduler answers"):
+        open_engine(scheduler=address)
+    with pytest.raises(ConfigError, match="nowhere"):
+        open_engine(scheduler="what://nowhere")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=r"extra \[fleet\]"):
+        open_engine(scheduler=address)
+
+
+def test_a_scheduler_may_restart(tmp_path):
+    """Workers without a nanny end with their scheduler; others take over, and nothing that had ended runs again."""
+    port = _free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    tasks = [task(n, tmp_path, seconds=0.0 if n < 2 else 1.0) for n in range(5)]
+    kept = JsonResults(tmp_path / "kept")
+    said: list[str] = []
+    running = [_dask("scheduler", "--port", str(port), "--no-dashboard"), _dask("worker", address, "--nthreads", "2")]
+    try:
+        _wait_for_workers(address, 1)
+        with pytest.raises(ConfigError, match="computes on 2 threads"):
+            DaskEngine(address)
+        running[1].kill()
+        running.append(_dask("worker", address, "--nthreads", "1"))
+        _wait_for_workers(address, 1)
+        with DaskEngine(address, say=said.append) as engine:
+            ended = []
+            for outcome in execute(tasks, engine, kept):
+                ended.append(outcome)
+                if len(ended) == 2:
+                    running[0].kill()
+                    running[0].wait()
+                    running.append(_dask("scheduler", "--port", str(port), "--no-dashboard"))
+                    running.append(_dask("worker", address, "--nthreads", "1"))
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+    assert sorted(o.value for o in ended) == [0, 1, 2, 3, 4]
+    began = functions.begun(tmp_path / "log")
+    assert began.count("0") == began.count("1") == 1
+    assert any("is gone; waiting" in line for line in said)
+    assert any("is back" in line for line in said)
+
+
+def _dask(*words: str) -> subprocess.Popen[bytes]:
+    more = ["--no-nanny"] if words[0] == "worker" else []
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support")])}
+    call = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", *more]
+    return subprocess.Popen(call, env={**env, "OMP_NUM_THREADS": "1"}, stderr=subprocess.DEVNULL)
+
+
+def _wait_for_workers(address: str, n: int) -> None:
+    from distributed import Client
+
+    with Client(address, timeout=20, set_as_default=False) as client:
+        client.wait_for_workers(n, timeout=20)
+        until = time.monotonic() + 20
+        while len(client.nthreads()) != n and time.monotonic() < until:
+            time.sleep(0.1)
+
+
+def _free_port() -> int:
+    with socket.socket() as made:
+        made.bind(("127.0.0.1", 0))
+        return made.getsockname()[1]

@@ -1,0 +1,203 @@
+"""Tasks on the workers of a Dask cluster (extra `[fleet]`): the same tasks, on machines that share no disk.
+
+Dask places tasks, and begins those of a worker that dies elsewhere (`allowed-failures` times, a setting of its
+scheduler). Here is what it leaves open: that workers have this code, and that a scheduler may restart.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from thermoforce_mpc.errors import ConfigError, EngineError
+from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, perform
+from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
+from thermoforce_mpc.execution.environment import difference, environment
+
+_CONNECT_S = 10.0
+_LOOK_EVERY_S = 2.0
+_SAID_EVERY_S = 60.0
+# So many more tasks than threads wait at the scheduler that a cluster that grows with its work does grow.
+_IN_HAND = 20
+
+
+class DaskEngine:
+    """Tasks on the cluster of the scheduler at `address`; a context manager.
+
+    Args:
+        address: such as tcp://host:8786.
+        wait_s: how long to wait for a scheduler that is gone.
+        say: callback for what a user should know.
+
+    Raises:
+        ConfigError: the extra is missing, no scheduler answers, or a worker has other versions, other source code or
+            more than one thread.
+    """
+
+    def __init__(self, address: str, *, wait_s: float = 120.0, say: Callable[[str], None] = lambda line: None) -> None:
+        self._address, self._wait_s, self._say = address, wait_s, say
+        self._topic = f"thermoforce-mpc-{uuid.uuid4().hex}"
+        self._orders: dict[str, Order] = {}
+        self._futures: dict[str, Any] = {}
+        self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
+        self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
+        try:
+            self._client = self._connect()
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"--scheduler {address}: no Dask scheduler answers there ({_first_line(error)}); start one by "
+                "`dask scheduler`, and workers by `dask worker ADDRESS --nthreads 1 --nworkers N`"
+            ) from error
+        try:
+            n = self._check_workers()
+        except BaseException:
+            self._client.close()
+            raise
+        dashboard = self._client.scheduler_info(0).get("services", {}).get("dashboard")
+        link = f", dashboard {self._client.dashboard_link}" if dashboard else ""
+        say(f"Dask scheduler {address}: {n} workers{link}")
+
+    def __enter__(self) -> DaskEngine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cancel()
+        with suppress(OSError):
+            self._client.close(timeout=_CONNECT_S)
+
+    @property
+    def room(self) -> int:
+        """Tasks for every thread twice, and some more; what waits, waits at the scheduler."""
+        if time.monotonic() - self._looked > _LOOK_EVERY_S:
+            self._look()
+        return 2 * self._threads + _IN_HAND - len(self._orders)
+
+    def submit(self, key: str, title: str, payload: bytes) -> None:
+        """Run `payload` on a worker."""
+        self._orders[key] = Order(key, payload, self._topic, environment())
+        self._send(key, title)
+
+    def _send(self, key: str, title: str) -> None:
+        name = f"{title}-{uuid.uuid4().hex}"  # the dashboard shows what comes before the last hyphen
+        future = self._client.submit(perform, self._orders[key], key=name, pure=False)
+        self._futures[key] = future
+        future.add_done_callback(lambda done: self._events.put((key, done)))
+
+    def wait(self) -> Event:
+        """The next event; raises `EngineError` if the scheduler does not come back, or a worker does not fit."""
+        while True:
+            try:
+                event = self._events.get(timeout=_LOOK_EVERY_S)
+            except queue.Empty:
+                self._look()
+                continue
+            if not isinstance(event, tuple):
+                return event
+            key, future = event
+            if self._futures.get(key) is future:  # else it was cancelled, or sent again
+                ended = self._ended(key, future)
+                if ended is not None:
+                    del self._orders[key], self._futures[key]
+                    return ended
+
+    def _ended(self, key: str, future: Any) -> Event | None:
+        from distributed import KilledWorker
+
+        try:
+            answer: Answer = future.result()
+        except KilledWorker as error:
+            return Lost(key, f"worker {error.last_worker.address}", error.allowed_failures + 1)
+        except WrongWorker as error:
+            raise EngineError(str(error)) from error
+        except Exception as error:
+            if future.status == "error":
+                raise EngineError(f"a worker cannot run tasks of this version: {_first_line(error)}") from error
+            self._reconnect()
+            return None
+        return Ended(key, answer)
+
+    def cancel(self) -> None:
+        """Forget what is under way; a task that has begun ends when it next tells how far it is."""
+        futures = list(self._futures.values())
+        self._futures.clear()
+        self._orders.clear()
+        if futures and self._client.status == "running":
+            with suppress(OSError):
+                self._client.cancel(futures, force=True)
+
+    def _connect(self) -> Any:
+        try:
+            from distributed import Client
+        except ImportError:
+            raise ConfigError("--scheduler needs the extra [fleet]: pip install 'thermoforce-mpc[fleet]'") from None
+        client = Client(self._address, timeout=_CONNECT_S, set_as_default=False)
+        client.subscribe_topic(self._topic, self._hear)
+        return client
+
+    def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
+        """Message of a task, in the client's thread."""
+        key, share = event[1]["key"], event[1].get("share")
+        self._events.put(Begun(key) if share is None else Told(key, share))
+
+    def _check_workers(self) -> int:
+        """Compare the workers there are with this process; returns their number, raises `ConfigError`.
+
+        Those that come later compare themselves, with each task.
+        """
+        threads = self._client.nthreads()
+        found = self._client.run(look, on_error="return")
+        for worker, (there, told) in ((w, f) for w, f in found.items() if isinstance(f, tuple)):
+            differs = difference(environment(), there)
+            if differs:
+                raise ConfigError(f"worker {worker} has {differs}; start it in the environment of this client")
+            if told != "1" or threads.get(worker, 1) != 1:
+                raise ConfigError(
+                    f"worker {worker} computes on {threads.get(worker)} threads with OMP_NUM_THREADS '{told}', so that "
+                    "results depend on it: start workers with --nthreads 1 and OMP_NUM_THREADS=1 (a nanny sets it)"
+                )
+        for worker, error in ((w, f) for w, f in found.items() if isinstance(f, BaseException)):
+            raise ConfigError(f"worker {worker} cannot load thermoforce-mpc of this version: {_first_line(error)}")
+        return len(found)
+
+    def _look(self) -> None:
+        """How many threads there are now; tells where there are none for long."""
+        self._looked = time.monotonic()
+        with suppress(OSError):
+            self._threads = sum(self._client.nthreads().values())
+        if self._threads:
+            self._alone_since = self._looked
+        elif self._looked - self._alone_since > _SAID_EVERY_S:
+            self._alone_since = self._looked
+            self._say(f"no worker is connected to {self._address}; waiting for one")
+
+    def _reconnect(self) -> None:
+        """Connect to a scheduler that was restarted, and send again what had not ended."""
+        self._say(f"the Dask scheduler at {self._address} is gone; waiting {self._wait_s:.0f} s for it")
+        self._futures.clear()
+        with suppress(Exception):  # it may be in any state
+            self._client.close(timeout=1.0)
+        until = time.monotonic() + self._wait_s
+        while True:
+            try:
+                self._client = self._connect()
+                break
+            except OSError as error:
+                if time.monotonic() > until:
+                    raise EngineError(
+                        f"the Dask scheduler at {self._address} did not come back in {self._wait_s:.0f} s; results "
+                        "until here are kept: start it and repeat the command"
+                    ) from error
+                time.sleep(1.0)
+        self._look()
+        self._say(f"the Dask scheduler is back; {len(self._orders)} tasks are sent again")
+        for key in self._orders:
+            self._send(key, key)
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

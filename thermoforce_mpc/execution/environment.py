@@ -1,0 +1,41 @@
+"""What results depend on besides tasks, compared between a client and the workers of a cluster."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import os
+import sys
+from collections.abc import Mapping
+
+from thermoforce_mpc.execution.keys import source_fingerprint
+from thermoforce_mpc.version import VERSION
+
+_PACKAGES = ("casadi", "numpy", "torch")
+
+
+@functools.cache
+def environment() -> dict[str, str]:
+    """Versions in this process, by name; `source` is the fingerprint of this package's code."""
+    found = {"thermoforce-mpc": VERSION, "source": source_fingerprint()}
+    found["python"] = f"{sys.version_info.major}.{sys.version_info.minor}"
+    for package in _PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def threads() -> str:
+    """How many threads numerical libraries of this process use, as they were told: '' where nobody said."""
+    return os.environ.get("OMP_NUM_THREADS", "")
+
+
+def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
+    """What differs, in words; empty if nothing does."""
+    return ", ".join(
+        f"{name} {there.get(name, 'unknown')} instead of {version}"
+        for name, version in here.items()
+        if there.get(name) != version
+    )
