@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -13,16 +12,18 @@ from typing import Any
 import click
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution import Outcome, TaskProgress, execute, open_engine, source_fingerprint
+from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
-from thermoforce_mpc.simulation.comparison.cells import Cell, expand, source_fingerprint
+from thermoforce_mpc.simulation.comparison.cells import Cell, expand
 from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
-from thermoforce_mpc.simulation.comparison.runner import run_cells
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
+from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
 from thermoforce_mpc.simulation.comparison.variants import Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.display import zone_table
@@ -37,6 +38,7 @@ Function = Callable[..., Any]
 
 def comparison_options(function: Function) -> Function:
     """Add the options that select cells, plant and parallel execution."""
+    function = execution_options(function)
     for option in reversed(
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
@@ -53,7 +55,6 @@ def comparison_options(function: Function) -> Function:
             click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
             click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
             click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
-            click.option("--jobs", type=click.IntRange(min=1), help="Parallel processes.  [default: one per core]"),
             click.option(
                 "--out",
                 type=click.Path(path_type=Path),
@@ -136,10 +137,8 @@ def run_comparison(
         say(
             f"Note: {stale} stored cells were made by other source code of this version; use another --out to rerun all"
         )
-    jobs = options["jobs"] or os.cpu_count() or 1
     try:
-        with CellProgress(console, len(todo), options["quiet"]) as progress:
-            ran = run_cells(todo, store, jobs, progress)
+        ran = _run(todo, store, console, options, say) if todo else {}
     except KeyboardInterrupt:
         kept = sum(store.finished(cell) is not None for cell in cells)
         click.echo(f"{kept} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True)
@@ -150,6 +149,32 @@ def run_comparison(
     page = shlex.quote(str(store.folder / "comparison.html"))
     console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
     return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
+
+
+def _run(
+    cells: Sequence[Cell], store: Store, console: Console, options: Mapping[str, Any], say: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
+    """Run cells; returns the record of each by key: its result, or the reason of its failure."""
+    records: dict[str, dict[str, Any]] = {}
+    with (
+        TaskProgress(console, quiet=options["quiet"], line=_line) as progress,
+        open_engine(options["jobs"], options["scheduler"], say) as engine,
+    ):
+        for outcome in execute(tasks_of(cells), engine, store, progress):
+            cell = outcome.task.inputs
+            if not isinstance(cell, Cell):
+                continue
+            if outcome.reason:
+                store.write(cell, failure(cell, outcome.reason))
+            records[cell.key] = failure(cell, outcome.reason) if outcome.reason else outcome.value
+    return records
+
+
+def _line(outcome: Outcome) -> str:
+    if not isinstance(outcome.task.inputs, Cell):
+        return summary(outcome)
+    kpis = outcome.value["kpis"]
+    return f"{outcome.task.title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({outcome.seconds:.0f} s)"
 
 
 def exit_with(code: int) -> None:
@@ -180,58 +205,6 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
         if row["status"] != DONE:
             where = f"{row['controller']}, {row['window']}, {row['price']}"
             console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True, markup=False)
-
-
-class CellProgress:
-    """Progress of a comparison: bars on a terminal, else one line per start and end of a process."""
-
-    def __init__(self, console: Console, n_cells: int, quiet: bool) -> None:
-        self._console, self._n, self._quiet, self._ended = console, n_cells, quiet, 0
-        self._bars: dict[str, TaskID] = {}
-        self._progress: Progress | None = None
-
-    def __enter__(self) -> CellProgress:
-        if self._console.is_terminal and not self._quiet and self._n:
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-            self._progress = Progress(*columns, console=self._console, transient=True)
-            self._progress.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._progress:
-            self._progress.stop()
-
-    def begun(self, title: str, days: float) -> None:
-        """A process has started."""
-        if self._progress:
-            self._bars[title] = self._progress.add_task(title, total=days or None)
-        elif not self._quiet:
-            self._print(f"started {title}")
-
-    def day(self, title: str, day: float) -> None:
-        """A process has reached simulated day `day`."""
-        if self._progress and title in self._bars:
-            self._progress.update(self._bars[title], completed=day)
-
-    def ended(self, title: str, record: Mapping[str, Any] | None, reason: str, seconds: float) -> None:
-        """A process has ended."""
-        if self._progress and title in self._bars:
-            self._progress.remove_task(self._bars.pop(title))
-        if record is not None:
-            self._ended += 1
-        if self._quiet:
-            return
-        count = f"[{self._ended}/{self._n}] " if record is not None else ""
-        if reason:
-            self._print(f"FAILED  {count}{title}: {reason}")
-        elif record is None:
-            self._print(f"done    {title} ({seconds:.0f} s)")
-        else:
-            kpis = record["kpis"]
-            self._print(f"done    {count}{title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({seconds:.0f} s)")
-
-    def _print(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True, markup=False)
 
 
 def _sayer(console: Console) -> Callable[[str], None]:

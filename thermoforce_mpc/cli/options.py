@@ -46,6 +46,20 @@ def scenario_options(function: Function) -> Function:
     return function
 
 
+def execution_options(function: Function) -> Function:
+    """Add `--jobs` and `--scheduler`: where many tasks are run, see `open_engine`."""
+    for option in (
+        click.option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Run on the workers of this Dask scheduler, such as tcp://host:8786 (extra [fleet]).",
+        ),
+        click.option("--jobs", type=click.IntRange(min=1), help="Parallel processes.  [default: one per core]"),
+    ):
+        function = option(function)
+    return function
+
+
 def measured_model_options(function: Function) -> Function:
     """Add `--model`, `--data` (as `files`) and `--map` (as `map_file`): a saved model, and what was measured there."""
     for option in reversed(

@@ -10,9 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,7 +21,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import storage_errors
+from thermoforce_mpc.files import write_folder
 from thermoforce_mpc.reading import parse_json, read_bounded
 from thermoforce_mpc.version import VERSION
 
@@ -68,18 +65,7 @@ def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[s
     }
     document = _plain(head | dict(content) | head)
     text = json.dumps(document | {"sha256": content_sha256(document)}, indent=2, allow_nan=False) + "\n"
-    with storage_errors(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
-            aside.chmod(0o755)
-            (aside / ARRAYS_NAME).write_bytes(raw)
-            (aside / JSON_NAME).write_text(text, encoding="utf-8")
-            if folder.exists():
-                shutil.rmtree(folder)
-            os.replace(aside, folder)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
+    write_folder(folder, {ARRAYS_NAME: raw, JSON_NAME: text.encode()})
 
 
 def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:

@@ -12,8 +12,8 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.store import Store
+from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.comparison.variants import Variant
-from thermoforce_mpc.simulation.comparison.worker import failure
 
 TESTCASE = "bestest_hydronic_heat_pump"
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +9,7 @@ from typing import Any
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution.keys import digest, source_fingerprint
 from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
@@ -84,23 +82,6 @@ def expand(
                     except ConfigError as error:
                         raise ConfigError(f"variant '{name}': {error}") from error
     return cells
-
-
-def digest(content: Mapping[str, Any]) -> str:
-    """Hash of `content`, 16 hexadecimal digits, independent of the order of its keys."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-@functools.cache
-def source_fingerprint() -> str:
-    """Hash of the source files, 16 hexadecimal digits; distinguishes working trees of one version."""
-    total = hashlib.sha256()
-    root = Path(__file__).resolve().parents[3]
-    for package in ("thermoforce_mpc", "controllers", "boptest_client"):
-        for path in sorted((root / package).rglob("*.py")):
-            total.update(str(path.relative_to(root)).encode() + path.read_bytes())
-    return total.hexdigest()[:16]
 
 
 class _FileHashes:

@@ -8,18 +8,29 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution import Task
+from thermoforce_mpc.files import write_folder, write_whole
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.run_folder import write_json
 
 DONE, FAILED = "done", "failed"
 
 
+@dataclass(frozen=True)
+class Identified:
+    """A saved model as its files by name, or why its data could not be fitted (`refused`)."""
+
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    refused: str = ""
+
+
 class Store:
-    """Stored cells and models of one comparison."""
+    """Stored cells and models of one comparison: the `Results` of its tasks."""
 
     def __init__(self, folder: Path) -> None:
         """Create the folder; raises `ConfigError` if that fails."""
@@ -51,6 +62,32 @@ class Store:
             if isinstance(record, dict) and {name: record.get(name) for name in expected} == expected:
                 return record | {"variant": cell.variant}
         return None
+
+    def get(self, task: Task) -> Any:
+        """The record of a finished cell, or what was identified; raises `KeyError` where there is none."""
+        found = self.finished(task.inputs) if isinstance(task.inputs, Cell) else self._identified(task.key)
+        if found is None:
+            raise KeyError(task.key)
+        return found
+
+    def put(self, task: Task, value: Any) -> None:
+        """Store the record of a cell, or what was identified; raises `StorageError`."""
+        if isinstance(task.inputs, Cell):
+            self.write(task.inputs, value)
+        elif value.refused:
+            write_whole(self.model_path(task.key), value.refused)
+        else:
+            write_folder(self.model_path(task.key), value.files)
+
+    def _identified(self, key: str) -> Identified | None:
+        """A file with the reason takes the place of a model's folder where the data could not be fitted."""
+        path = self.model_path(key)
+        try:
+            if path.is_file():
+                return Identified(refused=path.read_text(encoding="utf-8"))
+            return Identified({file.name: file.read_bytes() for file in sorted(path.iterdir())})
+        except OSError:
+            return None
 
     def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
         """Store a cell's record atomically."""

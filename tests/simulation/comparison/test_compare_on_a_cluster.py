@@ -1,0 +1,84 @@
+"""`tf-mpc compare --scheduler`: the records of a cluster whose worker is killed are those of undisturbed processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.simulation.comparison.store import Identified, Store
+from thermoforce_mpc.simulation.comparison.tasks import tasks_of
+
+TESTCASE = "bestest_hydronic_heat_pump"
+CALL = ("compare", "--testcase", TESTCASE, "--controllers", "native,thermostat", "--windows", "44", "--days", "0.25")
+
+
+def records(folder: Path) -> dict[str, dict]:
+    found = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in (folder / "cells").iterdir()}
+    return {name: {key: of[key] for key in of if key != "seconds"} for name, of in found.items()}
+
+
+@pytest.mark.slow
+def test_a_killed_worker_changes_no_record(tmp_path):
+    pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
+    from distributed import Client, LocalCluster
+
+    here = CliRunner().invoke(cli, [*CALL, "--jobs", "1", "--out", str(tmp_path / "here")])
+    assert here.exit_code == 0, here.output
+    options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 60}
+    with LocalCluster(n_workers=2, **options) as cluster, Client(cluster, set_as_default=False) as client:
+        killed = []
+
+        def kill_a_busy_worker() -> None:
+            while not killed:
+                for nanny in cluster.workers.values():
+                    if client.processing().get(nanny.worker_address):
+                        killed.append(nanny.pid)
+                        os.kill(nanny.pid, signal.SIGKILL)
+                        return
+                time.sleep(0.05)
+
+        killing = threading.Thread(target=kill_a_busy_worker, daemon=True)
+        killing.start()
+        words = ("--scheduler", cluster.scheduler_address, "--out", str(tmp_path / "there"))
+        there = CliRunner().invoke(cli, [*CALL, *words])
+        killing.join(1.0)
+    assert there.exit_code == 0, there.output
+    assert killed
+    assert f"Dask scheduler {cluster.scheduler_address}: 2 workers" in there.output
+    assert records(tmp_path / "there") == records(tmp_path / "here")
+    again = CliRunner().invoke(cli, [*CALL, "--scheduler", "tcp://nowhere:1", "--out", str(tmp_path / "there")])
+    assert again.exit_code == 0, "nothing is left to run, so nobody is asked"
+
+
+def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_path):
+    from thermoforce_mpc.scenario.scenario import Scenario
+    from thermoforce_mpc.simulation.comparison.cells import expand
+    from thermoforce_mpc.simulation.comparison.variants import Variant
+
+    cells = expand(
+        Scenario(testcase=TESTCASE), {"v": Variant(controller="rc_mpc")}, ["44", "45"], ["constant", "dynamic"]
+    )
+    tasks = tasks_of(cells)
+    needs = {need.key: need for task in tasks for need in task.needs}
+    assert len(tasks) == 4
+    assert len(needs) == 2, "tariffs learn together"
+    store, (first, second) = Store(tmp_path), needs.values()
+    for need in (first, second):
+        with pytest.raises(KeyError):
+            store.get(need)
+    model = Identified({"model.json": b"{}", "arrays.safetensors": b"\0"})
+    store.put(first, model)
+    store.put(second, Identified(refused="too short"))
+    assert store.get(first) == model
+    assert store.get(second) == Identified(refused="too short")
+    store.put(second, Identified(refused="too short"))
+    store.put(first, model)
+    assert sorted(path.name for path in (tmp_path / "models").iterdir()) == sorted(needs)

@@ -1,0 +1,149 @@
+"""Tasks of a comparison: identify a model, or run one closed loop. They return what is stored, and write nothing."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from controllers.registry import build_controller, find_entry, has_gate
+from thermoforce_mpc.data import DAY_S, PlantInfo
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Task, source_fingerprint, tell
+from thermoforce_mpc.files import write_folder
+from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
+from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
+from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
+from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.identifying import IdentificationTask, model_for, run_identification
+from thermoforce_mpc.version import VERSION
+
+
+def tasks_of(cells: Iterable[Cell]) -> list[Task]:
+    """A task for each cell, with the identification it needs, which cells share."""
+    tasks = []
+    for cell in cells:
+        needs: tuple[Task, ...] = ()
+        if cell.identification_key is not None:
+            needs = (Task(cell.identification_key, cell.identification_title, identified, cell.task),)
+        tasks.append(Task(cell.key, cell.title, record_of, cell, needs))
+    return tasks
+
+
+def failure(cell: Cell, reason: str) -> dict[str, Any]:
+    """Record of a failed cell."""
+    return _head(cell) | {"status": FAILED, "reason": reason}
+
+
+def identified(task: IdentificationTask) -> Identified:
+    """Probe and identify; where the data cannot be fitted, the reason takes the model's place.
+
+    Raises:
+        PlantError: the plant failed.
+    """
+    try:
+        with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
+            model = run_identification(task, plant, on_progress=lambda now: tell(now.days / now.planned_days))
+    except DataError as error:
+        return Identified(refused=str(error))
+    with tempfile.TemporaryDirectory() as folder:
+        saved = model.save(Path(folder) / "model")
+        return Identified({path.name: path.read_bytes() for path in sorted(saved.iterdir())})
+
+
+def record_of(cell: Cell, model: Identified | None = None) -> dict[str, Any]:
+    """Run the closed loop of `cell`, with the `model` identified for it, and return its record.
+
+    Raises:
+        DataError: the data of the identification could not be fitted, and the controller has no gate.
+        ArtifactError: a saved model cannot be used.
+        PlantError: the plant failed.
+    """
+    scenario = cell.scenario
+    name = scenario.controller.name
+    testcase = load_testcase(scenario.testcase)
+    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        period = scored_period(plant, scenario.period, scenario.days)
+        acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
+        controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
+
+        def on_step(record: StepRecord) -> None:
+            tell((record.time_s - period.start_s) / period.scored_s)
+
+        allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
+        result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, testcase.layout.lowest)
+        return _record(cell, result, plant.info)
+
+
+def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:
+    """What the controller acts on: a model, or why there is none; raises `DataError` where it has no gate."""
+    if model is None:
+        return model_for(scenario, testcase, plant)
+    if model.refused:
+        name = scenario.controller.name
+        if not has_gate(name, controller_options(scenario, name), testcase):
+            raise DataError(model.refused)
+        return model.refused
+    with tempfile.TemporaryDirectory() as folder:
+        saved = Path(folder) / "model"
+        write_folder(saved, model.files)
+        spec = scenario.identification.model_copy(update={"model": str(saved)})
+        return model_for(scenario.model_copy(update={"identification": spec}), testcase, plant)
+
+
+def _head(cell: Cell) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "key": cell.key,
+        "version": VERSION,
+        "source": source_fingerprint(),
+        "variant": cell.variant,
+        "controller": cell.scenario.controller.name,
+        "needs_model": find_entry(cell.scenario.controller.name).needs_model,
+        "window": cell.window,
+        "price": cell.price,
+        "uncertainty": cell.uncertainty,
+        "model": cell.identification_key or cell.scenario.identification.model,
+        "scenario": cell.scenario.model_dump(mode="json"),
+    }
+
+
+def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
+    kpis = {name: value for name, value in result.kpis.items() if name != "time_rat"}
+    return _head(cell) | {
+        "status": DONE,
+        "reason": "",
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
+        "plant": asdict(plant),
+        "kpis": kpis,
+        "fallback_levels": result.fallback_levels(),
+        "seconds": _seconds(result.steps, result.seconds),
+    }
+
+
+def _seconds(steps: Sequence[StepRecord], total: float) -> dict[str, float]:
+    """Computing times, s: totals over the run, and medians per step of the plan and its parts."""
+    plans = [step.plan_seconds for step in steps]
+    parts = {name for step in steps for name in step.plan.seconds}
+    medians = {
+        f"{name}_median": statistics.median(step.plan.seconds.get(name, 0.0) for step in steps)
+        for name in sorted(parts)
+    }
+    return {
+        "total": total,
+        "controller": sum(plans),
+        "plant": sum(step.plant_seconds for step in steps),
+        "plan_median": statistics.median(plans),
+        "plan_longest": max(plans),
+        **medians,
+    }
