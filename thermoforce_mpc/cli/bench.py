@@ -12,6 +12,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from thermoforce_mpc.cli.options import Opening, execution_options
 from thermoforce_mpc.simulation.run_folder import write_json
 
 
@@ -101,7 +102,7 @@ def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) ->
 @command.command("buildings")
 @click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Number of generated houses.")
 @click.option("--seed", type=click.IntRange(0), default=2026, show_default=True, help="Seed of the population.")
-@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options()
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -109,31 +110,35 @@ def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) ->
 )
 @_QUICK
 @_JSON
-def buildings_command(houses: int, seed: int, jobs: int, out: Path | None, quick: bool, json_file: Path | None) -> None:
+def buildings_command(
+    houses: int, seed: int, engine: Opening, out: Path | None, quick: bool, json_file: Path | None
+) -> None:
     """Run the default configuration on generated houses, against a thermostat and the houses' own control.
 
     Two weeks a house: the coldest and a sunny one in spring. Costs in EUR/m² and discomfort in K·h of the week.
     """
     from thermoforce_mpc.research.bench.buildings import run_buildings_bench
 
-    result = run_buildings_bench(houses=houses, seed=seed, jobs=jobs, quick=quick, out=out, progress=_progress)
+    with engine(_progress) as where:
+        result = run_buildings_bench(houses=houses, seed=seed, engine=where, quick=quick, out=out, progress=_progress)
     show(result, json_file)
 
 
 @command.command("zones")
 @click.option("--fmus", type=_FOLDER, help="Folder with twozone_apartment_hydronic.fmu; without it, it is left out.")
-@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options()
 @click.option("--only-speed", is_flag=True, help="Time a step alone, without buildings.")
 @_QUICK
 @_JSON
-def zones_command(fmus: Path | None, jobs: int, only_speed: bool, quick: bool, json_file: Path | None) -> None:
+def zones_command(fmus: Path | None, engine: Opening, only_speed: bool, quick: bool, json_file: Path | None) -> None:
     """Run the default configuration on buildings of several zones, and time a step over the number of zones.
 
     Five zones are solved in do-mpc too (extra [bench]).
     """
     from thermoforce_mpc.research.bench.zones import run_zones_bench
 
-    result = run_zones_bench(fmus=fmus, jobs=jobs, quick=quick, only_speed=only_speed, progress=_progress)
+    with engine(_progress) as where:
+        result = run_zones_bench(fmus=fmus, engine=where, quick=quick, only_speed=only_speed, progress=_progress)
     show(result, json_file)
 
 
@@ -146,17 +151,18 @@ def zones_command(fmus: Path | None, jobs: int, only_speed: bool, quick: bool, j
     show_default=True,
     help="Tariff.",
 )
-@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options()
 @_QUICK
 @_JSON
-def boptest_command(fmus: Path, price: str, jobs: int, quick: bool, json_file: Path | None) -> None:
+def boptest_command(fmus: Path, price: str, engine: Opening, quick: bool, json_file: Path | None) -> None:
     """Run the default configuration on test cases from their FMUs, over all their scenarios, beside native control.
 
     Cost per m² in the test case's currency and discomfort in K·h of two weeks (extra [fmu]).
     """
     from thermoforce_mpc.research.bench.boptest import run_boptest_bench
 
-    show(run_boptest_bench(fmus, price=price, jobs=jobs, quick=quick, progress=_progress), json_file)
+    with engine(_progress) as where:
+        show(run_boptest_bench(fmus, price=price, engine=where, quick=quick, progress=_progress), json_file)
 
 
 @command.command("faults")
@@ -203,7 +209,7 @@ def fallback_command(quick: bool, json_file: Path | None) -> None:
 @click.option(
     "--other", "others", multiple=True, metavar="NAME", help="Backbone for their table.  [default: the shipped ones]"
 )
-@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options("--workers")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -224,7 +230,7 @@ def factual_command(
     days: tuple[int, ...],
     backbone: str,
     others: tuple[str, ...],
-    workers: int,
+    engine: Opening,
     out: Path,
     quick: bool,
     json_file: Path | None,
@@ -251,26 +257,27 @@ def factual_command(
     homes = [home for home in homes if not only or any(part.lower() in home.name.lower() for part in only)]
     if not homes:
         raise click.UsageError(f"--home {', '.join(only)}: no home has that in its name")
-    result = run_factual_bench(
-        homes,
-        out,
-        first=None if first is None else pd.Timestamp(first),
-        last=None if last is None else pd.Timestamp(last),
-        days=days,
-        backbone=backbone,
-        others=others or SHIPPED_SCALES,
-        quick=quick,
-        workers=workers,
-        progress=_progress,
-    )
+    with engine(_progress) as where:
+        result = run_factual_bench(
+            homes,
+            out,
+            first=None if first is None else pd.Timestamp(first),
+            last=None if last is None else pd.Timestamp(last),
+            days=days,
+            backbone=backbone,
+            others=others or SHIPPED_SCALES,
+            quick=quick,
+            engine=where,
+            progress=_progress,
+        )
     show(result, json_file)
 
 
 @command.command("operation")
-@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options()
 @_QUICK
 @_JSON
-def operation_command(jobs: int, quick: bool, json_file: Path | None) -> None:
+def operation_command(engine: Opening, quick: bool, json_file: Path | None) -> None:
     """Score models from 3, 7 and 28 days of a thermostat, a PI loop and a timer beside those from probing.
 
     On the embedded plant and a house of three rooms, by the effect of acting on pairs of days; heat is not measured.
@@ -278,16 +285,17 @@ def operation_command(jobs: int, quick: bool, json_file: Path | None) -> None:
     """
     from thermoforce_mpc.research.bench.operation import run_operation_bench
 
-    show(run_operation_bench(jobs=jobs, quick=quick, progress=_progress), json_file)
+    with engine(_progress) as where:
+        show(run_operation_bench(engine=where, quick=quick, progress=_progress), json_file)
 
 
 @command.command("saving")
 @click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="Number of cases.")
 @click.option("--seed", type=int, default=7, show_default=True, help="Seed of houses, start days and set-points.")
-@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options()
 @_QUICK
 @_JSON
-def saving_command(cases: int, seed: int, jobs: int, quick: bool, json_file: Path | None) -> None:
+def saving_command(cases: int, seed: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
     """Compare verified savings with the truth: houses run both with a change of operation and without it.
 
     Every fourth case changes nothing. Targets: the 95 % interval holds the truth in 85 % of the cases or more, and no
@@ -295,7 +303,8 @@ def saving_command(cases: int, seed: int, jobs: int, quick: bool, json_file: Pat
     """
     from thermoforce_mpc.research.bench.saving import run_saving_bench
 
-    show(run_saving_bench(n=cases, seed=seed, jobs=jobs, quick=quick, progress=_progress), json_file)
+    with engine(_progress) as where:
+        show(run_saving_bench(n=cases, seed=seed, engine=where, quick=quick, progress=_progress), json_file)
 
 
 @command.command("free-response")
@@ -364,7 +373,7 @@ def backbones_command(
 @click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
 @click.option("--seed", default=1, show_default=True, help="Seed of network training.")
 @click.option("--draw", default=1, show_default=True, help="Seed of occupants and probing in the suite.")
-@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Parallel processes.")
+@execution_options("--workers")
 @click.option(
     "--data",
     "data_folder",
@@ -389,7 +398,7 @@ def interventions_command(
     backbone: str,
     seed: int,
     draw: int,
-    workers: int,
+    engine: Opening,
     data_folder: Path,
     out: Path,
     quick: bool,
@@ -400,13 +409,14 @@ def interventions_command(
     from thermoforce_mpc.research.bench.interventions_studies import run_study
 
     options: dict[str, Any] = {"out": out, "days": days, "quick": quick, "backbone": backbone, "seed": seed}
-    options |= {"workers": workers, "draw": draw, "progress": _progress}
-    if study == "validity":
-        show(run_interventions_bench(data_folder, **options, methods=methods), json_file)
-    elif methods:
+    if methods and study != "validity":
         raise click.UsageError("--method can only be used with --study validity; the other studies have fixed methods")
-    else:
-        show(run_study(study, data_folder, **options), json_file)
+    with engine(_progress) as where:
+        options |= {"engine": where, "draw": draw, "progress": _progress}
+        if study == "validity":
+            show(run_interventions_bench(data_folder, **options, methods=methods), json_file)
+        else:
+            show(run_study(study, data_folder, **options), json_file)
 
 
 def _progress(line: str) -> None:

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.execution import Outcome, TaskProgress, execute, open_engine, source_fingerprint
+from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.simulation.comparison.cells import Cell, expand
@@ -38,7 +38,7 @@ Function = Callable[..., Any]
 
 def comparison_options(function: Function) -> Function:
     """Add the options that select cells, plant and parallel execution."""
-    function = execution_options(function)
+    function = execution_options()(function)
     for option in reversed(
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
@@ -158,7 +158,7 @@ def _run(
     records: dict[str, dict[str, Any]] = {}
     with (
         TaskProgress(console, quiet=options["quiet"], line=_line) as progress,
-        open_engine(options["jobs"], options["scheduler"], say) as engine,
+        options["engine"](say) as engine,
     ):
         for outcome in execute(tasks_of(cells), engine, store, progress):
             cell = outcome.task.inputs

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
+from thermoforce_mpc.execution import DaskEngine, LocalEngine, open_engine
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
 
 Function = Callable[..., Any]
+# Opens the engine that a user asked for; told what is to be said.
+Opening = Callable[[Callable[[str], None]], LocalEngine | DaskEngine]
 
 
 def scenario_options(function: Function) -> Function:
@@ -46,18 +50,28 @@ def scenario_options(function: Function) -> Function:
     return function
 
 
-def execution_options(function: Function) -> Function:
-    """Add `--jobs` and `--scheduler`: where many tasks are run, see `open_engine`."""
-    for option in (
-        click.option(
+def execution_options(*former: str) -> Callable[[Function], Function]:
+    """Add `--jobs` (and its `former` names) and `--scheduler`: where many tasks are run.
+
+    The command gets them as `engine`, which opens it: `with engine(say) as where: …`, see `open_engine`.
+    """
+
+    def add(function: Function) -> Function:
+        @functools.wraps(function)
+        def command(*args: Any, jobs: int | None, scheduler: str | None, **options: Any) -> Any:
+            return function(*args, engine=functools.partial(open_engine, jobs, scheduler), **options)
+
+        at = click.option(
             "--scheduler",
             metavar="ADDRESS",
             help="Run on the workers of this Dask scheduler, such as tcp://host:8786 (extra [fleet]).",
-        ),
-        click.option("--jobs", type=click.IntRange(min=1), help="Parallel processes.  [default: one per core]"),
-    ):
-        function = option(function)
-    return function
+        )
+        n = click.IntRange(min=1)
+        return click.option("--jobs", *former, "jobs", type=n, help="Parallel processes.  [default: one per core]")(
+            at(command)
+        )
+
+    return add
 
 
 def measured_model_options(function: Function) -> Function:

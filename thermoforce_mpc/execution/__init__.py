@@ -2,7 +2,7 @@
 
 from thermoforce_mpc.execution.cluster import DaskEngine
 from thermoforce_mpc.execution.engine import Engine, tell
-from thermoforce_mpc.execution.execute import Results, Watcher, collect, execute
+from thermoforce_mpc.execution.execute import Results, Watcher, collect, execute, run_all
 from thermoforce_mpc.execution.keys import content_key, source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.execution.opening import open_engine
@@ -25,6 +25,7 @@ __all__ = [
     "content_key",
     "execute",
     "open_engine",
+    "run_all",
     "source_fingerprint",
     "tell",
 ]

@@ -70,11 +70,16 @@ class DaskEngine:
             self._client.close(timeout=_CONNECT_S)
 
     @property
-    def room(self) -> int:
-        """Tasks for every thread twice, and some more; what waits, waits at the scheduler."""
+    def width(self) -> int:
+        """Number of workers, which have one thread each."""
         if time.monotonic() - self._looked > _LOOK_EVERY_S:
             self._look()
-        return 2 * self._threads + _IN_HAND - len(self._orders)
+        return self._threads
+
+    @property
+    def room(self) -> int:
+        """Tasks for every thread twice, and some more; what waits, waits at the scheduler."""
+        return 2 * self.width + _IN_HAND - len(self._orders)
 
     def submit(self, key: str, title: str, payload: bytes) -> None:
         """Run `payload` on a worker."""

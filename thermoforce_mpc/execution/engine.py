@@ -65,6 +65,11 @@ class Engine(Protocol):
     """Runs `answer_to(payload)` on workers. Thread safety is not asked for."""
 
     @property
+    def width(self) -> int:
+        """How many tasks it computes at once, as of now."""
+        ...
+
+    @property
     def room(self) -> int:
         """How many more tasks to submit now; positive where nothing is under way."""
         ...

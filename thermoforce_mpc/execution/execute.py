@@ -5,12 +5,16 @@ from __future__ import annotations
 import pickle
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
 from graphlib import TopologicalSorter
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Engine, Lost, Told, payload_of
 from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
+
+C = TypeVar("C")
+R = TypeVar("R")
 
 # A worker may die of something else than its task: the task is begun again, then without company.
 MOST_ATTEMPTS = 3
@@ -49,13 +53,18 @@ class Watcher(Protocol):
 
 
 def execute(
-    tasks: Iterable[Task], engine: Engine, results: Results | None = None, watcher: Watcher | None = None
-) -> Iterator[Outcome]:
+    tasks: Iterable[Task],
+    engine: Engine,
+    results: Results | None = None,
+    watcher: Watcher | None = None,
+    *,
+    most_attempts: int = MOST_ATTEMPTS,
+) -> Generator[Outcome]:
     """Run tasks and what they need, each key once; yields the outcomes of all that as they come.
 
     Tasks whose results are kept come first, with no attempts. A task that raises has failed and is not repeated; a task
     of which a need failed fails with it. Where a worker dies, its task is begun again, after the others and alone, and
-    is poisoned after `MOST_ATTEMPTS`; the others go on. At an exception, an interrupt or the end of the iteration, what
+    is poisoned after `most_attempts`; the others go on. At an exception, an interrupt or the end of the iteration, what
     is under way is cancelled and what was finished is kept.
 
     Args:
@@ -63,6 +72,7 @@ def execute(
         engine: where it is run.
         results: where values are looked up, and kept before they are yielded.
         watcher: progress of the tasks that are run.
+        most_attempts: how often a task is begun; 1 to take the death of a worker as its outcome.
 
     Raises:
         StorageError: a result could not be kept.
@@ -105,10 +115,11 @@ def execute(
             return _outcome(task, event.answer, attempts[task.key])
         attempts[task.key] += event.attempts
         n = attempts[task.key]
-        if n < MOST_ATTEMPTS or task.key not in alone:
+        if n < most_attempts or (most_attempts > 1 and task.key not in alone):
             suspects.append(task)
             return None
-        reason = f"its worker died at each of {n} attempts ({event.why}); the task is left out as poisoned"
+        times = f"at each of {n} attempts " if n > 1 else ""
+        reason = f"its worker died {times}({event.why})" + ("; the task is left out as poisoned" if n > 1 else "")
         return Outcome(task, None, reason, seconds, n, poisoned=True)
 
     try:
@@ -143,22 +154,54 @@ def execute(
 
 
 def collect(
-    tasks: Sequence[Task], engine: Engine, results: Results | None = None, watcher: Watcher | None = None
+    tasks: Sequence[Task],
+    engine: Engine,
+    results: Results | None = None,
+    watcher: Watcher | None = None,
+    on_value: Callable[[Any], None] = lambda value: None,
 ) -> list[Any]:
-    """The values of all tasks, in their order; the first failure ends the rest.
+    """The values of all tasks, in their order; the first failure ends the rest. `on_value` is told them as they come.
 
     Raises:
         ThermoForceError: that of the task, of its kind.
         TaskFailed: any other error in a task, or its worker died at every attempt.
     """
+    wanted = {task.key for task in tasks}
     values = {}
-    for outcome in execute(tasks, engine, results, watcher):
-        if outcome.error is not None:
-            raise outcome.error(outcome.reason)
-        if outcome.reason:
-            raise TaskFailed(outcome)
-        values[outcome.task.key] = outcome.value
+    with closing(execute(tasks, engine, results, watcher)) as outcomes:
+        for outcome in outcomes:
+            if outcome.error is not None:
+                raise outcome.error(outcome.reason)
+            if outcome.reason:
+                raise TaskFailed(outcome)
+            if outcome.task.key in wanted:
+                values[outcome.task.key] = outcome.value
+                on_value(outcome.value)
     return [values[task.key] for task in tasks]
+
+
+def run_all(
+    function: Callable[[C], R],
+    cases: Sequence[C],
+    engine: Engine,
+    on_done: Callable[[int, R], None] = lambda n, value: None,
+) -> list[R]:
+    """`function` of every case, in the order of `cases`; nothing is kept, and the first failure ends the rest.
+
+    `on_done` is told the number of cases done so far and the value of the latest.
+
+    Raises:
+        ThermoForceError, TaskFailed: as `collect`.
+    """
+    tasks = [Task(str(n), f"{function.__name__} {n + 1} of {len(cases)}", function, one) for n, one in enumerate(cases)]
+    done = 0
+
+    def count(value: R) -> None:
+        nonlocal done
+        done += 1
+        on_done(done, value)
+
+    return collect(tasks, engine, on_value=count)
 
 
 def _kept(results: Results | None, task: Task) -> Any:

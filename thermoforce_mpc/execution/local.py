@@ -49,6 +49,11 @@ class LocalEngine:
             self._idle.pop().leave()
 
     @property
+    def width(self) -> int:
+        """Number of processes."""
+        return self._jobs
+
+    @property
     def room(self) -> int:
         """Processes without a task."""
         return self._jobs - len(self._busy)

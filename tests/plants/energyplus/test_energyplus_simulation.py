@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import PlantError, WeatherError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus.engine import is_available, weather_file
 from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, Recorder, run_engine
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec, zone_model
@@ -32,7 +33,8 @@ def shifted(base, at, shift):
 def records():
     heated, cooled = job(HEATED, 21.0), job(COOLED, 25.0)
     jobs = [heated, heated, shifted(heated, 140, 2.0), cooled, shifted(cooled, 140, -2.0)]
-    return simulate_all(jobs, workers=1)
+    with LocalEngine(1) as engine:
+        return simulate_all(jobs, engine)
 
 
 @pytest.mark.slow
@@ -105,5 +107,5 @@ def test_unknown_weather_names_what_there_is():
 
 
 def test_inputs_of_different_length_are_refused():
-    with pytest.raises(PlantError, match="differ"):
-        simulate_all([Job(HEATED, 30, np.full(96, 21.0), np.full(95, 0.5))], workers=1)
+    with LocalEngine(1) as engine, pytest.raises(PlantError, match="differ"):
+        simulate_all([Job(HEATED, 30, np.full(96, 21.0), np.full(95, 0.5))], engine)

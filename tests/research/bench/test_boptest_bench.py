@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.research.bench.boptest import Case, Outcome, run_boptest_bench, targets
 
 
@@ -41,4 +42,4 @@ def test_a_failed_case_meets_no_target_and_says_why():
 
 def test_a_folder_without_an_fmu_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"no file ends in \.fmu"):
-        run_boptest_bench(tmp_path)
+        run_boptest_bench(tmp_path, engine=LocalEngine(1))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.research.bench import buildings
 from thermoforce_mpc.research.bench.buildings import Case, Outcome, run_buildings_bench, run_case, targets
 
@@ -41,8 +41,8 @@ def by_name(outcomes: list[Outcome]) -> list[tuple[float, bool]]:
 
 
 @pytest.mark.slow
-def test_one_short_window_for_real(tmp_path):
-    first = run_case(Case(7, 3, "cold_week", out=tmp_path, **SHORT))
+def test_one_short_window_for_real():
+    first = run_case(Case(7, 3, "cold_week", draw=True, **SHORT))
     assert first.failed == ""
     assert first.refused == ""
     assert set(first.kpis) == {"thermoforce_mpc", "thermostat", "native"}
@@ -50,7 +50,8 @@ def test_one_short_window_for_real(tmp_path):
         assert kpis["too_cold"] + kpis["too_warm"] == pytest.approx(kpis["tdis_tot"])
     assert sum(first.statuses.values()) == 12  # plans of 15 min in 3 h
     assert "held_out_rollout_rmse_K" in first.model
-    assert (tmp_path / "house_7_3_cold_week.png").stat().st_size > 10_000
+    assert first.plot.startswith(b"\x89PNG")
+    assert len(first.plot) > 10_000
     again = run_case(Case(7, 3, "cold_week", **SHORT))
     assert (again.kpis, again.statuses, again.model) == (first.kpis, first.statuses, first.model)
 
@@ -107,9 +108,9 @@ def test_savings_count_where_there_is_heating():
 def test_command_line_prints_every_window_and_says_what_is_missed(monkeypatch, tmp_path):
     asked = []
 
-    def cases_run(cases, jobs, progress):
-        asked.append((len(cases), jobs, cases[0].seed))
-        kinds = [outcome(), outcome(mpc=(1.2, 9.0)), outcome(refused="it explains 2 %", statuses={})]
+    def cases_run(cases, engine, progress):
+        asked.append((len(cases), engine.width, cases[0].seed))
+        kinds = [outcome(plot=b"png"), outcome(mpc=(1.2, 9.0)), outcome(refused="it explains 2 %", statuses={})]
         return [kinds[i % 3] for i, _ in enumerate(cases)]
 
     monkeypatch.setattr(buildings, "run_cases", cases_run)
@@ -136,13 +137,13 @@ def test_the_shown_default_is_the_reported_population():
 def test_quick_runs_a_few_houses_and_none_is_refused(monkeypatch):
     seen: list[Case] = []
 
-    def cases_run(cases, jobs, progress):
+    def cases_run(cases, engine, progress):
         seen.extend(cases)
         return [outcome() for _ in cases]
 
     monkeypatch.setattr(buildings, "run_cases", cases_run)
-    run_buildings_bench(quick=True)
+    run_buildings_bench(quick=True, engine=LocalEngine(1))
     assert len(seen) == 8
-    assert isinstance(seen[0].out, Path | None)
+    assert not seen[0].draw
     with pytest.raises(InputError, match="0 houses"):
-        run_buildings_bench(houses=0)
+        run_buildings_bench(houses=0, engine=LocalEngine(1))

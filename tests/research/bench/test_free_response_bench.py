@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Record
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.research.bench import free_response, free_response_runs
 from thermoforce_mpc.research.bench.free_response_runs import context_rows, cost_rows, interval_runs, look_rows
@@ -121,7 +122,8 @@ def test_energyplus_zones_run_free_or_are_left_out_with_a_word(monkeypatch):
     monkeypatch.undo()
     pytest.importorskip("pyenergyplus")
     monkeypatch.setattr(energyplus, "_DAYS", 1)
-    zones = energyplus.energyplus_sources()
+    with LocalEngine(1) as engine:
+        zones = energyplus.energyplus_sources(engine)
     assert len(zones) == 3
     for zone in zones:
         assert zone.free_C.size == 25

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.research.bench.factual import run_factual_bench
 from thermoforce_mpc.research.factual import tables
 from thermoforce_mpc.research.factual.evaluate import BEST, METHODS, OURS, RAW, RESIDUAL_PERSISTED, Scores
@@ -50,9 +52,15 @@ def homes() -> list[Home]:
 
 
 @pytest.fixture(scope="module")
-def run(homes: list[Home], tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Scores], Path]:
+def engine() -> Iterator[LocalEngine]:
+    with LocalEngine(1) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def run(homes: list[Home], engine: LocalEngine, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Scores], Path]:
     folder = tmp_path_factory.mktemp("factual")
-    scores, _, computed = run_suite(homes, _SMALL, folder, backbone="shipped_tiny", workers=1)
+    scores, _, computed = run_suite(homes, _SMALL, folder, backbone="shipped_tiny", engine=engine)
     assert computed == 2
     return scores, folder
 
@@ -85,30 +93,27 @@ def test_without_an_effect_thermoforce_is_the_raw_forecast(run: tuple[list[Score
 
 
 def test_scores_are_kept_and_computed_anew_for_other_data(
-    homes: list[Home], run: tuple[list[Scores], Path], monkeypatch: pytest.MonkeyPatch
+    homes: list[Home], run: tuple[list[Scores], Path], engine: LocalEngine
 ) -> None:
     scores, folder = run
-    again, _, computed = run_suite(homes, _SMALL, folder, backbone="shipped_tiny", workers=1)
+    again, _, computed = run_suite(homes, _SMALL, folder, backbone="shipped_tiny", engine=engine)
     assert computed == 0
     assert [s.errors for s in again] == [s.errors for s in scores]
-    evaluated = []
-
-    def evaluate(task: tuple[object, ...]) -> Scores:
-        evaluated.append(task[0].home.name)  # type: ignore[attr-defined]
-        return scores[1]
-
-    monkeypatch.setattr("thermoforce_mpc.research.factual.suite._evaluate", evaluate)
     warmer = replace(homes[1], record=replace(homes[1].record, T_zone_C=homes[1].record.T_zone_C + 1.0))
-    run_suite([homes[0], warmer], _SMALL, folder, backbone="shipped_tiny", workers=1)
-    assert evaluated == ["no effect"]
+    anew, _, computed = run_suite([homes[0], warmer], _SMALL, folder, backbone="shipped_tiny", engine=engine)
+    assert computed == 1
+    assert anew[0].errors == scores[0].errors
+    assert anew[1].errors != scores[1].errors
 
 
-def test_nothing_is_chosen_on_the_test_part(homes: list[Home], run: tuple[list[Scores], Path], tmp_path: Path) -> None:
+def test_nothing_is_chosen_on_the_test_part(
+    homes: list[Home], run: tuple[list[Scores], Path], engine: LocalEngine, tmp_path: Path
+) -> None:
     home, first = homes[0], prepared(homes[0], _SMALL).test[0]
     T: Array = home.record.T_zone_C.copy()
     T[0, first + 1 :] += np.random.default_rng(0).normal(0.0, 2.0, T.shape[1] - first - 1)
     changed = replace(home, record=replace(home.record, T_zone_C=T))
-    found = run_suite([changed], _SMALL, tmp_path, backbone="shipped_tiny", workers=1)[0][0]
+    found = run_suite([changed], _SMALL, tmp_path, backbone="shipped_tiny", engine=engine)[0][0]
     assert found.notes == run[0][0].notes
     assert _error(found, RAW) > _error(run[0][0], RAW)
 
@@ -159,9 +164,11 @@ def test_wins_and_wilcoxon() -> None:
 
 
 @pytest.mark.slow
-def test_the_bench_writes_tables_figures_manifest_and_page(homes: list[Home], tmp_path: Path) -> None:
+def test_the_bench_writes_tables_figures_manifest_and_page(
+    homes: list[Home], engine: LocalEngine, tmp_path: Path
+) -> None:
     result = run_factual_bench(
-        homes[:1], tmp_path, backbone="shipped_tiny", others=["shipped_tiny"], quick=True, workers=1
+        homes[:1], tmp_path, backbone="shipped_tiny", others=["shipped_tiny"], quick=True, engine=engine
     )
     written = {path.name for path in tmp_path.iterdir()}
     figures = {f"{name}.{kind}" for name in ("few_shot", "decomposition", "fan") for kind in ("png", "svg")}

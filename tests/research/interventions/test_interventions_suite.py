@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus.engine import is_available
 from thermoforce_mpc.research.bench import interventions
 from thermoforce_mpc.research.interventions.dataset import load_or_simulate
@@ -29,7 +30,8 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def simulated(folder):
     lines = []
-    return load_or_simulate(TINY, folder, workers=2, say=lines.append), lines
+    with LocalEngine(2) as engine:
+        return load_or_simulate(TINY, folder, engine, say=lines.append), lines
 
 
 def test_pairs_share_everything_but_their_window(simulated):
@@ -119,7 +121,7 @@ def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_pat
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
     monkeypatch.setattr(cost, "_REPEATS", 2)
-    result = studies.run_study("efficiency", folder, out=tmp_path, days=(1,), quick=True)
+    result = studies.run_study("efficiency", folder, out=tmp_path, engine=LocalEngine(1), days=(1,), quick=True)
     rows = {row["component"]: row for row in result["rows"]}
     assert rows["trained parameters"]["here"] <= rows["trained parameters"]["paper"] == 195.0
     assert all(row["here"] > 0 for row in rows.values())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus import office_model as office_model_of
 from thermoforce_mpc.plants.energyplus.engine import is_available, reference_building
 from thermoforce_mpc.plants.energyplus.office_model import office_model
@@ -25,7 +26,8 @@ def test_a_shift_of_the_set_point_changes_nothing_before_it_and_heats_after():
     setpoint = np.full(2 * 96, 20.0)
     moved = setpoint.copy()
     moved[132:148] += 2.0  # the second day, 09:00 to 13:00
-    plain, shifted = simulate_all([OfficeJob(21, setpoint), OfficeJob(21, moved)], run=simulate_office, workers=2)
+    with LocalEngine(2) as engine:
+        plain, shifted = simulate_all([OfficeJob(21, setpoint), OfficeJob(21, moved)], engine, run=simulate_office)
     assert plain.T_zone_C[0, :133].tobytes() == shifted.T_zone_C[0, :133].tobytes()
     assert plain.u[0, :132].tobytes() == shifted.u[0, :132].tobytes()
     effect = shifted.T_zone_C[0, 133:149] - plain.T_zone_C[0, 133:149]

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import InputError, ThermoForceError
+from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.fmu.archive import read_archive
-from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
@@ -63,7 +63,7 @@ def run_boptest_bench(
     fmus: Path,
     *,
     price: str = "constant",
-    jobs: int = 2,
+    engine: Engine,
     quick: bool = False,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def run_boptest_bench(
     Args:
         fmus: folder with FMUs of test cases; those without a configuration that ships are named in the table.
         price: tariff.
-        jobs: processes; the result does not depend on it.
+        engine: where the cases are run; the result does not depend on it.
         quick: two scored days instead of fourteen.
         progress: callback for progress lines.
 
@@ -86,7 +86,7 @@ def run_boptest_bench(
         done = f"[{n}/{len(cases)}] {row['test case']}, {row['period']}, {outcome.seconds:.0f} s: "
         progress(done + (f"FAILED, {outcome.failed}" if outcome.failed else f"{row[CONTROLLER]}, {row[NATIVE]}"))
 
-    outcomes = in_processes(run_case, cases, jobs, on_done)
+    outcomes = run_all(run_case, cases, engine, on_done)
     return bench_result("boptest", [*(o.row() for o in outcomes), *rows], targets(outcomes))
 
 

@@ -11,7 +11,7 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,12 @@ import numpy as np
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.generated.schedule import bounds_C
 from thermoforce_mpc.plants.weeks import WEEKS
-from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
@@ -50,21 +51,25 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """One house and window of the bench: `index` of the population `seed`, `week`, scored and probed days."""
+    """One house and window of the bench: `index` of the population `seed`, `week`, scored and probed days.
+
+    `draw`: with a plot.
+    """
 
     seed: int
     index: int
     week: str
     scored_days: float = SCORED_DAYS
     probed_days: float = PROBED_DAYS
-    out: Path | None = None
+    draw: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Result of a case: KPIs by controller; `refused` or `failed` is the reason where there is one, else empty.
 
-    `statuses`: plans of the MPC by status; `model`: scores of the identified model; `seconds`: wall time.
+    `statuses`: plans of the MPC by status; `model`: scores of the identified model; `seconds`: wall time;
+    `plot`: PNG of the window.
     """
 
     case: Case
@@ -75,6 +80,7 @@ class Outcome:
     refused: str
     failed: str
     seconds: float
+    plot: bytes = field(default=b"", repr=False)
 
     @property
     def saving(self) -> float:
@@ -110,7 +116,7 @@ def run_buildings_bench(
     *,
     houses: int = 40,
     seed: int = REPORTED_SEED,
-    jobs: int = 2,
+    engine: Engine,
     quick: bool = False,
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
@@ -119,30 +125,34 @@ def run_buildings_bench(
 
     Args:
         houses: number of houses.
-        jobs: processes; the result does not depend on it.
+        engine: where the houses are run; the result does not depend on it.
         quick: four houses at most.
         out: folder for a plot of each window and `outcomes.json` with every figure.
         progress: callback for progress lines.
 
     Raises:
-        InputError: no houses or no processes.
+        InputError: no houses.
     """
-    if houses < 1 or jobs < 1:
-        raise InputError(f"{houses} houses in {jobs} processes: expected at least one of each")
+    if houses < 1:
+        raise InputError(f"{houses} houses: expected at least one")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     n = min(houses, _QUICK_HOUSES) if quick else houses
-    cases = [Case(seed, index, week, out=out) for index in range(n) for week in WEEKS]
-    outcomes = run_cases(cases, jobs, progress)
+    cases = [Case(seed, index, week, draw=out is not None) for index in range(n) for week in WEEKS]
+    outcomes = run_cases(cases, engine, progress)
     result = bench_result("buildings", [o.row() for o in outcomes] + _summary(outcomes), targets(outcomes))
     if out is not None:
+        for outcome in outcomes:
+            if outcome.plot:
+                name = draw_house(outcome.case.seed, outcome.case.index).name
+                write_whole(out / f"{name}_{outcome.case.week}.png", outcome.plot)
         _write_outcomes(out / "outcomes.json", outcomes)
     return result
 
 
-def run_cases(cases: Sequence[Case], jobs: int, progress: Callable[[str], None]) -> list[Outcome]:
-    """Run cases in `jobs` processes of one thread each; outcomes in the order of `cases`."""
-    return in_processes(run_case, cases, jobs, lambda n, outcome: progress(f"[{n}/{len(cases)}] {_line(outcome)}"))
+def run_cases(cases: Sequence[Case], engine: Engine, progress: Callable[[str], None]) -> list[Outcome]:
+    """Run cases; outcomes in the order of `cases`."""
+    return run_all(run_case, cases, engine, lambda n, outcome: progress(f"[{n}/{len(cases)}] {_line(outcome)}"))
 
 
 def run_case(case: Case) -> Outcome:
@@ -153,6 +163,7 @@ def run_case(case: Case) -> Outcome:
     statuses: dict[str, int] = {}
     scores: dict[str, float] = {}
     refused = failed = ""
+    plot = b""
     try:
         plant = GeneratedHousePlant(house)
         period = replace(plant.period(case.week), scored_s=case.scored_days * DAY_S)
@@ -179,13 +190,13 @@ def run_case(case: Case) -> Outcome:
             follow(name)
         if refused:  # the house's own control stays
             kpis[CONTROLLER], traces[CONTROLLER] = kpis[NATIVE], traces[NATIVE]
-        if case.out is not None:
+        if case.draw:
             from thermoforce_mpc.research.bench.buildings_plot import plot_case
 
-            plot_case(case.out / f"{house.name}_{case.week}.png", house, traces)
+            plot = plot_case(house, traces)
     except Exception as error:  # recorded as failure of this case; the others continue
         failed, kpis = f"{type(error).__name__}: {error}", {}
-    return Outcome(case, house.words, kpis, statuses, scores, refused, failed, time.perf_counter() - began)
+    return Outcome(case, house.words, kpis, statuses, scores, refused, failed, time.perf_counter() - began, plot)
 
 
 def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
-from pathlib import Path
 
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.plants.generated import House
@@ -12,8 +12,8 @@ from thermoforce_mpc.plants.generated.schedule import bounds_C
 _KELVIN = 273.15
 
 
-def plot_case(path: Path, house: House, traces: Mapping[str, Mapping[str, Array]]) -> None:
-    """Write the samples of each controller in `traces` (see `GeneratedHousePlant.recorded`) as a PNG."""
+def plot_case(house: House, traces: Mapping[str, Mapping[str, Array]]) -> bytes:
+    """PNG of the samples of each controller in `traces` (see `GeneratedHousePlant.recorded`)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -39,4 +39,6 @@ def plot_case(path: Path, house: House, traces: Mapping[str, Mapping[str, Array]
     sun.set_ylabel("sun, W/m²")
     weather.set_xlabel("day of the year")
     figure.suptitle(f"{house.name}: {house.words}", fontsize=9)
-    figure.savefig(path, dpi=80)
+    png = io.BytesIO()
+    figure.savefig(png, dpi=80, format="png")
+    return png.getvalue()

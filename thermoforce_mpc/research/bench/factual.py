@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES
 from thermoforce_mpc.research.factual.homes import Home, hashes
 from thermoforce_mpc.research.factual.protocol import QUICK, Protocol
@@ -30,7 +31,7 @@ def run_factual_bench(
     backbone: str = "shipped",
     others: Sequence[str] = SHIPPED_SCALES,
     quick: bool = False,
-    workers: int = 2,
+    engine: Engine,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Score every method on every home; write `factual.json`, tables as CSV, figures and `index.html` into `out`.
@@ -45,7 +46,7 @@ def run_factual_bench(
         backbone: weights of the forecaster.
         others: backbones of their table.
         quick: one budget and fewer origins.
-        workers: number of processes.
+        engine: where homes are scored.
         progress: callback for progress lines.
 
     Raises:
@@ -63,7 +64,7 @@ def run_factual_bench(
         protocol = replace(protocol, days=tuple(sorted(set(days))))
     homes = [home.between(first, last) for home in homes]
     scores, left_out, _ = run_suite(
-        homes, protocol, out / "homes", backbone=backbone, others=others, workers=workers, say=progress
+        homes, protocol, out / "homes", backbone=backbone, others=others, engine=engine, say=progress
     )
     found = {
         "main": tables.main_rows(scores, protocol),
@@ -74,8 +75,9 @@ def run_factual_bench(
     }
     goals = tables.targets(scores, protocol)
     seconds = time.perf_counter() - began
-    work = float(np.mean([s.about["seconds"] for s in scores])) * _ROOMS / workers
-    goals.append(Target(f"seconds for {_ROOMS} homes on {workers} processes", work, _MOST_S))
+    width = engine.width
+    work = float(np.mean([s.about["seconds"] for s in scores])) * _ROOMS / width
+    goals.append(Target(f"seconds for {_ROOMS} homes on {width} processes", work, _MOST_S))
     result = bench_result("factual", [row for rows in found.values() for row in rows], goals)
     result["manifest"] = {
         "protocol": protocol.to_json(),

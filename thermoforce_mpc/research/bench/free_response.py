@@ -11,6 +11,7 @@ import numpy as np
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.baselines.autoregressive import Autoregressive
@@ -63,7 +64,8 @@ def run_free_response_bench(
     methods = _methods(backbone)
     sources = embedded_sources()
     if energyplus.is_available():
-        sources += energyplus.energyplus_sources()
+        with LocalEngine(1) as engine:
+            sources += energyplus.energyplus_sources(engine)
     else:
         progress("EnergyPlus left out: not installed (pip install 'thermoforce-mpc[energyplus]')")
     sources += boptest_sources(reference) if reference else []

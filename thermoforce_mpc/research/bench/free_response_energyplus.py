@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, gains
 from thermoforce_mpc.plants.energyplus.engine import is_available
 from thermoforce_mpc.plants.energyplus.simulate import Job
@@ -23,7 +24,7 @@ _NEVER_C = {"heating": -90.0, "cooling": 150.0}
 _HEAVY = ZoneSpec("Chicago-OHare", "heating", capacity_W=4000.0, insulation_m=0.06, slab_m=0.18, window_m2=9.0)
 
 
-def energyplus_sources(workers: int = 1) -> list[Source]:
+def energyplus_sources(engine: Engine) -> list[Source]:
     """Three zones without heating or cooling, hourly, 28 days each, with internal gains that differ from day to day.
 
     The two zones of the interventional suite (Chicago in winter, Phoenix in early summer) and one with a heavier floor,
@@ -38,7 +39,7 @@ def energyplus_sources(workers: int = 1) -> list[Source]:
         ("EnergyPlus Chicago spring, heavy", replace(heating, spec=_HEAVY), 90),
         ("EnergyPlus Phoenix June", cooling, cooling.first_day),
     ]
-    records = simulate_all([_job(climate, day) for _, climate, day in zones], workers=workers)
+    records = simulate_all([_job(climate, day) for _, climate, day in zones], engine)
     return [
         Source(name, "EnergyPlus", *_hourly(record), context_steps=14 * 24, least_context_steps=7 * 24)
         for (name, _, _), record in zip(zones, records, strict=True)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES
 from thermoforce_mpc.research.interventions.dataset import Dataset, load_or_simulate
 from thermoforce_mpc.research.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE
@@ -27,7 +28,7 @@ _SIGN_GOAL = 0.98
 
 
 def data_for(
-    folder: Path, *, quick: bool, days: Sequence[int] = (), draw: int = 1, workers: int = 2, say: Say
+    folder: Path, *, quick: bool, days: Sequence[int] = (), draw: int = 1, engine: Engine, say: Say
 ) -> Dataset:
     """Data of the suite, read or simulated; numbers of probe `days` are added to those of the protocol.
 
@@ -35,7 +36,7 @@ def data_for(
     """
     protocol = QUICK if quick else Protocol()
     wanted = tuple(sorted({*protocol.probe_days, *days}))
-    return load_or_simulate(replace(protocol, probe_days=wanted, seed=draw), folder, workers=workers, say=say)
+    return load_or_simulate(replace(protocol, probe_days=wanted, seed=draw), folder, engine, say=say)
 
 
 def run_interventions_bench(
@@ -46,7 +47,7 @@ def run_interventions_bench(
     quick: bool = False,
     backbone: str = "shipped",
     seed: int = 1,
-    workers: int = 2,
+    engine: Engine,
     methods: Sequence[str] = (),
     draw: int = 1,
     progress: Say = lambda line: None,
@@ -60,7 +61,7 @@ def run_interventions_bench(
         quick: fewer validation and test days.
         backbone: weights of the forecaster.
         seed: seed of the networks.
-        workers: number of processes.
+        engine: where pairs are simulated, and methods fitted and scored.
         methods: names in `METHODS`, by default all; targets are only computed for all.
         draw: seed of internal gains and probing; each value is another suite of the same kind.
         progress: callback for progress lines.
@@ -78,14 +79,14 @@ def run_interventions_bench(
         raise DataError(
             f"probe days {list(days)}: each must be between 1 and {max(PROBE_DAYS)}, the length of the part"
         )
-    data = data_for(data_folder, quick=quick, days=days, draw=draw, workers=workers, say=progress)
+    data = data_for(data_folder, quick=quick, days=days, draw=draw, engine=engine, say=progress)
     suite = run_suite(
         data,
         days,
         methods=tuple(methods) or tuple(METHODS),
         backbone=backbone,
         seed=seed,
-        workers=workers,
+        engine=engine,
         say=progress,
     )
     rows = [row for k in days for row in table_rows(suite, k)]

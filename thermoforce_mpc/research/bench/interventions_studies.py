@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.research.bench.interventions import data_for
 from thermoforce_mpc.research.bench.interventions_cost import efficiency
 from thermoforce_mpc.research.interventions.dataset import Dataset
@@ -51,7 +52,7 @@ def run_study(
     quick: bool = False,
     backbone: str = "shipped",
     seed: int = 1,
-    workers: int = 2,
+    engine: Engine,
     draw: int = 1,
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
@@ -67,11 +68,11 @@ def run_study(
     if name not in ("ablation", "gamma", "data", "efficiency", "office"):
         raise DataError(f"unknown study '{name}': ablation, gamma, data, efficiency or office")
     if name == "office":
-        return _office(out, quick, backbone, seed, draw, workers, progress)
+        return _office(out, quick, backbone, seed, draw, engine, progress)
     several = name in ("ablation", "data")
     default = ((1, 3) if quick else PROBE_DAYS) if several else (3,)
     days = tuple(days) or default
-    data = data_for(data_folder, quick=quick, days=days, draw=draw, workers=workers, say=progress)
+    data = data_for(data_folder, quick=quick, days=days, draw=draw, engine=engine, say=progress)
     targets: list[Target] = []
     if name == "ablation":
         rows = _ablation(data, days, backbone, seed, progress)
@@ -81,7 +82,7 @@ def run_study(
         rows = _gamma(data, days, backbone, seed, progress)
         figure = curves_figure(_curves(rows, "mode", "gamma", "effect_K"), "γ", log=False)
     elif name == "data":
-        rows = _data_efficiency(data, days, backbone, seed, workers, progress)
+        rows = _data_efficiency(data, days, backbone, seed, engine, progress)
         figure = curves_figure(_curves(rows, "method", "days", "effect_K"), "probe days", log=True)
     else:
         rows, targets = efficiency(data, days[0], backbone, seed, progress)
@@ -102,11 +103,11 @@ def _written(name: str, result: dict[str, Any], figure: Figure, out: Path, say: 
     return result
 
 
-def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, workers: int, say: Say) -> dict[str, Any]:
+def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, engine: Engine, say: Say) -> dict[str, Any]:
     """Score every method on the DOE small office after three probe days."""
-    data = office_data(seed=draw, workers=workers, quick=quick, say=say)
+    data = office_data(seed=draw, engine=engine, quick=quick, say=say)
     suite = run_suite(
-        Dataset({"small_office": data}, {}), [PROBE_DAYS_OFFICE], backbone=backbone, seed=seed, workers=workers, say=say
+        Dataset({"small_office": data}, {}), [PROBE_DAYS_OFFICE], backbone=backbone, seed=seed, engine=engine, say=say
     )
     rows: list[Row] = []
     for name, method in METHODS.items():
@@ -201,8 +202,10 @@ def _gamma(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Sa
     return rows
 
 
-def _data_efficiency(data: Dataset, days: Sequence[int], backbone: str, seed: int, workers: int, say: Say) -> list[Row]:
-    suite = run_suite(data, days, methods=_DATA_METHODS, backbone=backbone, seed=seed, workers=workers, say=say)
+def _data_efficiency(
+    data: Dataset, days: Sequence[int], backbone: str, seed: int, engine: Engine, say: Say
+) -> list[Row]:
+    suite = run_suite(data, days, methods=_DATA_METHODS, backbone=backbone, seed=seed, engine=engine, say=say)
     return [
         {
             "method": METHODS[name].label,

@@ -17,6 +17,7 @@ import numpy as np
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Measurement, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.model.free_response.persistence import Persistence
@@ -24,7 +25,6 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
-from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 
 Row = dict[str, Any]
@@ -53,12 +53,12 @@ class Case:
 
 
 def run_operation_bench(
-    *, jobs: int = 2, quick: bool = False, progress: Callable[[str], None] = lambda line: None
+    *, engine: Engine, quick: bool = False, progress: Callable[[str], None] = lambda line: None
 ) -> dict[str, Any]:
     """Run all buildings, operations and lengths.
 
     Args:
-        jobs: number of processes.
+        engine: where the cases are run.
         quick: the embedded plant, one start and up to 7 days.
         progress: callback for progress lines.
     """
@@ -73,7 +73,7 @@ def run_operation_bench(
         first = found[0]
         progress(f"{done} of {len(cases)}: {first['building']}, {first['operation']}, day {first['start_day']}")
 
-    found = [row for rows in in_processes(run_case, cases, jobs, told) for row in rows]
+    found = [row for rows in run_all(run_case, cases, engine, told) for row in rows]
     return bench_result("operation", summary(found), targets(found))
 
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.whatif.saving import verified_saving
 
@@ -67,14 +67,14 @@ def cases(n: int, seed: int, before_days: int = _BEFORE_DAYS, after_days: int = 
 
 
 def run_saving_bench(
-    *, n: int = CASES, seed: int = SEED, jobs: int = 2, quick: bool = False, progress: Callable[[str], None] = print
+    *, n: int = CASES, seed: int = SEED, engine: Engine, quick: bool = False, progress: Callable[[str], None] = print
 ) -> dict[str, Any]:
     """Run `n` cases of population `seed`; targets on coverage and false claims.
 
     Args:
         n: number of cases.
         seed: of houses, start days and set-points.
-        jobs: number of processes.
+        engine: where the cases are run.
         quick: four cases.
         progress: callback for progress lines.
     """
@@ -86,7 +86,7 @@ def run_saving_bench(
             found = f"{row['saved_kWh']:+.0f} kWh ({row['low_kWh']:+.0f} to {row['high_kWh']:+.0f})"
         progress(f"{done} of {len(chosen)}: {row['change']}: {found}, true {row['true_kWh']:+.0f} kWh")
 
-    rows = in_processes(run_case, chosen, jobs, said)
+    rows = run_all(run_case, chosen, engine, said)
     return bench_result("saving", rows, targets(rows))
 
 

@@ -19,11 +19,11 @@ from controllers.mpc_config import MPCConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
+from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.research.bench.boptest import verdict_in_words
-from thermoforce_mpc.research.bench.processes import in_processes
 from thermoforce_mpc.research.bench.zone_scaling import BesideDoMpc, beside_do_mpc, exponent, solve_times
 from thermoforce_mpc.research.zones.apart import OnePerZone
 from thermoforce_mpc.research.zones.effects import PairScore, score_pairs, worst
@@ -116,7 +116,7 @@ class Outcome:
 def run_zones_bench(
     *,
     fmus: Path | None = None,
-    jobs: int = 2,
+    engine: Engine,
     quick: bool = False,
     only_speed: bool = False,
     progress: Callable[[str], None] = lambda _line: None,
@@ -125,7 +125,7 @@ def run_zones_bench(
 
     Args:
         fmus: folder with the FMU of the apartment; without it the apartment is left out.
-        jobs: processes; the result does not depend on it.
+        engine: where the buildings are run; the result does not depend on it.
         quick: two scored days of the first window of the house.
         only_speed: time the step alone, on no building.
         progress: callback for progress lines.
@@ -137,7 +137,7 @@ def run_zones_bench(
         told = f"FAILED, {outcome.failed}" if outcome.failed else f"{row[CONTROLLER]}, {row['native']}"
         progress(f"[{n}/{len(cases)}] {outcome.case.name}, {outcome.seconds:.0f} s: {told}")
 
-    outcomes = in_processes(run_case, cases, jobs, on_done)
+    outcomes = run_all(run_case, cases, engine, on_done)
     progress("timing a step over the number of zones")
     times = {zones: 1e3 * s for zones, s in solve_times((1, 2, 5) if quick else (1, 2, 5, 10, 20)).items()}
     progress("solving five zones in do-mpc too")

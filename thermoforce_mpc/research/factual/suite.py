@@ -1,4 +1,4 @@
-"""The suite over all homes: one process per core, each home's scores kept in a file so that a stopped run goes on."""
+"""The suite over all homes: one task a home, each home's scores kept in a file so that a stopped run goes on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.research.bench.processes import in_processes
+from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.research.factual.evaluate import BEST, RAW, Evaluation, Scores
 from thermoforce_mpc.research.factual.homes import Home, Prepared, prepared
 from thermoforce_mpc.research.factual.protocol import Protocol
@@ -29,7 +29,7 @@ def run_suite(
     *,
     backbone: str = "shipped",
     others: Sequence[str] = (),
-    workers: int = 2,
+    engine: Engine,
     say: Say = lambda line: None,
 ) -> tuple[list[Scores], dict[str, str], int]:
     """Score every home; returns the scores, why homes were left out, and how many were computed in this call.
@@ -40,7 +40,7 @@ def run_suite(
         folder: where each home's scores are kept; those of the same settings and data are read, not computed.
         backbone: weights of the forecaster.
         others: further backbones for their table.
-        workers: number of processes (1: this process); results do not depend on it.
+        engine: where homes are scored; results do not depend on it.
         say: callback for progress lines.
 
     Raises:
@@ -79,11 +79,7 @@ def run_suite(
         told = ", ".join(f"{h} h {best[h]:.3f} K (raw {raw[h]:.3f})" for h in raw)
         say(f"{done} of {len(tasks)}: {scores.home}: {told}")
 
-    if workers > 1 and len(tasks) > 1:
-        in_processes(_evaluate, tasks, min(workers, len(tasks)), lambda _, scores: keep(scores))
-    else:
-        for task in tasks:
-            keep(_evaluate(task))
+    run_all(_evaluate, tasks, engine, lambda _, scores: keep(scores))
     return [found[home.name] for home in homes if home.name in found], left_out, len(tasks)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Boundary, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, ClimateName, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_hash, engine_version, file_hash, weather_file
@@ -88,11 +89,11 @@ class Dataset:
 def load_or_simulate(
     protocol: Protocol,
     folder: Path,
+    engine: Engine | None = None,
     *,
-    workers: int | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Dataset:
-    """Read the data of `protocol` from `folder`, or simulate and store them there if they are missing.
+    """Read the data of `protocol` from `folder`, or simulate (on `engine`) and store them there if they are missing.
 
     Raises:
         DataError: stored data are damaged or do not match their hash, or a pair differs before its window.
@@ -102,6 +103,8 @@ def load_or_simulate(
     key = hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()[:16]
     arrays_file, manifest_file = folder / f"interventions-{key}.npz", folder / f"interventions-{key}.json"
     if not manifest_file.is_file():
+        if engine is None:
+            raise DataError(f"{manifest_file}: these pairs were not simulated yet, and no engine was given to do it")
         jobs, plan = _jobs(protocol)
         say(f"EnergyPlus: {len(jobs)} simulations")
         step = max(1, len(jobs) // 20)
@@ -110,7 +113,7 @@ def load_or_simulate(
             if done % step == 0 or done == len(jobs):
                 say(f"EnergyPlus: {done} of {len(jobs)} simulations")
 
-        records = simulate_all(jobs, workers=workers, on_done=progress)
+        records = simulate_all(jobs, engine, on_done=progress)
         arrays = {
             f"{label}/{signal}": getattr(record, signal)
             for label, record in _cut(plan, records).items()

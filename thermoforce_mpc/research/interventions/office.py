@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from thermoforce_mpc.data import Record
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import Climate, base_setpoint
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
@@ -45,7 +46,7 @@ OFFICE = Climate(
 
 
 def office_data(
-    *, seed: int = 1, workers: int = 2, quick: bool = False, say: Callable[[str], None] = lambda line: None
+    *, seed: int = 1, engine: Engine, quick: bool = False, say: Callable[[str], None] = lambda line: None
 ) -> ClimateData:
     """Simulate probe, validation and test pairs of the office; `quick` simulates a quarter of the days.
 
@@ -85,7 +86,7 @@ def office_data(
         if done % tenth == 0:
             say(f"EnergyPlus: {done} of {len(jobs)} simulations")
 
-    records = simulate_all(jobs, run=simulate_office, workers=workers, on_done=progress)
+    records = simulate_all(jobs, engine, run=simulate_office, on_done=progress)
     forgotten = _FORGOTTEN_DAYS * _PER_DAY
 
     def past(record: Record, start: int) -> Record:

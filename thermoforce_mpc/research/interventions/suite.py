@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.plants.energyplus.climates import ClimateName
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Dataset, Window
 from thermoforce_mpc.research.interventions.methods.base import Predictor, Training
@@ -53,7 +51,7 @@ def run_suite(
     methods: Sequence[str] = tuple(METHODS),
     backbone: str = "shipped",
     seed: int = 1,
-    workers: int = 2,
+    engine: Engine,
     say: Callable[[str], None] = lambda line: None,
 ) -> SuiteResult:
     """Fit and score every method on every cell, for each number of probe days.
@@ -64,7 +62,7 @@ def run_suite(
         methods: names in `METHODS`.
         backbone: weights of the forecaster, shared by all methods that use one.
         seed: seed of the networks.
-        workers: number of processes (1: this process); results do not depend on it.
+        engine: where methods are fitted and scored; results do not depend on it.
         say: callback for progress lines.
 
     Raises:
@@ -75,21 +73,21 @@ def run_suite(
     for name in methods:
         find_method(name)
     tasks = [(climate, k, name, backbone, seed) for climate in data.climates.values() for k in days for name in methods]
-    scores: list[CellScore] = []
+
+    labels: dict[str, str] = {name: of.climate.label for name, of in data.climates.items()}
+
+    def told(n: int, outcome: tuple[list[CellScore], Array]) -> None:
+        cells, _ = outcome
+        effect = np.mean([cell.effect_rmse_K for cell in cells])  # as in the table
+        which = f"{labels[cells[0].climate]}, {cells[0].days} probe days, {METHODS[cells[0].method].label}"
+        say(f"{which}: effect RMSE {effect:.3f} K")
+
+    outcomes = run_all(_evaluate, tasks, engine, told)
+    scores = [score for cells, _ in outcomes for score in cells]
     fans: dict[ClimateName, dict[str, Array]] = {name: {} for name in data.climates}
-    with ExitStack() as stack:
-        outcomes: Iterator[tuple[list[CellScore], Array]] = map(_evaluate, tasks)
-        if workers > 1:
-            context = multiprocessing.get_context("spawn")
-            pool = stack.enter_context(ProcessPoolExecutor(max_workers=workers, mp_context=context))
-            outcomes = pool.map(_evaluate, tasks)
-        for task, (cells, fan) in zip(tasks, outcomes, strict=True):
-            climate, k, name = task[:3]
-            scores += cells
-            effect = np.mean([cell.effect_rmse_K for cell in cells])  # as in the table
-            say(f"{climate.climate.label}, {k} probe days, {METHODS[name].label}: effect RMSE {effect:.3f} K")
-            if k == days[0]:
-                fans[climate.climate.name][name] = fan
+    for (climate, k, name, _, _), (_, fan) in zip(tasks, outcomes, strict=True):
+        if k == days[0]:
+            fans[climate.climate.name][name] = fan
     return SuiteResult(
         tuple(scores),
         tuple(Fan(name, fan_window(data.climates[name]), answers) for name, answers in fans.items()),
