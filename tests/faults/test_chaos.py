@@ -177,7 +177,7 @@ def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on():
         controller="thermoforce_hourly",
         model=simple_model(),
         progress=progress,
-        workers=2,
+        jobs=2,
     )
     lost = [line for line in told if "process died" in line]
     assert len(lost) == 1

@@ -19,7 +19,9 @@ import click
     help="An MPC (see `tf-mpc controllers`).",
 )
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
-@click.option("--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of processes.")
+@click.option(
+    "--jobs", "--workers", "jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Parallel processes."
+)
 @click.option("--keep", type=click.Path(path_type=Path), help="Keep the journal of every episode in this folder.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the result to this JSON file.")
 def command(
@@ -28,7 +30,7 @@ def command(
     days: float,
     controller: str,
     model: Path | None,
-    workers: int,
+    jobs: int,
     keep: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -48,7 +50,7 @@ def command(
     \b
     Examples:
       tf-mpc chaos
-      tf-mpc chaos --episodes 200 --seed 7 --workers 4 --json chaos.json --keep chaos
+      tf-mpc chaos --episodes 200 --seed 7 --jobs 4 --json chaos.json --keep chaos
     """
     from thermoforce_mpc.cli.bench import show
     from thermoforce_mpc.model.thermal_model import load_model
@@ -60,7 +62,7 @@ def command(
         days=days,
         controller=controller,
         model=load_model(model) if model else None,
-        workers=workers,
+        jobs=jobs,
         keep=keep,
         progress=lambda line: click.echo(line, err=True),
     )

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
-import multiprocessing
-import queue
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +14,8 @@ import numpy as np
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.execution import LocalEngine, Task, TaskFailed, execute
+from thermoforce_mpc.execution import Outcome as Executed
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.chaos.episode import Outcome, Setting, run_episode
@@ -46,17 +43,17 @@ def run_chaos(
     model: ThermalModel | None = None,
     options: Mapping[str, Any] = OPTIONS,
     keep: Path | None = None,
-    workers: int = 1,
+    jobs: int = 1,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Run `episodes` of `days` and judge each; the same seed gives the same troubles.
 
-    An interrupt (Ctrl-C) ends the run after the episodes under way; what was done until then is judged.
+    An interrupt (Ctrl-C) ends the run; what was done until then is judged.
 
     Args:
         model: by default the embedded plant is probed for three days.
         keep: folder where journals are kept, one folder an episode.
-        workers: number of processes, each with a service of its own; an episode whose process dies is lost, and wrong.
+        jobs: number of processes, each with a service of its own; an episode whose process dies is lost, and wrong.
         progress: called with one line an episode.
     """
     testcase = load_testcase(TESTCASE)
@@ -65,28 +62,27 @@ def run_chaos(
         named = {"testcase": TESTCASE, "period": str(_START_DAY), "controller": {"name": controller}}
         plant = EmbeddedPlant(synthetic_weather())
         model = model_for(load_scenario(None, named), testcase, plant, controller)
-    outcomes: list[Outcome] = []
-    with serving(synthetic_weather(), most_tests=_MOST_TESTS) as url, ExitStack() as stack:
+    found: dict[int, Outcome] = {}
+    with serving(synthetic_weather(), most_tests=_MOST_TESTS) as url:
         setting = Setting(url, testcase, model, dict(options), controller, _START_DAY * DAY_S, days)
         calm = run_episode(setting, (), 0)
-        progress(f"without faults: {_line(calm)}")
-        most_Kh = _FACTOR * calm.discomfort_Kh + _MORE_KH
-        try:
-            found: Iterator[Outcome]
-            if workers == 1:
-                found = map(functools.partial(_episode, setting, most_Kh, seed, keep), range(episodes))
-            else:
-                each = functools.partial(_episode_apart, setting, most_Kh, seed, keep)
-                lost = functools.partial(_lost, setting, seed)
-                found = stack.enter_context(_in_processes(each, lost, episodes, workers))
-            for outcome in found:
-                outcomes.append(outcome)
+    progress(f"without faults: {_line(calm)}")
+    most_Kh = _FACTOR * calm.discomfort_Kh + _MORE_KH
+    tasks = [
+        Task(f"{n:04d}", f"episode {n}", _episode_apart, (setting, most_Kh, seed, keep, n)) for n in range(episodes)
+    ]
+    try:
+        with LocalEngine(jobs) as engine:
+            # A process that dies is what is looked for here: its episode is not begun again.
+            for done in execute(tasks, engine, most_attempts=1):
+                outcome = found[done.task.inputs[-1]] = _outcome_of(done, setting, seed)
                 told = "; ".join(trouble.in_words() for trouble in outcome.troubles)
-                progress(f"{len(outcomes):4d}: {told}: {_line(outcome)}")
-        except KeyboardInterrupt:
-            if not outcomes:
-                raise
-            progress(f"interrupted after {len(outcomes)} of {episodes} episodes")
+                progress(f"{len(found):4d}: {told}: {_line(outcome)}")
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        progress(f"interrupted after {len(found)} of {episodes} episodes")
+    outcomes = [found[n] for n in sorted(found)]
     return bench_result("chaos", _rows(calm, outcomes), _targets(calm, outcomes))
 
 
@@ -101,63 +97,30 @@ def _episode(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: 
     return run_episode(setting, troubles, own, most_Kh, keep / f"{n:04d}" if keep else None)
 
 
-def _lost(setting: Setting, seed: int, n: int) -> Outcome:
-    """An episode whose process died: killed from outside, for lack of memory, or by compiled code."""
-    troubles, _ = _troubles(setting, seed, n)
+@functools.cache
+def _url() -> str:
+    """A service of the plant in this process, until it ends."""
+    return _services.enter_context(serving(synthetic_weather(), most_tests=_MOST_TESTS))
+
+
+_services = ExitStack()
+
+
+def _episode_apart(inputs: tuple[Setting, float, int, Path | None, int]) -> Outcome:
+    """Task: an episode on the service of its process."""
+    setting, most_Kh, seed, keep, n = inputs
+    return _episode(replace(setting, url=_url()), most_Kh, seed, keep, n)
+
+
+def _outcome_of(task: Executed, setting: Setting, seed: int) -> Outcome:
+    """The outcome of an episode; also of one that was killed, for lack of memory or by compiled code, say."""
+    if not task.reason:
+        return task.value
+    if not task.poisoned:
+        raise TaskFailed(task)
+    troubles, _ = _troubles(setting, seed, task.task.inputs[-1])
     why = "ended with its process, which died: nothing of it is known"
     return Outcome(troubles, "process died", why, {}, 0, 0, math.nan, 0.0, (why,))
-
-
-@contextmanager
-def _in_processes(
-    each: Callable[[int], Outcome], lost: Callable[[int], Outcome], episodes: int, workers: int
-) -> Iterator[Iterator[Outcome]]:
-    """Outcomes in order, of as many processes; one that dies takes its episode with it, and is replaced."""
-
-    def begun() -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin_worker)
-
-    free: queue.SimpleQueue[ProcessPoolExecutor] = queue.SimpleQueue()
-    for _ in range(workers):
-        free.put(begun())
-
-    def outcome(n: int) -> Outcome:
-        process = free.get()
-        try:
-            try:
-                asked = process.submit(each, n)
-            except BrokenProcessPool:  # it died between two episodes
-                process = begun()
-                asked = process.submit(each, n)
-            return asked.result()
-        except BrokenProcessPool:
-            process = begun()
-            return lost(n)
-        finally:
-            free.put(process)
-
-    threads = ThreadPoolExecutor(workers)
-    try:
-        yield threads.map(outcome, range(episodes))
-    finally:
-        threads.shutdown(cancel_futures=True)
-        while not free.empty():
-            free.get().shutdown()
-
-
-_worker_stack, _worker_url = ExitStack(), ""
-
-
-def _begin_worker() -> None:
-    """Serve the plant in this process until it ends; an interrupt is for the process that asked."""
-    global _worker_url
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _worker_url = _worker_stack.enter_context(serving(synthetic_weather(), most_tests=_MOST_TESTS))
-
-
-def _episode_apart(setting: Setting, most_Kh: float, seed: int, keep: Path | None, n: int) -> Outcome:
-    """An episode on the service of this process."""
-    return _episode(replace(setting, url=_worker_url), most_Kh, seed, keep, n)
 
 
 def _line(outcome: Outcome) -> str:
