@@ -18,6 +18,7 @@ from thermoforce_mpc.simulation.comparison.tasks import tasks_of
 
 TESTCASE = "bestest_hydronic_heat_pump"
 CALL = ("compare", "--testcase", TESTCASE, "--controllers", "native,thermostat", "--windows", "44", "--days", "0.25")
+PRICES = ("--prices", "highly_dynamic", "--tariff-file", "prices.csv")
 
 
 def records(folder: Path) -> dict[str, dict]:
@@ -26,14 +27,17 @@ def records(folder: Path) -> dict[str, dict]:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_changes_no_record(tmp_path):
+def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
+    """Nor does it matter that workers have no such file as the tariff."""
     pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
     from distributed import Client, LocalCluster
 
-    here = CliRunner().invoke(cli, [*CALL, "--jobs", "1", "--out", str(tmp_path / "here")])
-    assert here.exit_code == 0, here.output
     options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 60}
     with LocalCluster(n_workers=2, **options) as cluster, Client(cluster, set_as_default=False) as client:
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "prices.csv").write_text("time,price\n0,0.1\n43200,0.3\n31536000,0.2\n", encoding="utf-8")
+        here = CliRunner().invoke(cli, [*CALL, *PRICES, "--jobs", "1", "--out", str(tmp_path / "here")])
+        assert here.exit_code == 0, here.output
         killed = []
 
         def kill_a_busy_worker() -> None:
@@ -48,13 +52,14 @@ def test_a_killed_worker_changes_no_record(tmp_path):
         killing = threading.Thread(target=kill_a_busy_worker, daemon=True)
         killing.start()
         words = ("--scheduler", cluster.scheduler_address, "--out", str(tmp_path / "there"))
-        there = CliRunner().invoke(cli, [*CALL, *words])
+        there = CliRunner().invoke(cli, [*CALL, *PRICES, *words])
         killing.join(1.0)
     assert there.exit_code == 0, there.output
     assert killed
     assert f"Dask scheduler {cluster.scheduler_address}: 2 workers" in there.output
     assert records(tmp_path / "there") == records(tmp_path / "here")
-    again = CliRunner().invoke(cli, [*CALL, "--scheduler", "tcp://nowhere:1", "--out", str(tmp_path / "there")])
+    words = ("--scheduler", "tcp://nowhere:1", "--out", str(tmp_path / "there"))
+    again = CliRunner().invoke(cli, [*CALL, *PRICES, *words])
     assert again.exit_code == 0, "nothing is left to run, so nobody is asked"
 
 

@@ -13,6 +13,7 @@ from thermoforce_mpc.execution.keys import digest, source_fingerprint
 from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.comparison.input_files import named_files
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
 from thermoforce_mpc.simulation.composition import controller_options
 from thermoforce_mpc.simulation.identifying import IdentificationTask, identification_task
@@ -92,7 +93,7 @@ class _FileHashes:
 
     def __call__(self, path: str) -> str:
         if path not in self._known:
-            where = Path(path)
+            where = Path(path).expanduser()
             try:
                 if where.is_dir():
                     files = sorted(p for p in where.iterdir() if p.is_file())
@@ -133,10 +134,11 @@ def _cell(name: str, scenario: Scenario, made: Mapping[str, Any], hash_of: Calla
             model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of)}
             identification_key = digest({**made, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
+    files = {path: hash_of(path) for path in named_files(options)}
     decides = scenario.model_dump(mode="json") | {
         "testcase": testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),
-        "controller": {"name": controller, "options": options, "files": _files_named(options, hash_of)},
+        "controller": {"name": controller, "options": options, "files": files},
         "identification": model,
     }
     key = digest({**made, "scenario": decides})
@@ -149,13 +151,3 @@ def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[st
     return spec.model_dump(mode="json", exclude=without) | {
         field: hash_of(path) for field, path in spec.files().items()
     }
-
-
-def _files_named(options: Any, hash_of: Callable[[str], str]) -> dict[str, str]:
-    """Content hashes, by path, of files and folders named in options, such as a forecaster's checkpoint."""
-    if isinstance(options, Mapping | list):
-        parts = options.values() if isinstance(options, Mapping) else options
-        return {path: found for part in parts for path, found in _files_named(part, hash_of).items()}
-    if isinstance(options, str) and options and Path(options).expanduser().exists():
-        return {options: hash_of(str(Path(options).expanduser()))}
-    return {}

@@ -16,6 +16,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_folder, write_whole
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
+from thermoforce_mpc.simulation.comparison.input_files import InputFiles
 from thermoforce_mpc.simulation.run_folder import write_json
 
 DONE, FAILED = "done", "failed"
@@ -64,7 +65,14 @@ class Store:
         return None
 
     def get(self, task: Task) -> Any:
-        """The record of a finished cell, or what was identified; raises `KeyError` where there is none."""
+        """The record of a finished cell, what was identified, or the content of input files.
+
+        Raises:
+            KeyError: there is none.
+            ConfigError: an input file cannot be read.
+        """
+        if isinstance(task.inputs, InputFiles):
+            return task.inputs.read()
         found = self.finished(task.inputs) if isinstance(task.inputs, Cell) else self._identified(task.key)
         if found is None:
             raise KeyError(task.key)

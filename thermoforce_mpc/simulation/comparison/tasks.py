@@ -14,6 +14,7 @@ from controllers.registry import build_controller, find_entry, has_gate
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, source_fingerprint, tell
+from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.files import write_folder
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -22,6 +23,15 @@ from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
+from thermoforce_mpc.simulation.comparison.input_files import (
+    NO_FILES,
+    InputFiles,
+    SentFiles,
+    input_files,
+    moved_plant,
+    moved_scenario,
+    paths_of,
+)
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.identifying import IdentificationTask, model_for, run_identification
@@ -29,12 +39,27 @@ from thermoforce_mpc.version import VERSION
 
 
 def tasks_of(cells: Iterable[Cell]) -> list[Task]:
-    """A task for each cell, with the identification it needs, which cells share."""
+    """A task for each cell, with the files and the identification it needs, which cells share.
+
+    Raises:
+        ConfigError: an input file cannot be read.
+    """
+    files: dict[tuple[str, ...], tuple[Task, ...]] = {}
+
+    def sent(paths: Iterable[str]) -> tuple[Task, ...]:
+        known = tuple(sorted(set(paths)))
+        if known not in files:
+            found = input_files(known)
+            key = digest({"files": found.hashes}) if found else ""
+            files[known] = (Task(key, ", ".join(known), InputFiles.read, found),) if found else ()
+        return files[known]
+
     tasks = []
     for cell in cells:
-        needs: tuple[Task, ...] = ()
-        if cell.identification_key is not None:
-            needs = (Task(cell.identification_key, cell.identification_title, identified, cell.task),)
+        needs = sent(paths_of(cell.scenario))
+        if cell.task is not None and cell.identification_key is not None:
+            plant = sent(cell.task.plant.files().values())
+            needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, plant),)
         tasks.append(Task(cell.key, cell.title, record_of, cell, needs))
     return tasks
 
@@ -44,15 +69,17 @@ def failure(cell: Cell, reason: str) -> dict[str, Any]:
     return _head(cell) | {"status": FAILED, "reason": reason}
 
 
-def identified(task: IdentificationTask) -> Identified:
+def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identified:
     """Probe and identify; where the data cannot be fitted, the reason takes the model's place.
 
     Raises:
         PlantError: the plant failed.
     """
     try:
-        with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
-            model = run_identification(task, plant, on_progress=lambda now: tell(now.days / now.planned_days))
+        with files.at_hand() as where:
+            spec = moved_plant(task.plant, where)
+            with closing(build_plant(spec, task.testcase, task.seed)) as plant:
+                model = run_identification(task, plant, on_progress=lambda now: tell(now.days / now.planned_days))
     except DataError as error:
         return Identified(refused=str(error))
     with tempfile.TemporaryDirectory() as folder:
@@ -60,28 +87,31 @@ def identified(task: IdentificationTask) -> Identified:
         return Identified({path.name: path.read_bytes() for path in sorted(saved.iterdir())})
 
 
-def record_of(cell: Cell, model: Identified | None = None) -> dict[str, Any]:
-    """Run the closed loop of `cell`, with the `model` identified for it, and return its record.
+def record_of(cell: Cell, *needs: SentFiles | Identified) -> dict[str, Any]:
+    """Run the closed loop of `cell`, with the files and the model it needs, and return its record.
 
     Raises:
         DataError: the data of the identification could not be fitted, and the controller has no gate.
         ArtifactError: a saved model cannot be used.
         PlantError: the plant failed.
     """
-    scenario = cell.scenario
-    name = scenario.controller.name
-    testcase = load_testcase(scenario.testcase)
-    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
-        period = scored_period(plant, scenario.period, scenario.days)
-        acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
-        controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
+    files = next((need for need in needs if isinstance(need, SentFiles)), NO_FILES)
+    model = next((need for need in needs if isinstance(need, Identified)), None)
+    with files.at_hand() as where:
+        scenario = moved_scenario(cell.scenario, where)
+        name, testcase = scenario.controller.name, load_testcase(scenario.testcase)
+        with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+            period = scored_period(plant, scenario.period, scenario.days)
+            acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
+            controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
 
-        def on_step(record: StepRecord) -> None:
-            tell((record.time_s - period.start_s) / period.scored_s)
+            def on_step(record: StepRecord) -> None:
+                tell((record.time_s - period.start_s) / period.scored_s)
 
-        allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
-        result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, testcase.layout.lowest)
-        return _record(cell, result, plant.info)
+            lowest = testcase.layout.lowest
+            allowed = limits_of(controller, testcase.area_m2, min(lowest))
+            result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest)
+            return _record(cell, result, plant.info)
 
 
 def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:

@@ -1,0 +1,56 @@
+"""Files that a run reads are found where it runs: themselves, or copies of what the user has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.simulation.comparison.input_files import input_files, moved_scenario, paths_of
+
+
+@pytest.fixture
+def scenario(tmp_path, monkeypatch) -> Scenario:
+    monkeypatch.chdir(tmp_path)
+    Path("Brussels.mos").write_bytes(b"weather")
+    for name in ("model.json", "below/arrays.safetensors"):
+        Path("model", name).parent.mkdir(parents=True, exist_ok=True)
+        Path("model", name).write_text(name, encoding="utf-8")
+    Path("mine.yaml").write_text("name: mine", encoding="utf-8")
+    return Scenario(
+        testcase="mine.yaml",
+        plant={"weather": "Brussels.mos"},
+        identification={"model": "model"},
+        controller={"name": "x", "options": {"free_response": {"options": {"backbone": "model"}}, "horizon_h": 3}},
+    )
+
+
+def test_all_files_are_sent_and_found_under_their_names(scenario, tmp_path, monkeypatch):
+    assert sorted(set(paths_of(scenario))) == ["Brussels.mos", "mine.yaml", "model"]
+    sent = input_files(paths_of(scenario)).read()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    Path("mine.yaml").write_text("name: another", encoding="utf-8")
+    with sent.at_hand() as where:
+        moved = moved_scenario(scenario, where)
+        assert Path(moved.plant.weather).read_bytes() == b"weather"
+        assert Path(moved.plant.weather).name == "Brussels.mos"
+        assert Path(moved.testcase).read_text(encoding="utf-8") == "name: mine", "not the worker's own of that name"
+        assert (Path(moved.identification.model) / "below" / "arrays.safetensors").is_file()
+        assert moved.controller.options["free_response"]["options"]["backbone"] == moved.identification.model
+        assert moved.controller.options["horizon_h"] == 3
+    assert not Path(moved.plant.weather).exists()
+
+
+def test_the_same_file_is_used_where_it_is(scenario):
+    with input_files(paths_of(scenario)).read().at_hand() as where:
+        assert moved_scenario(scenario, where) == scenario
+
+
+def test_a_missing_file_is_named_and_no_file_is_no_need():
+    with pytest.raises(ConfigError, match=r"nowhere\.mos: cannot be read"):
+        input_files(["nowhere.mos"])
+    assert input_files(paths_of(Scenario(testcase="bestest_hydronic_heat_pump"))) is None

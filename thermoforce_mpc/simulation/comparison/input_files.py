@@ -1,0 +1,125 @@
+"""Files that a run reads (weather, prices, an FMU, a saved model, a test case), sent to where they are not."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.simulation.run_folder import file_sha256
+
+
+@dataclass(frozen=True)
+class InputFiles:
+    """Paths of files and folders, as the user gave them, and the hash of each file in them by its place below."""
+
+    hashes: Mapping[str, Mapping[str, str]]
+
+    def read(self) -> SentFiles:
+        """Their content; raises `ConfigError`."""
+        try:
+            return SentFiles(self, {p: {n: _at(p, n).read_bytes() for n in of} for p, of in self.hashes.items()})
+        except OSError as error:
+            raise ConfigError(f"{error.filename}: cannot be read ({error.strerror or error})") from error
+
+
+@dataclass(frozen=True)
+class SentFiles:
+    """Content of files, by path and place."""
+
+    files: InputFiles
+    content: Mapping[str, Mapping[str, bytes]]
+
+    @contextmanager
+    def at_hand(self) -> Iterator[Mapping[str, str]]:
+        """Where each path is here: itself, if the same files are there, else a copy for as long as this lasts."""
+        with tempfile.TemporaryDirectory() as folder:
+            where = {}
+            for n, (path, hashes) in enumerate(self.files.hashes.items()):
+                if _same(path, hashes):
+                    where[path] = path
+                    continue
+                copy = Path(folder) / str(n) / Path(path).name
+                for name, content in self.content[path].items():
+                    target = copy / name if name else copy
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    target.write_bytes(content)
+                where[path] = str(copy)
+            yield where
+
+
+NO_FILES = SentFiles(InputFiles({}), {})
+
+
+def input_files(paths: Iterable[str]) -> InputFiles | None:
+    """What is to be sent of `paths`; None for no paths. Raises `ConfigError` if one cannot be read."""
+    hashes: dict[str, dict[str, str]] = {}
+    for path in sorted(set(paths)):
+        place = Path(path).expanduser()
+        try:
+            if place.is_dir():
+                below = sorted(file for file in place.rglob("*") if file.is_file())
+                hashes[path] = {file.relative_to(place).as_posix(): file_sha256(file) for file in below}
+            else:
+                hashes[path] = {"": file_sha256(place)}
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return InputFiles(hashes) if hashes else None
+
+
+def paths_of(scenario: Scenario) -> list[str]:
+    """Paths that a run of `scenario` reads."""
+    named = [scenario.testcase] if Path(scenario.testcase).suffix in (".yaml", ".yml") else []
+    saved = [scenario.identification.model] if scenario.identification.model else []
+    return [*named, *scenario.plant.files().values(), *saved, *named_files(scenario.controller.options)]
+
+
+def named_files(options: Any) -> list[str]:
+    """Files and folders named in options, such as a forecaster's checkpoint."""
+    if isinstance(options, Mapping | list):
+        parts = options.values() if isinstance(options, Mapping) else options
+        return [path for part in parts for path in named_files(part)]
+    there = isinstance(options, str) and options and Path(options).expanduser().exists()
+    return [options] if there else []
+
+
+def moved_plant(spec: PlantSpec, where: Mapping[str, str]) -> PlantSpec:
+    """`spec` with the files of `where`."""
+    return spec.model_copy(update={field: where.get(path, path) for field, path in spec.files().items()})
+
+
+def moved_scenario(scenario: Scenario, where: Mapping[str, str]) -> Scenario:
+    """`scenario` with the files of `where`."""
+    model = scenario.identification.model
+    update = {
+        "testcase": where.get(scenario.testcase, scenario.testcase),
+        "plant": moved_plant(scenario.plant, where),
+        "identification": scenario.identification.model_copy(update={"model": where.get(model or "", model)}),
+        "controller": scenario.controller.model_copy(update={"options": _moved(scenario.controller.options, where)}),
+    }
+    return scenario.model_copy(update=update)
+
+
+def _moved(options: Any, where: Mapping[str, str]) -> Any:
+    if isinstance(options, Mapping):
+        return {key: _moved(value, where) for key, value in options.items()}
+    if isinstance(options, list):
+        return [_moved(value, where) for value in options]
+    return where.get(options, options) if isinstance(options, str) else options
+
+
+def _at(path: str, name: str) -> Path:
+    place = Path(path).expanduser()
+    return place / name if name else place
+
+
+def _same(path: str, hashes: Mapping[str, str]) -> bool:
+    try:
+        return all(file_sha256(_at(path, name)) == known for name, known in hashes.items())
+    except OSError:
+        return False
