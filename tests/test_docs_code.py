@@ -46,6 +46,7 @@ def check_output(expected: list[str], printed: str, command: str) -> None:
         del lines[: lines.index(same(line)) + 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", FOLLOWED, ids=lambda page: page.stem)
 def test_page_is_followed(page, practice, tmp_path):
     folder = tmp_path / "reader"

@@ -207,6 +207,7 @@ print(CliRunner().invoke(cli, ["controllers", "worse"]).exception)
 """
 
 
+@pytest.mark.slow
 def test_the_command_line_lists_plugins_with_their_origin(example, tmp_path):
     broken = tmp_path / "broken"
     broken.mkdir()

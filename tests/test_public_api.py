@@ -79,6 +79,7 @@ def test_every_public_name_is_there_and_import_loads_none_of_them():
         _ = tf.History
 
 
+@pytest.mark.slow
 def test_a_prediction_is_free_plus_forced_with_its_band_and_times(tables, model):
     df, forecast = tables
     record = tf.Record.from_dataframe(df, **NAMES)
@@ -114,6 +115,7 @@ def test_the_plan_is_that_of_the_registry_and_has_times(tables, model, tmp_path)
     assert "price_per_kWh is missing" in refused.why
 
 
+@pytest.mark.slow
 def test_what_was_not_measured_is_left_out(tables):
     df = tables[0]
     record = tf.Record.from_dataframe(df, zone="T_room", outdoor="T_out", level="u")
@@ -182,6 +184,7 @@ def test_a_run_gives_kpis_and_trajectories_and_leaves_nothing_behind(tmp_path, m
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_a_run_with_a_model_identifies_nothing_and_says_whose_model_it_was(model):
     result = tf.run(
         "bestest_hydronic_heat_pump", model=model, days=0.25, period="20", baselines=["thermostat"], progress=False

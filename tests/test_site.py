@@ -37,6 +37,7 @@ class _Text(HTMLParser):
         self.text += data
 
 
+@pytest.mark.slow
 def test_the_command_line_reference_has_every_command_and_its_options(site):
     from thermoforce_mpc.cli import cli
 

@@ -73,6 +73,7 @@ def tf_mpc(folder: Path, *words: str):
     return CliRunner().invoke(cli, named)
 
 
+@pytest.mark.slow
 def test_check_prints_and_draws_what_it_understood(folder):
     words = ("data", "check", "probed.csv", "--map", "map.yaml", "--plot", "check.png", "--json", "check.json")
     done = tf_mpc(folder, *words)
@@ -86,6 +87,7 @@ def test_check_prints_and_draws_what_it_understood(folder):
     assert found["tells"]["found"][0]["competent"] is True
 
 
+@pytest.mark.slow
 def test_what_a_record_of_operation_cannot_tell_is_said_and_a_probing_is_proposed(folder):
     done = tf_mpc(folder, "data", "check", "operated.csv", "--map", "map.yaml", "--plot", "operated.png")
     assert done.exit_code == 0, done.output
@@ -124,6 +126,7 @@ def test_a_starting_map_is_printed(folder):
     assert rules["outdoor"]["column"] == "out_F"
 
 
+@pytest.mark.slow
 def test_a_record_that_tells_needs_no_probing(folder):
     done = tf_mpc(folder, "data", "probe-plan", "probed.csv", "--map", "map.yaml", "--out", "none.csv")
     assert done.exit_code == 0, done.output
@@ -131,6 +134,7 @@ def test_a_record_that_tells_needs_no_probing(folder):
     assert not (folder / "none.csv").exists()
 
 
+@pytest.mark.slow
 def test_identify_below_the_bar_exits_with_4_and_says_what_to_do(folder):
     words = ("--data", "operated.csv", "--map", "map.yaml", "--out", str(folder / "weak"), *LINEAR)
     done = tf_mpc(folder, "identify", *words)
@@ -143,6 +147,7 @@ def test_identify_below_the_bar_exits_with_4_and_says_what_to_do(folder):
     assert not (folder / "weak.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_plan_is_a_table_a_file_and_a_picture(folder, model):
     words = ("plan", "--model", str(model), "--data", "probed.csv", "--map", "map.yaml", "--forecast", "ahead.csv")
     done = tf_mpc(folder, *words, "--out", "plan.csv", "--plot", "plan.png")

@@ -103,6 +103,7 @@ def test_a_scenario_to_start_from_is_whole_and_valid(tmp_path, testcase):
     assert schema == schema_of("scenario")
 
 
+@pytest.mark.slow
 def test_what_init_writes_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "house.csv").write_text(

@@ -193,6 +193,7 @@ def test_a_view_that_fails_is_told_to_the_page(tmp_path):
         assert answer.json() == {"error": "journal.jsonl, line 7: damaged"}
 
 
+@pytest.mark.slow
 def test_the_page_draws_what_the_view_tells(tmp_path):
     sync_api = pytest.importorskip("playwright.sync_api", reason="a browser is needed to look at the page")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -61,6 +61,7 @@ def observation() -> Observation:
     return Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
 
 
+@pytest.mark.slow
 def test_in_closed_loop_it_is_comfortable_and_near_the_mpc() -> None:
     house = SimpleHouse()
     ours = run_closed_loop(house, controller(), house.period("x"))
@@ -73,6 +74,7 @@ def test_in_closed_loop_it_is_comfortable_and_near_the_mpc() -> None:
     assert ours.kpis["cost_tot"] < rule.kpis["cost_tot"]
 
 
+@pytest.mark.slow
 def test_training_lowers_the_cost_and_its_seed_gives_the_same_policy() -> None:
     losses: list[float] = []
     first = DPC(model(), configured(40), progress=lambda done, loss: losses.append(loss)).policy

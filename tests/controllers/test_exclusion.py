@@ -279,6 +279,7 @@ GROUPS = ((0, 1), (1, 2))
 NATIVE_OR_LEVEL = st.none() | st.just(0.0) | st.floats(0, 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @example([(0.0, 0.0, 0.0, None)], (0, 1, 0, 0), [False, True, True, False])
 @given(

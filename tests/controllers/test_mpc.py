@@ -33,6 +33,7 @@ def observation(house: SimpleHouse | None = None) -> Observation:
     return Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
 
 
+@pytest.mark.slow
 def test_in_closed_loop_it_is_comfortable_and_cheaper_than_the_thermostat():
     house = SimpleHouse()
     ours = run_closed_loop(house, controller(), house.period("x"))

@@ -108,6 +108,7 @@ def test_without_a_change_nothing_is_noticed_and_plans_are_the_same():
     assert with_watch.kpis | {"time_rat": 0.0} == alone.kpis | {"time_rat": 0.0}
 
 
+@pytest.mark.slow
 def test_off_it_does_not_notice_and_the_papers_settings_leave_it_off():
     assert watched(run("window", watch={"enabled": False})) == []
     testcase = load_testcase("bestest_hydronic_heat_pump")
@@ -152,6 +153,7 @@ def test_the_e_value_has_mean_one_at_most_for_errors_as_promised():
     assert math.isfinite(e_value(1e9))
 
 
+@pytest.mark.slow
 def test_false_alarms_are_no_more_frequent_than_stated():
     """Months of predictions whose errors are as promised, straight into the detectors."""
     watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
@@ -274,6 +276,7 @@ def test_an_old_plan_is_followed_only_while_its_own_promise_holds():
     assert followed(21.4) is None, "off by four times the promised half-width, though less than trust_K"
 
 
+@pytest.mark.slow
 def test_the_run_says_how_long_the_watch_held_control(capsys):
     result = run("stuck")
     spells = watch_spells(result)

@@ -50,6 +50,7 @@ def trouble(kind: str) -> Trouble:
     return Trouble(kind, HOUR_S, 5 * HOUR_S, at, share, 1 if once else 99, 840.0 if kind in kinds.AWAY else 0.2)
 
 
+@pytest.mark.slow
 def test_a_forecast_endpoint_that_fails_for_good_is_bridged(setting, calm, tmp_path):
     gone = Trouble(kinds.NO_FORECAST, 2 * HOUR_S, 1e9, at="forecast")
     found = run_episode(setting, [gone], seed=2, most_Kh=1.5 * calm.discomfort_Kh + 1.0, folder=tmp_path)

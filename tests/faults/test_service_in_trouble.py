@@ -96,6 +96,7 @@ def test_a_killed_run_is_taken_up_where_the_test_stands(service, whole, tmp_path
     assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_killed_before_its_first_step_goes_on(service, whole, tmp_path, monkeypatch):
     folder = tmp_path / "early"
     killed_at(service, folder, 0, monkeypatch, after=False)
@@ -114,6 +115,7 @@ def test_a_test_that_is_gone_is_said_and_the_journal_kept(service, tmp_path, mon
     assert (folder / "journal.jsonl").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_test_that_somebody_else_advanced_is_refused(service, tmp_path, monkeypatch):
     folder = tmp_path / "elsewhere"
     killed_at(service, folder, 10, monkeypatch, after=True)
@@ -125,6 +127,7 @@ def test_a_test_that_somebody_else_advanced_is_refused(service, tmp_path, monkey
     assert "somebody else advanced the test" in str(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "faults",
     [

@@ -137,7 +137,7 @@ def test_an_answer_that_unpacks_to_no_end_is_read_no_further_than_its_bound():
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as http:
-        thread = Thread(target=http.serve_forever)
+        thread = Thread(target=http.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         tracemalloc.start()
         try:

@@ -31,6 +31,7 @@ def rewards(env: BuildingEnv, actions: np.ndarray) -> list[float]:
     return [env.step(action)[1] for action in actions]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -195,6 +196,7 @@ def test_picture_of_an_episode() -> None:
     assert not np.array_equal(first, env.render())
 
 
+@pytest.mark.slow
 def test_an_fmu_gives_what_the_emulator_inside_gives(tmp_path: Path) -> None:
     pytest.importorskip("fmpy")
     pytest.importorskip("pythonfmu")

@@ -65,6 +65,7 @@ def test_a_machine_that_weakens_by_a_fifth_is_noticed(model, measured):
     assert {s.outcome for s in found.steps} == {"updated", "not informative"}
 
 
+@pytest.mark.slow
 def test_step_by_step_is_the_same_as_at_once(model, measured):
     run = _degrading(measured, days=3.0)
     adaptation, piecewise = OnlineAdaptation(model, ON), None

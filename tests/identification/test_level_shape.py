@@ -55,6 +55,7 @@ def recorded(law, u, power):
     return replace(record(house, 3.0, u=u, noise_K=0.02, heat_measured=False), power_W=power(u))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "power", "modulates"),
     [
@@ -87,6 +88,7 @@ def test_an_electric_heater_is_not_switched_for_an_estimate_below_what_it_can_be
     assert choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found).actuation.modulates
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_part_load_that_was_not_seen_or_is_metered():
     unseen = identify(recorded(lambda u: u, levels((1.0,)), lambda u: 3000.0 * u), config=CONFIG).only
     assert CostAtPartLoad.of(unseen.card.uncertainty) is None
@@ -115,6 +117,7 @@ def test_the_slope_of_a_shape_is_its_derivative_and_full_level_stays(shape: Shap
     assert shape.drive(u, k + 0.1)[[0, -1]].tolist() == [0.0, 1.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("true", "days_of_levels", "words"),
     [

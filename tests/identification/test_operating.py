@@ -101,6 +101,7 @@ def test_a_month_and_more_can_be_added_to():
         probe_schedule(replace(record, T_zone_C=record.T_zone_C * np.nan), HEATING)
 
 
+@pytest.mark.slow
 def test_only_what_is_not_known_is_probed():
     n = 14 * 24
     record = operated(np.array([drawn(n), np.full(n, 0.3)]), 14)

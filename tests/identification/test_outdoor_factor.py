@@ -45,6 +45,7 @@ def test_the_temperature_tells_how_heat_goes_with_the_weather():
     assert found[0.03] > 0.02 > 0.01 > found[0.0] > 0.0 > found[-0.02], found
 
 
+@pytest.mark.slow
 def test_the_effect_of_a_heat_pump_is_found_from_operation():
     house, run = operated(0.03)
     followed, ignored = (

@@ -28,6 +28,7 @@ def _probed(plant, design: str, day: int, seed: int = 1, days: float = 1.0) -> R
     return probe(plant, day * DAY_S, days, seed=seed, config=config)
 
 
+@pytest.mark.slow
 def test_chosen_draws_tell_more_than_the_first_that_come(plant):
     designer = Designer()
     worth = {

@@ -32,6 +32,7 @@ def test_pairs_of_other_days_are_predicted(pairs):
     assert scores.rmse_K <= 0.5 * score_pairs(first.only.operator, testing).rmse_K
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("days", "limit_K"), [(1, 0.12), (3, 0.08)])
 def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
     run = read_run(shared / "boptest_hp" / "excite_jan.csv.gz")
@@ -41,6 +42,7 @@ def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
     assert scores.sign_accuracy >= 0.995
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("month", "day"), [("jan", 11), ("apr", 3), ("apr", 10)])
 def test_the_days_that_tell_least_of_the_machine_are_enough(shared, pairs, month, day):
     """Cold ones with a narrow range outdoors, mild ones that never saw full: what is missing is the heat capacity."""
@@ -51,6 +53,7 @@ def test_the_days_that_tell_least_of_the_machine_are_enough(shared, pairs, month
     assert scores.sign_accuracy >= 0.995
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("day", [0, 19])
 def test_feedback_does_not_drop_the_delay(shared, pairs, day):
     """Three days of the native controller, in which a few hours would have spoken for a single mode."""

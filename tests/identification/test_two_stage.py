@@ -90,6 +90,7 @@ def test_identify_offers_it_as_a_method():
         identify(pairs=[Pair(run, arx_run(u=1.0 - run.u[0]))], config=config)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modulation", ["linear", "neural"])
 def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
     """While the actuator is on, windows are open: the second stage sees too little, a difference of pairs does not."""

@@ -28,6 +28,7 @@ def folder(shared) -> Path:
     return shared / "real_house"
 
 
+@pytest.mark.slow
 def test_the_test_box(folder):
     found = tf.read_measurements(folder / "armadillo_H2_30min.csv", guide_map("box.yaml"))
     record = found.record
@@ -39,6 +40,7 @@ def test_the_test_box(folder):
     assert verdict.competent, verdict.words
 
 
+@pytest.mark.slow
 def test_the_low_energy_house(folder):
     rules = guide_map("mons.yaml")
     room = rules["zones"]["room"]

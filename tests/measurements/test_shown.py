@@ -107,6 +107,7 @@ def test_names_in_brackets_are_shown_whole(tmp_path, capsys):
     assert "P [kW]" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn_whatever_is_missing(tmp_path):
     at = pd.date_range("2025-01-10", periods=200, freq="15min")
     df = pd.DataFrame({"T": 20.0, "out": np.arange(200) / 9, "u": 0.5}, index=at)

@@ -186,6 +186,7 @@ def _cut(payload: dict, n: int) -> dict:
     return {name: values[:n] for name, values in payload.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "edit",
     [

@@ -24,6 +24,7 @@ def replay(plant, trajectory: pd.DataFrame, warmup_days: float) -> tuple[np.ndar
     return np.array([m.T_zone_C[0] for m in out]), np.array([m.power_W[0] for m in out])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "warmup_days", "rmse_K"),
     [("excite_jan", 5, 0.02), ("excite_mar", 5, 0.02), ("excite_apr", 5, 0.02), ("off_d20_6d", 7, 0.01)],
@@ -81,6 +82,7 @@ def test_the_windows_are_the_published_ones_in_whatever_form_the_weather_comes(p
         assert EmbeddedPlant(load_weather(other_form)).period(name).start_s == start_day * DAY_S
 
 
+@pytest.mark.slow
 def test_the_rule_itself_finds_the_published_peak_day(plant):
     assert heating_windows(plant._native_year())["peak_heat_day"].start_s == 16 * DAY_S
 

@@ -308,12 +308,14 @@ def test_a_bad_input_is_refused_and_nothing_moves(plant, overrides, message):
     assert plant.past(900).time_s[-1] == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", [0, -900, 1e-4, float("nan"), float("inf"), 365 * DAY_S, "900"])
 def test_a_bad_step_is_refused(plant, duration):
     with pytest.raises(InputError, match="step of"):
         plant.advance(0.0, duration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("start", "warmup"), [(-1.0, 0), (float("nan"), 0), (365 * DAY_S, 0), (0, -5.0), ("0", 0)])
 def test_a_bad_start_is_refused(plant, start, warmup):
     with pytest.raises(InputError):

@@ -23,6 +23,7 @@ def plant_at(day: float = 20.0, n: int = 3, warmup: float = 0.0, price: str = "c
     return plant
 
 
+@pytest.mark.slow
 def test_the_record_samples_temperatures_and_means_the_rest_at_any_step():
     plant = plant_at(warmup=1.0)
     rng = np.random.default_rng(0)
@@ -58,6 +59,7 @@ def test_it_is_a_plant_whose_layout_says_what_each_valve_serves():
     assert plant.forecast(HOUR_S, 900.0).names == layout.names
 
 
+@pytest.mark.slow
 def test_same_inputs_give_the_same_bytes_and_steps_may_be_split():
     ends = []
     for parts in (1, 3, 1):
@@ -159,6 +161,7 @@ def test_native_set_points_are_back_up_before_a_room_is_used():
         assert T.min() == pytest.approx(T.max() - (1.0 if room.emitter == "floor" else 2.0)) or used.mean() > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [2, 8])
 def test_native_control_keeps_rooms_near_their_bounds(n):
     plant = plant_at(n=n)
@@ -201,6 +204,7 @@ def test_sun_reaches_a_room_through_its_own_facades():
         assert (light[noon] / sum(room.windows_m2) > 100.0) == (south > north)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("levels", "message"),
     [

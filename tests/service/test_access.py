@@ -88,6 +88,7 @@ def test_without_the_token_nothing_is_told(guarded, header, method, path):
     assert TOKEN not in answer.text
 
 
+@pytest.mark.slow
 def test_our_client_sends_the_token_of_its_environment(guarded, monkeypatch):
     quick = TransportConfig(connect_timeout_s=1.0, read_timeout_s=SOON_S)
     monkeypatch.setenv("BOPTEST_TOKEN", TOKEN)

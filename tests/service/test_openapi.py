@@ -32,6 +32,7 @@ def described(app):
     return app.test_client().get("/openapi.json").json
 
 
+@pytest.mark.slow
 def test_every_route_is_described_and_every_description_is_a_route(app, described):
     served = {
         (re.sub(r"<(\w+)>", r"{\1}", rule.rule), method.lower())

@@ -40,6 +40,7 @@ def payload(response):
 
 
 class TestTheExampleInterface:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "scenario",
         [

@@ -31,6 +31,7 @@ def test_a_sound_installation_is_sound(name, tmp_path):
     assert finding.seconds > 0
 
 
+@pytest.mark.slow
 def test_a_service_is_tried_and_left_as_it_was(tmp_path):
     with running_service() as service:
         finding = found("service", tmp_path, url=service.url)
@@ -82,6 +83,7 @@ def test_a_package_that_is_too_old_or_missing(tmp_path, monkeypatch):
     assert "flask" not in finding.told
 
 
+@pytest.mark.slow
 def test_the_command_says_what_failed(tmp_path, monkeypatch):
     words = ["doctor", "--out", str(tmp_path), "--only", "disk,Python", "--json", str(tmp_path / "d.json")]
     done = CliRunner().invoke(cli, words)

@@ -85,6 +85,7 @@ def test_one_missing_sample_of_the_weather_costs_at_most_one_plan(run, clean, si
     assert f"{signal} was not measured" in result.steps[11].notes[0]
 
 
+@pytest.mark.slow
 def test_a_day_without_weather_readings_is_controlled_all_the_same(run, clean):
     result = run(dict.fromkeys(range(4, 28), reads(T_out_C=NAN, solar_W_m2=NAN)))
     assert result.fallback_levels()["solved"] >= len(result.steps) - 1

@@ -41,6 +41,7 @@ def _halves(record: Record) -> tuple[Record, Record]:
     return record.slice(0, 24 * _BEFORE), record.slice(24 * _BEFORE, record.n_steps)
 
 
+@pytest.mark.slow
 def test_the_interval_holds_the_truth_and_claims_what_is_there() -> None:
     held = claimed = 0
     for seed in range(12):

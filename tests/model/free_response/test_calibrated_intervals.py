@@ -38,6 +38,7 @@ def run(method: CalibratedFreeResponse, free: np.ndarray, first: int, last: int)
     return forecasts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_K", [0.3, 0.64, 1.2])
 def test_width_converges_to_that_of_the_errors_from_both_sides(half_K: float) -> None:
     """Errors of half a kelvin (standard deviation): 80 % lie within 1.28 times that."""
@@ -51,6 +52,7 @@ def test_width_converges_to_that_of_the_errors_from_both_sides(half_K: float) ->
     )  # untouched at first
 
 
+@pytest.mark.slow
 def test_the_width_adapts_when_errors_grow() -> None:
     rng = np.random.default_rng(1)
     free = 20.0 + np.concatenate([0.2 * rng.standard_normal(400), 0.6 * rng.standard_normal(400)])

@@ -66,6 +66,7 @@ def test_gaps_and_a_silent_end_are_bridged_by_the_weather() -> None:
     )
 
 
+@pytest.mark.slow
 def test_quantiles_cover_what_they_say() -> None:
     params = two_modes(process_sd_K=0.1, sensor_sd_K=0.05)
     below = np.zeros((LEVELS.size, AHEAD))

@@ -57,6 +57,7 @@ def test_rollouts_equal_the_printed_recursion(order, heat_input):
     np.testing.assert_allclose(by_torch, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),

@@ -45,6 +45,7 @@ def _impulse_bounds(params) -> tuple[np.ndarray, np.ndarray]:
     return impulse * (1 - params.gamma) * slope_low, impulse * (1 + params.gamma) * slope_high
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(params=operators, seed=st.integers(0, 2**32 - 1), size=feature_sizes)
 def test_effect_keeps_its_sign_and_bounds_by_autodiff(params, seed, size):

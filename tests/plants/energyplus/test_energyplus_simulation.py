@@ -43,6 +43,7 @@ def test_same_job_gives_the_same_bits(records):
         assert getattr(records[0], name).tobytes() == getattr(records[1], name).tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plain", "moved", "sign"), [(0, 2, 1.0), (3, 4, -1.0)])
 def test_a_shift_changes_nothing_before_it_and_the_right_way_after(records, plain, moved, sign):
     a, b = records[plain], records[moved]

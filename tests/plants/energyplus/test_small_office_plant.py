@@ -56,6 +56,7 @@ def watch(first_day, days, sensors, means=None):
 
 
 # Martin Luther King Day on a Monday; daylight saving time begins; it ends, and Veterans Day; Christmas and New Year.
+@pytest.mark.slow
 @pytest.mark.parametrize(("first_day", "days"), [(13, 3), (68, 3), (306, 10), (356, 12)])
 def test_forecast_schedules_are_those_that_the_engine_follows(first_day, days):
     seen = watch(
@@ -75,6 +76,7 @@ def test_forecast_schedules_are_those_that_the_engine_follows(first_day, days):
     assert seen["people"] == pytest.approx(67.30 / 18.58 * office_schedules().occupancy(time_s), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_means_are_taken_over_the_system_steps_of_a_step():
     air, of_zone = ("Zone Air Temperature", "Core_ZN"), ("Zone Mean Air Temperature", "Core_ZN")
     seen = watch(28, 1, {"mean": of_zone, "last": air}, {"ours": air})
@@ -93,6 +95,7 @@ def cold():
         yield plant, first, nothing, boundary, last, plant.past(300.0)
 
 
+@pytest.mark.slow
 def test_native_control_keeps_the_schedules_and_the_record_has_the_shapes_of_its_names(cold):
     plant, first, nothing, boundary, last, record = cold
     assert (len(plant.zones), len(plant.actuators), len(plant.machines)) == (5, 10, 10)
@@ -179,6 +182,7 @@ def test_a_steps_record_is_the_mean_of_its_parts(cold):
         plant.past(400.0)
 
 
+@pytest.mark.slow
 def test_a_told_set_point_acts_in_its_zone_and_gives_back_control_when_it_is_silent():
     with SmallOffice() as plant:
         plant.reset(28 * DAY_S + 4 * HOUR_S, 4 * HOUR_S)
@@ -198,6 +202,7 @@ def test_a_told_set_point_acts_in_its_zone_and_gives_back_control_when_it_is_sil
         assert plant.past(300.0).T_zone_C[3, -3:].max() == pytest.approx(20.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_cooling_has_its_sign_and_its_price():
     with SmallOffice() as plant:
         plant.reset(196 * DAY_S + 14 * HOUR_S, 8 * HOUR_S, "dynamic")
@@ -211,6 +216,7 @@ def test_cooling_has_its_sign_and_its_price():
         assert plant.forecast(HOUR_S, HOUR_S).price_per_kWh[:, 0].tolist() == [0.07] * 5 + [0.2666] * 5
 
 
+@pytest.mark.slow
 def test_the_same_actions_give_the_same_bits():
     def run(plant):
         plant.reset(98 * DAY_S, 6 * HOUR_S)
@@ -224,6 +230,7 @@ def test_the_same_actions_give_the_same_bits():
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
 
 
+@pytest.mark.slow
 def test_a_forecast_with_errors_keeps_bounds_and_prices():
     with SmallOffice(forecast_error=ForecastError("medium", 1)) as plant, SmallOffice() as exact:
         for one in (plant, exact):
@@ -234,6 +241,7 @@ def test_a_forecast_with_errors_keeps_bounds_and_prices():
         assert exact.past(900.0).power_W.shape == (10, 0)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_done_is_refused_by_name_and_the_process_ends_with_the_plant():
     others = set(multiprocessing.active_children())  # of the shared fixture
     plant = SmallOffice()

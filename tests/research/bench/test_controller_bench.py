@@ -17,6 +17,7 @@ from thermoforce_mpc.research.bench.controller import _solver_row
 from thermoforce_mpc.research.bench.do_mpc_peer import DoMpcPeer, without_extras
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain_beforehand", [False, True])
 def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
     pytest.importorskip("do_mpc", reason="extra [bench]", exc_type=ImportError)

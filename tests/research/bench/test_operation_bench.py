@@ -35,6 +35,7 @@ def test_a_pair_differs_by_its_levels_only(plant: EmbeddedPlant) -> None:
     assert np.abs(one.T_zone_C - other.T_zone_C).max() > 0.5
 
 
+@pytest.mark.slow
 def test_three_days_of_a_thermostat_tell_the_effect() -> None:
     (row,) = bench.run_case(bench.Case(bench.EMBEDDED, "thermostat", 8, (3,)))
     assert row["competent"]

@@ -42,6 +42,7 @@ def test_neighbours_are_reached_and_no_one_else():
     assert (problem.T_free_C.shape, problem.price_per_kWh.shape) == ((5, 192), (1, 192))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes_shared", [False, True])
 def test_do_mpc_finds_the_same_optimum_of_a_building(modes_shared):
     pytest.importorskip("do_mpc", reason="extra [bench]", exc_type=ImportError)

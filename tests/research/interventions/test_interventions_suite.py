@@ -34,6 +34,7 @@ def simulated(folder):
         return load_or_simulate(TINY, folder, engine, say=lines.append), lines
 
 
+@pytest.mark.slow
 def test_pairs_share_everything_but_their_window(simulated):
     data, lines = simulated
     assert lines[0] == "EnergyPlus: 10 simulations"
@@ -79,6 +80,7 @@ def test_the_manifest_names_engine_weather_model_and_outputs_by_their_hash(simul
     assert manifest["engine"].startswith("25.2")
 
 
+@pytest.mark.slow
 def test_the_command_writes_table_figures_and_page(simulated, folder, tmp_path, monkeypatch):
     monkeypatch.setattr(interventions, "QUICK", TINY)
     out = tmp_path / "out"
@@ -115,6 +117,7 @@ def test_studies_have_their_own_methods_and_names(tmp_path):
     assert "ablation" in done.output
 
 
+@pytest.mark.slow
 def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_path, monkeypatch):
     from thermoforce_mpc.research.bench import interventions_cost as cost
     from thermoforce_mpc.research.bench import interventions_studies as studies

@@ -79,6 +79,7 @@ def test_an_interrupted_run_ends_with_the_same_weights(trained, tmp_path, monkey
         torch.testing.assert_close(resumed[name], tensor, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_kept_unless_forced(trained):
     folder, _ = trained
     before = weights(folder)
@@ -94,6 +95,7 @@ def test_a_run_of_other_options_is_not_continued(trained):
         pretrain(trained[0], TrainingConfig(steps=4, batch=9, save_every=2, validation_batches=1), lambda _: None)
 
 
+@pytest.mark.slow
 def test_a_second_stage_starts_from_the_first_ones_weights(trained, tmp_path):
     first = trained[0] / "checkpoint"
     still = replace(TINY, steps=2, rate_scale=0.0, start_sha256=training.weights_sha256(first))
@@ -119,6 +121,7 @@ def test_a_second_stage_says_what_it_starts_from(trained, tmp_path):
         pretrain(tmp_path / "out", other, lambda _: None, start=tmp_path)
 
 
+@pytest.mark.slow
 def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, tmp_path):
     first = trained[0] / "checkpoint"
     deeper = replace(
@@ -196,6 +199,7 @@ def test_evaluation_names_what_is_wrong(tmp_path):
         evaluate(tmp_path, series=0)
 
 
+@pytest.mark.slow
 def test_command_line_trains_evaluates_and_refuses(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "_WARM_UP", 1)
     run = CliRunner().invoke(main, ["train", "--out", str(tmp_path), "--steps", "1", "--batch", "4"])

@@ -55,6 +55,7 @@ def places(seen, panel=0):
     }}))""")
 
 
+@pytest.mark.slow
 def test_cheaper_is_lower_and_calmer_further_left(seen):
     assert seen.page.locator("#pareto .panel").count() == 3
     at = places(seen)

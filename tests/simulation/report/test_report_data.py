@@ -152,6 +152,7 @@ def test_stretches_of_one_reason_are_one_row_and_the_page_stays_readable_with_ma
     assert "<td>10.417</td><td>10</td>" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("zones", "every"), [(1, 1), (5, 4), (20, 16)])
 def test_two_weeks_of_plans_are_at_most_five_megabytes_and_the_page_says_what_is_left_out(zones, every, tmp_path):
     each = [tuple(f"{kind} {i}" for i in range(zones)) for kind in ("zone", "valve")]

@@ -86,6 +86,7 @@ def drawn(seen):
     seen.ask("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
 
 
+@pytest.mark.slow
 def test_the_course_is_drawn_where_it_was_measured(seen, one_zone):
     run, _ = one_zone
     samples = run.samples
