@@ -21,6 +21,7 @@ _COMMANDS = {
     "resume": ("thermoforce_mpc.cli.resume", "Go on with a run that was killed or interrupted."),
     "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
     "sweep": ("thermoforce_mpc.cli.sweep", "Vary one controller option and plot cost against discomfort."),
+    "fleet": ("thermoforce_mpc.cli.fleet", "Run many buildings under many windows, tariffs and controllers."),
     "identify": (
         "thermoforce_mpc.cli.identify",
         "Identify a model by probing a building, or from measurements.",
@@ -38,7 +39,10 @@ _COMMANDS = {
     "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
     "migrate": ("thermoforce_mpc.cli.migrate", "Rewrite a saved model of an older release for this one."),
     "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
-    "schema": ("thermoforce_mpc.cli.schema", "Write the JSON Schema of scenario, test case, comparison or map files."),
+    "schema": (
+        "thermoforce_mpc.cli.schema",
+        "Write the JSON Schema of scenario, test case, comparison, fleet or map files.",
+    ),
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
     "train": ("thermoforce_mpc.cli.train", "Train the policy of the controller dpc through a saved model."),
     "plants": ("thermoforce_mpc.cli.plants", "List plants and their options."),

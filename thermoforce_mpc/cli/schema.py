@@ -10,11 +10,12 @@ from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.schemas import schema_text
 
 
-@click.command(short_help="Write the JSON Schema of scenario, test case, comparison or map files.")
-@click.argument("kind", metavar="scenario|testcase|comparison|map")
+@click.command(short_help="Write the JSON Schema of scenario, test case, comparison, fleet or map files.")
+@click.argument("kind", metavar="scenario|testcase|comparison|fleet|map")
 @click.option("--out", type=click.Path(path_type=Path), help="File to write to.  [default: print it]")
 def command(kind: str, out: Path | None) -> None:
-    """Write the JSON Schema of a kind of file: scenario, testcase, comparison, or map (of measurements).
+    """Write the JSON Schema of a kind of file: scenario, testcase, comparison, fleet, or map (of
+    measurements).
 
     An editor with a YAML language server completes and checks a file whose first line names its schema:
 

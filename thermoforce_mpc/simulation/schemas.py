@@ -21,11 +21,13 @@ from thermoforce_mpc.measurements.mapping import MeasurementMap
 from thermoforce_mpc.scenario.scenario import ControllerSpec, ProbingSpec, Scenario
 from thermoforce_mpc.scenario.testcase import Defaults, TestCase
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant
+from thermoforce_mpc.simulation.fleet.file import FleetFile
 
 KINDS: dict[str, type[BaseModel]] = {
     "scenario": Scenario,
     "testcase": TestCase,
     "comparison": ComparisonFile,
+    "fleet": FleetFile,
     "map": MeasurementMap,
 }
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"

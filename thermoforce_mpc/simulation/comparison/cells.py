@@ -68,10 +68,13 @@ def expand(
     windows: Sequence[str],
     prices: Sequence[str],
     uncertainties: Sequence[str] = ("none",),
+    inputs: Inputs | None = None,
 ) -> list[Cell]:
-    """All cells, validated; raises `ConfigError` naming the variant and the wrong key."""
-    hash_of = _FileHashes()
-    made = _made_by()
+    """All cells, validated; raises `ConfigError` naming the variant and the wrong key.
+
+    `inputs`: hashes that several calls share.
+    """
+    inputs = inputs or Inputs()
     cells: list[Cell] = []
     for window in windows:
         for price in prices:
@@ -79,19 +82,21 @@ def expand(
                 for name, variant in variants.items():
                     try:
                         scenario = variant_scenario(base, variant, window, price, uncertainty)
-                        cells.append(_cell(name, scenario, made, hash_of))
+                        cells.append(_cell(name, scenario, inputs.made, inputs))
                     except ConfigError as error:
                         raise ConfigError(f"variant '{name}': {error}") from error
     return cells
 
 
-class _FileHashes:
-    """Content hashes of input files and saved models, cached by path."""
+class Inputs:
+    """Content hashes of input files and saved models, cached by path, and what makes the results (`made`)."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
+        self.made = _made_by()
 
     def __call__(self, path: str) -> str:
+        """Content hash of a file or folder; raises `ConfigError`."""
         if path not in self._known:
             where = Path(path).expanduser()
             try:

@@ -88,7 +88,12 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
 
 
 def record_of(cell: Cell, *needs: SentFiles | Identified) -> dict[str, Any]:
-    """Run the closed loop of `cell`, with the files and the model it needs, and return its record.
+    """Run the closed loop of `cell`, with the files and the model it needs, and return its record; as `followed`."""
+    return run_record(cell, *followed(cell, *needs))
+
+
+def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, PlantInfo]:
+    """Run the closed loop of `cell`, with the files and the model it needs; also what the plant is.
 
     Raises:
         DataError: the data of the identification could not be fitted, and the controller has no gate.
@@ -111,7 +116,7 @@ def record_of(cell: Cell, *needs: SentFiles | Identified) -> dict[str, Any]:
             lowest = testcase.layout.lowest
             allowed = limits_of(controller, testcase.area_m2, min(lowest))
             result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest)
-            return _record(cell, result, plant.info)
+            return result, plant.info
 
 
 def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:
@@ -147,7 +152,8 @@ def _head(cell: Cell) -> dict[str, Any]:
     }
 
 
-def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
+def run_record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
+    """Record of a finished cell: what it is, its KPIs, plans by status and computing times."""
     kpis = {name: value for name, value in result.kpis.items() if name != "time_rat"}
     return _head(cell) | {
         "status": DONE,

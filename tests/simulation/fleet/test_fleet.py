@@ -1,0 +1,199 @@
+"""A fleet: its file, its runs and their results, the dataset and what is said of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import ConfigError, InputError
+from thermoforce_mpc.simulation.fleet.buildings import buildings_of
+from thermoforce_mpc.simulation.fleet.dataset import FORMAT, SCHEMA, read_dataset
+from thermoforce_mpc.simulation.fleet.file import load_fleet
+from thermoforce_mpc.simulation.fleet.page import fleet_page
+from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
+
+RULES = {"thermostat": {"controller": "thermostat", "options": {"step_s": 300}}, "native": {"controller": "native"}}
+
+
+def _file(folder: Path, **keys: Any) -> Path:
+    content = {"buildings": [{"generated": {"seed": 5, "count": 2}}], "variants": RULES, "days": 0.25, **keys}
+    path = folder / "few.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def _fleet(path: Path, *words: str) -> tuple[int, str]:
+    result = CliRunner().invoke(cli, ["fleet", str(path), "--out", str(path.parent / "out"), "--jobs", "2", *words])
+    if isinstance(result.exception, InputError):  # `main` turns it into a message and exit code 2
+        return 2, str(result.exception)
+    return result.exit_code, result.output
+
+
+def _rows(**columns: list[Any]) -> pd.DataFrame:
+    """A dataset with the columns given; the rest is filled."""
+    n = len(next(iter(columns.values())))
+    fill = {name: "" if pa.types.is_string(SCHEMA.field(name).type) else 0 for name in SCHEMA.names}
+    base: dict[str, list[Any]] = {name: [fill[name]] * n for name in SCHEMA.names}
+    base |= {"status": ["done"] * n, "days": [7.0] * n, "ener_tot": [1.0] * n, "window": ["w"] * n, "price": ["p"] * n}
+    return pd.DataFrame(base | columns)
+
+
+@pytest.mark.slow
+def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_before(tmp_path: Path) -> None:
+    path = _file(tmp_path, trajectories=True, prices=["constant", "dynamic"], windows=["cold_week"])
+    code, said = _fleet(path)
+    assert code == 0, said
+    assert "2 buildings (2 generated) × 2 tariffs × 2 controllers: 8 runs" in said
+    out = tmp_path / "out"
+    rows = read_dataset(out)
+    assert len(rows) == 8
+    assert set(rows["building"]) == {"generated:5:0", "generated:5:1"}
+    assert (rows["status"] == "done").all()
+    assert (rows["cost_tot"] >= 0).all()
+    courses = pd.read_parquet(out / "trajectories")
+    assert set(courses["key"]) == set(rows["key"])
+    assert set(courses["building"].astype(str)) == {"generated:5:0", "generated:5:1"}
+    assert "native against thermostat in 4 runs" in (out / "index.html").read_text()
+
+    bytes_before = (out / "runs.parquet").read_bytes()
+    assert "8 runs are done, 0 are left" in _fleet(path)[1]
+    assert (out / "runs.parquet").read_bytes() == bytes_before
+    # What is missing is run again, to the same result but for the time it took.
+    run = next((out / "runs").rglob("*.json"))
+    run.unlink()
+    assert "7 runs are done, 1 are left" in _fleet(path)[1]
+    timing = ["seconds", "plan_median_s", "plan_longest_s"]
+    pd.testing.assert_frame_equal(read_dataset(out).drop(columns=timing), rows.drop(columns=timing))
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> None:
+    path = _file(
+        tmp_path,
+        buildings=[{"generated": {"seed": 5, "count": 1}}, {"testcase": "bestest_hydronic_heat_pump"}],
+        windows=["cold_week"],
+    )
+    code, said = _fleet(path)
+    assert code == 3
+    assert "FAILED bestest_hydronic_heat_pump, cold_week" in said
+    rows = read_dataset(tmp_path / "out")
+    assert dict(rows.groupby("building")["status"].first()) == {
+        "bestest_hydronic_heat_pump": "failed",
+        "generated:5:0": "done",
+    }
+    assert "Failed runs" in (tmp_path / "out" / "index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"buildings": [{"generated": {"seed": 5, "count": 2, "colour": "red"}}]}, "colour"),
+        ({"buildings": [{"generatd": {"seed": 5, "count": 2}}]}, "generatd"),
+        ({"buildings": [{"generated": {"seed": 5, "count": 1}, "testcase": "x"}]}, "exactly one"),
+        ({"buildings": [{"generated": {"seed": 5, "count": 2}}, {"testcase": "generated:5:1"}]}, "in the fleet twice"),
+        ({"buildings": [{"testcase": "bestest_hydronic_heatpump"}]}, "bestest_hydronic_heatpump"),
+        ({"reference": "pi"}, "'pi' is not among the variants"),
+        ({"prices": ["free"]}, "prices"),
+        ({"windows": ["cold_weak"]}, "cold_weak"),
+        ({"seeds": [1, 1]}, "twice"),
+        ({"scenario": {"perid": 3}}, "perid"),
+        ({"variants": {"ours": {"controller": "thermoforce"}}, "reference": "ours"}, "thermoforce"),
+        ({"buildings": [{"table": "none.csv"}]}, "none.csv"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_wrong_file_is_refused_before_anything_is_run(tmp_path: Path, keys: dict[str, Any], says: str) -> None:
+    code, said = _fleet(_file(tmp_path, **keys))
+    assert code == 2
+    assert says in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dataset_of_another_schema_is_refused(tmp_path: Path) -> None:
+    path = _file(tmp_path)
+    (tmp_path / "out").mkdir()
+    pq.write_table(pa.table({"cost": [1.0]}), tmp_path / "out" / "runs.parquet")
+    code, said = _fleet(path)
+    assert code == 2
+    assert f"its schema is none, this release writes {FORMAT}" in said
+    assert not (tmp_path / "out" / "runs").exists()
+    with pytest.raises(ConfigError, match=r"runs\.parquet: is missing"):
+        read_dataset(tmp_path / "elsewhere")
+
+
+def test_a_table_names_buildings_and_their_own_files(tmp_path: Path) -> None:
+    (tmp_path / "few.csv").write_text(
+        "name,testcase,model,weather\nours,bestest_hydronic_heat_pump,m,w.epw\nb,house:2rooms,,\n"
+    )
+    path = _file(tmp_path, buildings=[{"table": "few.csv"}])
+    ours, rooms = buildings_of(*load_fleet(str(path)))
+    assert ours.scenario["identification"] == {"model": str(tmp_path / "m")}
+    assert ours.scenario["plant"] == {"weather": str(tmp_path / "w.epw")}
+    assert (rooms.name, rooms.scenario) == ("b", {"testcase": "house:2rooms"})
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("name,testcase,colour\n", "'colour' is not known"),
+        ("name\n", "no column 'testcase'"),
+        ("name,testcase\n", "has no buildings"),
+        ("name,testcase\na,house:2rooms\n,house:2rooms\n", "line 3: needs a name"),
+        ("name,testcase\na,house:99rooms\n", "line 2: .*99"),
+        ("name,testcase,url,fmu\na,bestest_air,http://x,y.fmu\n", "line 2: url and fmu"),
+    ],
+    ids=lambda text: text[:20],
+)
+def test_a_wrong_table_is_refused_with_its_line(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "few.csv").write_text(text)
+    with pytest.raises(ConfigError, match=rf"few\.csv: .*{says}|few\.csv: {says}"):
+        buildings_of(*load_fleet(str(_file(tmp_path, buildings=[{"table": "few.csv"}]))))
+
+
+def test_saving_and_discomfort_are_counted_against_the_same_run_of_the_reference() -> None:
+    rows = _rows(
+        building=["a", "b", "c", "d", "a", "b", "c", "d"],
+        variant=["mpc"] * 4 + ["rule"] * 4,
+        machine=["boiler", "boiler", "electric", "electric"] * 2,
+        cost_tot=[0.9, 1.1, 0.8, 0.5, 1.0, 1.0, 1.0, 0.5],
+        tdis_tot=[0.0, 0.0, 2.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+        ener_tot=[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01],
+        plans_watch=[0, 0, 50, 0] + [0] * 4,
+        plans_solved=[100, 100, 50, 100] + [0] * 4,
+    )
+    pairs = paired(rows, "mpc", "rule").set_index("building")
+    assert pairs["saving"].round(6).tolist()[:3] == [0.1, -0.1, 0.2]
+    assert pd.isna(pairs.loc["d", "saving"])  # its reference hardly heats
+    assert pairs["more_Kh"].tolist() == [0.0, -1.0, 2.0, 0.0]
+    assert pairs.loc["b", "why"] == "dearer: but more comfortable than the reference"
+    assert "the model did not hold" in pairs.loc["c", "why"]
+    assert pairs.loc["a", "why"] == pairs.loc["d", "why"] == ""
+
+    pairs = pairs.reset_index()
+    everything, boilers, electric = groups(pairs)
+    assert (everything.runs, everything.heated) == (4, 3)
+    assert everything.cheaper == pytest.approx(2 / 3)
+    assert (boilers.value, boilers.saving[1]) == ("boiler", pytest.approx(0.0))
+    assert electric.colder == 0.5
+    worst = lost(pairs)
+    assert worst["building"].tolist() == ["c", "b"]  # comfort before cost
+    assert [n for _, n in causes(worst)] == [1, 1]
+
+
+def test_the_page_says_what_a_stranger_named(tmp_path: Path) -> None:
+    rows = _rows(
+        building=["<b>", "<b>"], variant=["mpc", "rule"], cost_tot=[1.2, 1.0], tdis_tot=[0.0, 0.0], seed=[3, 3]
+    )
+    page = fleet_page(rows, "rule", "Fleet", "tf-mpc fleet x")
+    assert "<b>" not in page
+    assert "&lt;b&gt;" in page
+    assert "--seed 3" in page
+    assert "dearer: the plans acted on their model" in page

@@ -1,0 +1,165 @@
+"""`tf-mpc fleet`: many buildings × windows × tariffs × controllers × seeds."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import click
+import pandas as pd
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.execution import Outcome, TaskProgress, execute
+from thermoforce_mpc.execution.progress import summary
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.simulation.comparison.store import DONE
+from thermoforce_mpc.simulation.fleet.buildings import buildings_of
+from thermoforce_mpc.simulation.fleet.dataset import check_dataset, read_dataset, row_of, write_dataset
+from thermoforce_mpc.simulation.fleet.file import load_fleet
+from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
+from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
+from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
+
+RUNS_FAILED = 3
+_SHOWN_FAILURES = 10
+
+
+@click.command(short_help="Run many buildings under many windows, tariffs and controllers.")
+@click.argument("fleet", metavar="FLEET.yaml")
+@click.option("--count", is_flag=True, help="Say what would be run, and run nothing.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder of the dataset; finished runs in it are reused.  [default: runs/fleet-NAME]",
+)
+@execution_options()
+@click.option("--quiet", is_flag=True, help="Print only the summary.")
+def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: bool) -> None:
+    """Run every building of a fleet in every window under every tariff with every controller and seed.
+
+    FLEET.yaml names the buildings (generated houses, houses of rooms, test cases, or a table of your own) and the axes;
+    `tf-mpc schema fleet` is its schema. The folder then holds runs.parquet, one row a run, index.html with the
+    distributions of saving and discomfort, who lost and why, and what each run and identification gave. Repeating the
+    command runs only what is missing or failed.
+
+    \b
+    Examples:
+      tf-mpc fleet small --count
+      tf-mpc fleet small --out runs/small
+      tf-mpc fleet portfolio.yaml --scheduler tcp://host:8786
+
+    \b
+    Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed (the others are kept), 130 interrupted.
+    """
+    console = Console(highlight=False, markup=False)
+    file, path = load_fleet(fleet)
+    runs = runs_of(file, buildings_of(file, path), path)
+    identifications = len({run.cell.identification_key for run in runs} - {None})
+    console.print(f"{_counted(runs)}, {identifications} identifications", soft_wrap=True)
+    if count:
+        return
+    results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
+    check_dataset(results.folder)
+    records = {run.cell.key: record for run in runs if (record := results.record(run)) is not None}
+    todo = [run for run in runs if run.cell.key not in records]
+    if not quiet:
+        console.print(f"{len(records)} runs are done, {len(todo)} are left; {results.folder}", soft_wrap=True)
+    try:
+        if todo:
+            _run(todo, results, records, console, engine, quiet)
+    except KeyboardInterrupt:
+        kept = sum(record["status"] == DONE for record in records.values())
+        click.echo(f"{kept} of {len(runs)} runs are kept in {results.folder}; repeat the command to resume", err=True)
+        raise
+    dataset = write_dataset(results.folder, [row_of(run, records[run.cell.key]) for run in runs])
+    rows = read_dataset(dataset)
+    page = results.folder / "index.html"
+    said = shlex.join(["tf-mpc", "fleet", fleet])
+    write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said))
+    _show(console, rows, file.reference)
+    console.print(f"Dataset: {shlex.quote(str(dataset))}; page: {shlex.quote(str(page))}", soft_wrap=True)
+    if (rows["status"] != DONE).any():
+        sys.exit(RUNS_FAILED)
+
+
+def _counted(runs: list[Run]) -> str:
+    sources = Counter({run.building.name: run.building.source for run in runs}.values())
+    axes = [
+        (sum(sources.values()), f"buildings ({', '.join(f'{n} {source}' for source, n in sources.items())})"),
+        (len({run.cell.window for run in runs}), "windows"),
+        (len({run.cell.price for run in runs}), "tariffs"),
+        (len({run.cell.variant for run in runs}), "controllers"),
+        (len({run.cell.scenario.seed for run in runs}), "seeds"),
+    ]
+    return " × ".join(f"{n} {what}" for n, what in axes if n > 1) + f": {len(runs)} runs"
+
+
+def _run(
+    todo: list[Run],
+    results: FleetResults,
+    records: dict[str, dict[str, Any]],
+    console: Console,
+    engine: Opening,
+    quiet: bool,
+) -> None:
+    """Run what is left; every record goes into `records` by key as it comes."""
+
+    def say(text: str) -> None:
+        if not quiet:
+            console.print(text, soft_wrap=True)
+
+    with (
+        TaskProgress(console, quiet=quiet, line=_line) as progress,
+        engine(say) as where,
+    ):
+        for outcome in execute(tasks_of(todo), where, results, progress):
+            run = outcome.task.inputs
+            if isinstance(run, Run):
+                failed = outcome.reason and results.put_failure(run, outcome.reason)
+                records[run.cell.key] = failed or outcome.value.record
+
+
+def _line(outcome: Outcome) -> str:
+    if not isinstance(outcome.task.inputs, Run):
+        return summary(outcome)
+    kpis = outcome.value.record["kpis"]
+    return f"{outcome.task.title}: {kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f} K·h ({outcome.seconds:.0f} s)"
+
+
+def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
+    for variant in [name for name in dict.fromkeys(rows["variant"]) if name != reference]:
+        pairs = paired(rows, variant, reference)
+        if pairs.empty:
+            continue
+        console.print(headline(pairs, variant, reference), soft_wrap=True)
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
+        table.add_column(f"{variant}", overflow="fold")
+        for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
+            table.add_column(heading, justify="right")
+        for group in groups(pairs):
+            low, middle, high = (100 * value for value in group.saving)
+            table.add_row(
+                f"{group.by} {group.value}".strip(),
+                str(group.runs),
+                f"{middle:+.1f}",
+                f"{low:+.1f} to {high:+.1f}",
+                f"{100 * group.cheaper:.0f}",
+                f"{100 * group.colder:.0f}",
+            )
+        console.print(table)
+        for cause, n in causes(lost(pairs)):
+            console.print(f"{n} runs {cause}", soft_wrap=True)
+    failed = rows[rows["status"] != DONE]
+    for row in failed.head(_SHOWN_FAILURES).to_dict("records"):
+        console.print(
+            f"FAILED {row['building']}, {row['window']}, {row['price']}, {row['variant']}: {row['reason']}",
+            soft_wrap=True,
+        )
+    if len(failed) > _SHOWN_FAILURES:
+        console.print(f"and {len(failed) - _SHOWN_FAILURES} more failed, see the page")

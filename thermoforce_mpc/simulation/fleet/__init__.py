@@ -1,0 +1,1 @@
+"""Many buildings × windows × tariffs × controllers × seeds, as one dataset and one page."""

@@ -1,0 +1,136 @@
+"""The buildings of a fleet, from what its file names."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.generated import draw_house
+from thermoforce_mpc.reading import read_bounded
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.scenario.settings import suggestion
+from thermoforce_mpc.simulation.fleet.file import FleetFile, Rooms, Source
+
+_COLUMNS = ("name", "testcase", "model", "weather", "url", "fmu")
+_MOST_BYTES = 50_000_000
+
+
+@dataclass(frozen=True)
+class Building:
+    """A building of a fleet: `name`, once in it, and what of its scenario is its own.
+
+    `source`: kind of source. `emitter`, `machine`, `mass`: what it is, '' where that is not known.
+    """
+
+    name: str
+    source: str
+    scenario: Mapping[str, Any]
+    emitter: str = ""
+    machine: str = ""
+    mass: str = ""
+    area_m2: float = field(default=float("nan"))
+    description: str = ""
+
+
+def buildings_of(file: FleetFile, path: Path) -> list[Building]:
+    """All buildings of the fleet file at `path`.
+
+    Raises:
+        ConfigError: a name twice, an unknown test case, or a table that cannot be used; names file and row.
+    """
+    found: dict[str, Building] = {}
+    for number, source in enumerate(file.buildings):
+        for building in _of(source, path):
+            if building.name in found:
+                raise ConfigError(f"{path}: buildings.{number}: '{building.name}' is in the fleet twice")
+            found[building.name] = building
+    return list(found.values())
+
+
+def _of(source: Source, path: Path) -> Iterator[Building]:
+    if source.generated is not None:
+        for index in range(source.generated.first, source.generated.first + source.generated.count):
+            house = draw_house(source.generated.seed, index)
+            yield Building(
+                f"generated:{house.seed}:{index}",
+                "generated",
+                {"testcase": f"generated:{house.seed}:{index}"},
+                house.emitter,
+                house.machine,
+                house.mass,
+                house.floor_area_m2,
+                house.words,
+            )
+    elif source.rooms is not None:
+        yield from _rooms(source.rooms)
+    elif source.testcase is not None:
+        yield _of_testcase(source.testcase, "testcase", {"testcase": source.testcase})
+    elif source.table is not None:
+        yield from _of_table(path.parent / Path(source.table).expanduser())
+
+
+def _rooms(rooms: Rooms) -> Iterator[Building]:
+    for seed in range(rooms.first_seed, rooms.first_seed + rooms.count):
+        name = f"house:{rooms.rooms}rooms:{seed}"
+        yield _of_testcase(name, "rooms", {"testcase": name})
+
+
+def _of_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> Building:
+    testcase = load_testcase(str(scenario["testcase"]))
+    return Building(name, source, scenario, area_m2=testcase.area_m2, description=testcase.description)
+
+
+def _of_table(table: Path) -> Iterator[Building]:
+    try:
+        text = read_bounded(table, _MOST_BYTES, ConfigError).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{table}: is not UTF-8 ({error})") from error
+    reader = csv.DictReader(io.StringIO(text))
+    columns = reader.fieldnames or []
+    for column in columns:
+        if column not in _COLUMNS:
+            raise ConfigError(
+                f"{table}: column '{column}' is not known{suggestion(column, _COLUMNS)}; known: {', '.join(_COLUMNS)}"
+            )
+    for needed in ("name", "testcase"):
+        if needed not in columns:
+            raise ConfigError(f"{table}: has no column '{needed}'")
+    empty = True
+    for row in reader:
+        empty = False
+        where = f"{table}: line {reader.line_num}"
+        given = {key: (value or "").strip() for key, value in row.items() if key is not None}
+        if None in row or not given["name"] or not given["testcase"]:
+            raise ConfigError(f"{where}: needs a name, a test case and no more values than columns")
+        try:
+            yield _of_testcase(given["name"], "table", _scenario(given, table.parent))
+        except ConfigError as error:
+            raise ConfigError(f"{where}: {error}") from error
+    if empty:
+        raise ConfigError(f"{table}: has no buildings")
+
+
+def _scenario(given: Mapping[str, str], folder: Path) -> dict[str, Any]:
+    def path(text: str) -> str:
+        return str(folder / Path(text).expanduser())
+
+    scenario: dict[str, Any] = {"testcase": given["testcase"]}
+    if given["testcase"].endswith((".yaml", ".yml")):
+        scenario["testcase"] = path(given["testcase"])
+    if given.get("model"):
+        scenario["identification"] = {"model": path(given["model"])}
+    plant: dict[str, Any] = {}
+    if given.get("url") and given.get("fmu"):
+        raise ConfigError("url and fmu are two plants; give one")
+    if given.get("url"):
+        plant = {"kind": "boptest", "url": given["url"]}
+    if given.get("fmu"):
+        plant = {"kind": "fmu", "path": path(given["fmu"])}
+    if given.get("weather"):
+        plant["weather"] = given["weather"] if given["weather"] == "synthetic" else path(given["weather"])
+    return scenario | ({"plant": plant} if plant else {})

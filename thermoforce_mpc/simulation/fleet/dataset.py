@@ -1,0 +1,117 @@
+"""The dataset of a fleet: one row a run, as Parquet with a schema of its own."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from thermoforce_mpc.data import PlanStatus
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import storage_errors
+from thermoforce_mpc.simulation.fleet.runs import Run
+
+NAME = "runs.parquet"
+# Increased whenever a column changes its meaning, its type or its name.
+FORMAT = "1"
+_FORMAT_KEY = b"thermoforce_mpc.fleet"
+
+_TEXT = ("building", "source", "emitter", "machine", "mass", "description", "window", "price", "variant", "controller",
+         "uncertainty", "status", "reason", "plant", "weather", "key", "identification", "version", "code")  # fmt: skip
+# Units: areas m²; costs currency/m²; energy kWh/m²; emissions kg/m²; peaks kW/m²; discomfort K·h per zone; times s.
+_NUMBERS = ("area_m2", "days", "start_day", "cost_tot", "tdis_tot", "ener_tot", "emis_tot", "pele_tot", "pgas_tot",
+            "pdih_tot", "seconds", "plan_median_s", "plan_longest_s")  # fmt: skip
+_PLANS = tuple(f"plans_{status.value}" for status in PlanStatus)
+SCHEMA = pa.schema(
+    [
+        *(pa.field(name, pa.string(), nullable=False) for name in _TEXT),
+        pa.field("seed", pa.int64(), nullable=False),
+        *(pa.field(name, pa.float64()) for name in _NUMBERS),
+        *(pa.field(name, pa.int64(), nullable=False) for name in (*_PLANS, "plans_refused")),
+    ],
+    metadata={_FORMAT_KEY: FORMAT.encode()},
+)
+
+
+def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
+    """The row of a run with its record; what a failed run has not is missing."""
+    building, cell = run.building, run.cell
+    plans, kpis, seconds = (record.get(name) or {} for name in ("fallback_levels", "kpis", "seconds"))
+    plant = record.get("plant") or {}
+    row = {
+        "building": building.name,
+        "source": building.source,
+        "emitter": building.emitter,
+        "machine": building.machine,
+        "mass": building.mass,
+        "description": building.description,
+        "area_m2": building.area_m2,
+        "window": cell.window,
+        "price": cell.price,
+        "uncertainty": cell.uncertainty,
+        "variant": cell.variant,
+        "controller": cell.scenario.controller.name,
+        "seed": cell.scenario.seed,
+        "days": cell.scenario.days,
+        "status": record["status"],
+        "reason": record["reason"],
+        "plant": plant.get("kind", ""),
+        "weather": plant.get("weather", ""),
+        "key": cell.key,
+        "identification": cell.identification_key or "",
+        "version": record["version"],
+        "code": record["source"],
+        "start_day": record.get("start_day"),
+        "seconds": seconds.get("total"),
+        "plan_median_s": seconds.get("plan_median"),
+        "plan_longest_s": seconds.get("plan_longest"),
+    }
+    row |= {name: kpis.get(name) for name in SCHEMA.names if name.endswith("_tot")}
+    return row | {name: plans.get(name.removeprefix("plans_"), 0) for name in (*_PLANS, "plans_refused")}
+
+
+def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
+    """Write the rows (`row_of`) in the order given as `runs.parquet`, whole or not at all; raises `StorageError`."""
+    path = folder / NAME
+    with storage_errors(path):
+        table = pa.Table.from_pylist([dict(row) for row in rows], schema=SCHEMA)
+        handle, aside = tempfile.mkstemp(prefix=f".{NAME}.", dir=folder)
+        os.close(handle)
+        try:
+            pq.write_table(table, aside)
+            os.replace(aside, path)
+        finally:
+            Path(aside).unlink(missing_ok=True)
+    return path
+
+
+def check_dataset(folder: Path) -> None:
+    """Refuse a folder whose dataset is of another schema; raises `ConfigError`."""
+    path = folder / NAME
+    if not path.exists():
+        return
+    try:
+        schema = pq.read_schema(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another --out, or remove it") from error
+    found = (schema.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
+    if found != FORMAT or schema.names != SCHEMA.names:
+        raise ConfigError(
+            f"{path}: its schema is {found}, this release writes {FORMAT}; give another --out, or remove it to have it "
+            "written anew from the runs beside it"
+        )
+
+
+def read_dataset(path: Path) -> pd.DataFrame:
+    """The dataset of a fleet's folder or file, one row a run; raises `ConfigError` for another one."""
+    folder = path if path.is_dir() else path.parent
+    if not (folder / NAME).exists():
+        raise ConfigError(f"{folder / NAME}: is missing; make it with `tf-mpc fleet`")
+    check_dataset(folder)
+    return pd.read_parquet(folder / NAME)

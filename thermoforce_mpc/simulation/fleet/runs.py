@@ -1,0 +1,188 @@
+"""The runs of a fleet as tasks, and where their results are kept."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution import Task
+from thermoforce_mpc.files import storage_errors, write_folder, write_whole
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import merge, validate
+from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, Inputs, expand
+from thermoforce_mpc.simulation.comparison.input_files import InputFiles, SentFiles
+from thermoforce_mpc.simulation.comparison.store import DONE, Identified
+from thermoforce_mpc.simulation.comparison.tasks import failure, followed, run_record
+from thermoforce_mpc.simulation.comparison.tasks import tasks_of as cell_tasks
+from thermoforce_mpc.simulation.composition import check_window
+from thermoforce_mpc.simulation.fleet.buildings import Building
+from thermoforce_mpc.simulation.fleet.file import FleetFile
+from thermoforce_mpc.simulation.run_folder import trajectory_frame, write_json
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a fleet: a cell of a comparison on one building; `trajectory`: whether its course is kept."""
+
+    building: Building
+    cell: Cell
+    trajectory: bool
+
+    @property
+    def title(self) -> str:
+        """Name in progress output."""
+        return f"{self.building.name} · {self.cell.title}"
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a run returns: its record, and its trajectory as a Parquet file, empty where it is not kept."""
+
+    record: dict[str, Any]
+    trajectory: bytes = b""
+
+
+def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[Run]:
+    """All runs of a fleet, validated; raises `ConfigError` naming the file, the building and the wrong key."""
+    for window in file.windows:
+        check_window(window)
+    runs, inputs = [], Inputs()
+    for building in buildings:
+        for seed in file.seeds:
+            own = {"days": file.days, "seed": seed}
+            data = merge(merge(dict(file.scenario), own), dict(building.scenario))
+            try:
+                base = validate(Scenario, data, str(path))
+                cells = expand(
+                    base, file.variants, file.windows, file.prices, [base.plant.forecast_uncertainty], inputs
+                )
+            except ConfigError as error:
+                raise ConfigError(f"building '{building.name}': {error}") from error
+            runs += [Run(building, cell, file.trajectories) for cell in cells]
+    return runs
+
+
+def tasks_of(runs: Sequence[Run]) -> list[Task]:
+    """A task for each run, with the files and the identification that it needs, which runs share.
+
+    Raises:
+        ConfigError: an input file cannot be read.
+    """
+    tasks = []
+    for run, task in zip(runs, cell_tasks([run.cell for run in runs]), strict=True):
+        needs = tuple(
+            replace(need, title=f"{run.building.name} · {need.title}")
+            if need.key == run.cell.identification_key
+            else need
+            for need in task.needs
+        )
+        tasks.append(replace(task, title=run.title, function=follow, inputs=run, needs=needs))
+    return tasks
+
+
+def follow(run: Run, *needs: SentFiles | Identified) -> Ran:
+    """Run the closed loop; raises as `comparison.tasks.followed`."""
+    result, info = followed(run.cell, *needs)
+    record = run_record(run.cell, result, info)
+    if not run.trajectory:
+        return Ran(record)
+    frame = trajectory_frame(result.steps)
+    for place, (name, value) in enumerate(
+        (("window", run.cell.window), ("price", run.cell.price), ("variant", run.cell.variant), ("key", run.cell.key))
+    ):
+        frame.insert(place, name, value)
+    written = io.BytesIO()
+    frame.to_parquet(written, index=False)
+    return Ran(record, written.getvalue())
+
+
+class FleetResults:
+    """The folder of a fleet: a JSON file for each run, a folder for each model, and trajectories by building.
+
+    Found by key, in subfolders of its first two digits, so that a folder of 100,000 runs stays quick.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Create the folder; raises `ConfigError` if that fails."""
+        self.folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+
+    def record_path(self, key: str) -> Path:
+        """The record of a run."""
+        return self.folder / "runs" / key[:2] / f"{key}.json"
+
+    def model_path(self, key: str) -> Path:
+        """The model of an identification, or a file with the reason why there is none."""
+        return self.folder / "models" / key[:2] / key
+
+    def trajectory_path(self, run: Run) -> Path:
+        """The trajectory of a run, in a partition of its building."""
+        return (
+            self.folder / "trajectories" / f"building={quote(run.building.name, safe='')}" / f"{run.cell.key}.parquet"
+        )
+
+    def record(self, run: Run) -> dict[str, Any] | None:
+        """The record of a finished run; None if it failed, was not run or cannot be read."""
+        try:
+            record = json.loads(self.record_path(run.cell.key).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        expected = {"format": FORMAT, "key": run.cell.key, "status": DONE}
+        if not isinstance(record, dict) or {name: record.get(name) for name in expected} != expected:
+            return None
+        if run.trajectory and not self.trajectory_path(run).is_file():
+            return None
+        return record | {"variant": run.cell.variant}
+
+    def get(self, task: Task) -> Any:
+        """What a run or an identification gave, or the content of input files.
+
+        Raises:
+            KeyError: there is nothing.
+            ConfigError: an input file cannot be read.
+        """
+        if isinstance(task.inputs, InputFiles):
+            return task.inputs.read()
+        if isinstance(task.inputs, Run):
+            if (record := self.record(task.inputs)) is None:
+                raise KeyError(task.key)
+            return Ran(record)
+        path = self.model_path(task.key)
+        try:
+            if path.is_file():
+                return Identified(refused=path.read_text(encoding="utf-8"))
+            return Identified({file.name: file.read_bytes() for file in sorted(path.iterdir())})
+        except OSError:
+            raise KeyError(task.key) from None
+
+    def put(self, task: Task, value: Any) -> None:
+        """Keep it; raises `StorageError`."""
+        if isinstance(task.inputs, Run):
+            if value.trajectory:
+                write_whole(_in_folder(self.trajectory_path(task.inputs)), value.trajectory)
+            write_json(_in_folder(self.record_path(task.key)), value.record)
+        elif value.refused:
+            write_whole(_in_folder(self.model_path(task.key)), value.refused)
+        else:
+            write_folder(self.model_path(task.key), value.files)
+
+    def put_failure(self, run: Run, reason: str) -> dict[str, Any]:
+        """Keep the record of a failed run, which the next invocation runs again, and return it."""
+        record = failure(run.cell, reason)
+        write_json(_in_folder(self.record_path(run.cell.key)), record)
+        return record
+
+
+def _in_folder(path: Path) -> Path:
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return path
