@@ -84,7 +84,10 @@ class DaskEngine:
     def submit(self, key: str, title: str, payload: bytes) -> None:
         """Run `payload` on a worker."""
         self._orders[key] = Order(key, payload, self._topic, environment())
-        self._send(key, title)
+        if self._client.status == "running":
+            self._send(key, title)
+        else:
+            self._reconnect()
 
     def _send(self, key: str, title: str) -> None:
         name = f"{title}-{uuid.uuid4().hex}"  # the dashboard shows what comes before the last hyphen
@@ -98,7 +101,10 @@ class DaskEngine:
             try:
                 event = self._events.get(timeout=_LOOK_EVERY_S)
             except queue.Empty:
-                self._look()
+                if self._client.status == "running":
+                    self._look()
+                else:
+                    self._reconnect()
                 continue
             if not isinstance(event, tuple):
                 return event
