@@ -37,7 +37,7 @@ def test_a_log_has_a_line_for_each_start_and_end():
 
 def test_a_terminal_has_bars_with_time_left():
     text = shown(force_terminal=True)
-    assert "0 of 3" in text
+    assert "0 of 3 done" in text
     assert " left" in text
     assert "started" not in text
 

@@ -2,12 +2,12 @@
 
 from thermoforce_mpc.execution.cluster import DaskEngine
 from thermoforce_mpc.execution.engine import Engine, tell
-from thermoforce_mpc.execution.execute import Results, Watcher, collect, execute, run_all
+from thermoforce_mpc.execution.execute import Watcher, collect, execute, run_all
 from thermoforce_mpc.execution.keys import content_key, source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.execution.opening import open_engine
 from thermoforce_mpc.execution.progress import TaskProgress
-from thermoforce_mpc.execution.results import JsonResults
+from thermoforce_mpc.execution.results import JsonResults, Results
 from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
 
 __all__ = [

@@ -7,10 +7,11 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
-from graphlib import TopologicalSorter
 from typing import Any, Protocol, TypeVar
 
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Engine, Lost, Told, payload_of
+from thermoforce_mpc.execution.plan import Plan, kept
+from thermoforce_mpc.execution.results import Results
 from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
 
 C = TypeVar("C")
@@ -18,18 +19,6 @@ R = TypeVar("R")
 
 # A worker may die of something else than its task: the task is begun again, then without company.
 MOST_ATTEMPTS = 3
-
-
-class Results(Protocol):
-    """Where results are kept; called in the process that executes, so that workers share no disk."""
-
-    def get(self, task: Task) -> Any:
-        """The value of a task; raises `KeyError` where there is none."""
-        ...
-
-    def put(self, task: Task, value: Any) -> None:
-        """Keep the value of a task, whole or not at all."""
-        ...
 
 
 class Watcher(Protocol):
@@ -82,10 +71,10 @@ def execute(
     todo: list[Task] = []
     for task in wanted.values():
         try:
-            yield Outcome(task, _kept(results, task))
+            yield Outcome(task, kept(results, task))
         except KeyError:
             todo.append(task)
-    plan = _Plan(todo, results)
+    plan = Plan(todo, results)
     if watcher:
         watcher.planned(len(plan.tasks))
     ready: deque[Task] = deque()
@@ -204,12 +193,6 @@ def run_all(
     return collect(tasks, engine, on_value=count)
 
 
-def _kept(results: Results | None, task: Task) -> Any:
-    if results is None:
-        raise KeyError(task.key)
-    return results.get(task)
-
-
 def _outcome(task: Task, answer: Answer, attempts: int) -> Outcome:
     value, reason = None, answer.reason
     if not reason:
@@ -218,60 +201,3 @@ def _outcome(task: Task, answer: Answer, attempts: int) -> Outcome:
         except Exception as error:  # made of something that this process does not have
             reason = f"its result cannot be read: {type(error).__name__}: {error}"
     return Outcome(task, value, reason, answer.seconds, attempts, error=answer.error, details=answer.details)
-
-
-class _Plan:
-    """The order of what is to be done, and the values that some of it needs, kept as long as they are needed."""
-
-    def __init__(self, todo: Sequence[Task], results: Results | None) -> None:
-        self.tasks: dict[str, Task] = {}
-        self._values: dict[str, Any] = {}
-        self._failed: dict[str, str] = {}
-        self._users: Counter[str] = Counter()
-        self._order: TopologicalSorter[str] = TopologicalSorter()
-        for task in todo:
-            self._add(task, results)
-        self._order.prepare()
-
-    def _add(self, task: Task, results: Results | None) -> None:
-        if task.key in self.tasks:
-            return
-        self.tasks[task.key] = task
-        for need in task.needs:
-            self._users[need.key] += 1
-            if need.key not in self.tasks and need.key not in self._values:
-                try:
-                    self._values[need.key] = _kept(results, need)
-                except KeyError:
-                    self._add(need, results)
-        self._order.add(task.key, *(need.key for need in task.needs if need.key in self.tasks))
-
-    @property
-    def open(self) -> bool:
-        """Whether anything is left to do."""
-        return self._order.is_active()
-
-    def take_ready(self) -> list[Task]:
-        """Tasks with all needs done, not taken before; first those for which most others wait."""
-        return [self.tasks[key] for key in sorted(self._order.get_ready(), key=lambda key: -self._users[key])]
-
-    def missing(self, task: Task) -> str:
-        """Why a need of `task` has no result; empty if all have."""
-        return next((self._failed[need.key] for need in task.needs if need.key in self._failed), "")
-
-    def results_of_needs(self, task: Task) -> tuple[Any, ...]:
-        """The values of what `task` needs."""
-        return tuple(self._values[need.key] for need in task.needs)
-
-    def end(self, outcome: Outcome) -> None:
-        """A task has ended."""
-        task = outcome.task
-        if outcome.reason:
-            self._failed[task.key] = f"'{task.title}', which it needs, failed: {outcome.reason}"
-        elif self._users[task.key]:
-            self._values[task.key] = outcome.value
-        for need in task.needs:
-            self._users[need.key] -= 1
-            if not self._users[need.key]:
-                self._values.pop(need.key, None)
-        self._order.done(task.key)

@@ -7,12 +7,12 @@ number.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import queue
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -21,11 +21,11 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told, answer_to
+from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
+from thermoforce_mpc.execution.local_worker import begin, work
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 _LEAVE_S = 5.0
-_TERMINATED = 143
 
 
 class LocalEngine:
@@ -45,6 +45,8 @@ class LocalEngine:
 
     def __exit__(self, *_: object) -> None:
         self.cancel()
+        for process in self._idle:
+            process.close()
         while self._idle:
             self._idle.pop().leave()
 
@@ -94,8 +96,9 @@ class LocalEngine:
         """End processes that have a task: first by SIGTERM, so that they release what they hold."""
         for process in self._busy.values():
             process.terminate()
+        until = time.monotonic() + _LEAVE_S
         while self._busy:
-            self._busy.popitem()[1].leave(_LEAVE_S)
+            self._busy.popitem()[1].leave(max(0.0, until - time.monotonic()))
 
 
 class _Process:
@@ -104,15 +107,19 @@ class _Process:
     def __init__(self, events: queue.SimpleQueue[Any]) -> None:
         self._context = _Remembering()
         here, self._there = self._context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(1, self._context, _begin, (self._there,))
+        self._pool = ProcessPoolExecutor(1, self._context, begin, (self._there,))
         threading.Thread(target=_listen, args=(here, events), daemon=True).start()
 
     def submit(self, key: str, payload: bytes) -> Future[Answer]:
         """Run `payload`; raises `BrokenProcessPool`."""
         with one_thread_each(), _interrupts_blocked():  # the first task starts the process
-            future = self._pool.submit(_work, key, payload)
+            future = self._pool.submit(work, key, payload)
         self._there.close()  # so that the pipe ends with the process
         return future
+
+    def close(self) -> None:
+        """Let the process end."""
+        self._pool.shutdown(wait=False)
 
     def terminate(self) -> None:
         for process in self._context.started:
@@ -152,45 +159,6 @@ def _listen(channel: Connection, events: queue.SimpleQueue[Any]) -> None:
     with channel, suppress(EOFError, OSError):
         while True:
             events.put(Told(*channel.recv()))
-
-
-_channel: Connection | None = None
-
-
-def _begin(channel: Connection) -> None:
-    """In the process: interrupts are for the parent, which ends this process by SIGTERM; so does its own end."""
-    global _channel
-    _channel = channel
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _terminate)
-    threading.Thread(target=_follow_parent, daemon=True).start()
-
-
-def _terminate(*_: object) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the release short
-    sys.exit(_TERMINATED)
-
-
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os.kill(os.getpid(), signal.SIGTERM)
-
-
-def _work(key: str, payload: bytes) -> Answer:
-    try:
-        return answer_to(payload, lambda share: _tell(key, share))
-    except SystemExit:  # what the task held is released; the pool would go on
-        for child in multiprocessing.active_children():
-            child.terminate()
-        os._exit(_TERMINATED)
-
-
-def _tell(key: str, share: float) -> None:
-    if _channel is not None:
-        with suppress(OSError):  # the parent has ended
-            _channel.send((key, share))
 
 
 @contextmanager

@@ -12,6 +12,8 @@ from thermoforce_mpc.execution.task import Outcome, Task
 
 # More bars than this would push the first off the screen.
 _MOST_BARS = 12
+# Tasks done before a rate means anything: the first begin slowly.
+_LEAST_DONE = 0.2
 
 
 def summary(outcome: Outcome) -> str:
@@ -94,13 +96,13 @@ class TaskProgress:
     def _show_all(self) -> None:
         if self._progress:
             done = self._ended + sum(self._shares.values())
-            text = f"{self._ended} of {self._n}"
+            text = f"{self._ended} of {self._n} done"
             self._progress.update(self._all, description=text, completed=done, left=self._left())
 
     def _left(self) -> str:
-        """Time left at the rate so far; empty before anything is done, and at the end."""
+        """Time left at the rate so far; empty as long as there is none to speak of, and at the end."""
         done = self._ended + sum(self._shares.values())
-        if not done or self._ended >= self._n:
+        if done < _LEAST_DONE or self._ended >= self._n:
             return ""
         seconds = (time.monotonic() - self._since) * (self._n - done) / done
         if seconds < 90:

@@ -1,13 +1,25 @@
-"""Results kept in a folder, one JSON file each."""
+"""Where results are kept, and a folder with one JSON file for each."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from thermoforce_mpc.execution.task import Task
 from thermoforce_mpc.files import storage_errors, write_whole
+
+
+class Results(Protocol):
+    """Where results are kept; called in the process that executes, so that workers share no disk."""
+
+    def get(self, task: Task) -> Any:
+        """The value of a task; raises `KeyError` where there is none."""
+        ...
+
+    def put(self, task: Task, value: Any) -> None:
+        """Keep the value of a task, whole or not at all."""
+        ...
 
 
 class JsonResults:

@@ -32,7 +32,7 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
     from distributed import Client, LocalCluster
 
-    options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 60}
+    options = {"threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 60}
     with LocalCluster(n_workers=2, **options) as cluster, Client(cluster, set_as_default=False) as client:
         monkeypatch.chdir(tmp_path)
         (tmp_path / "prices.csv").write_text("time,price\n0,0.1\n43200,0.3\n31536000,0.2\n", encoding="utf-8")
