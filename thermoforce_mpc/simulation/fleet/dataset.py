@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import pyarrow.parquet as pq
 
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import storage_errors
+from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.fleet.runs import Run
 
 NAME = "runs.parquet"
@@ -78,16 +77,9 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
 
 def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
     """Write the rows (`row_of`) in the order given as `runs.parquet`, whole or not at all; raises `StorageError`."""
-    path = folder / NAME
-    with storage_errors(path):
-        table = pa.Table.from_pylist([dict(row) for row in rows], schema=SCHEMA)
-        handle, aside = tempfile.mkstemp(prefix=f".{NAME}.", dir=folder)
-        os.close(handle)
-        try:
-            pq.write_table(table, aside)
-            os.replace(aside, path)
-        finally:
-            Path(aside).unlink(missing_ok=True)
+    path, content = folder / NAME, io.BytesIO()
+    pq.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=SCHEMA), content)
+    write_whole(path, content.getvalue())
     return path
 
 

@@ -43,6 +43,7 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str) -> 
             (runs["seed"].nunique(), "seeds"),
             (len(runs), "runs"),
         )
+        if n > 1
     )
     plants = ", ".join(sorted(plant for plant in runs["plant"].unique() if plant))
     return rendered(
@@ -186,7 +187,6 @@ def _cumulative(pairs: pd.DataFrame) -> Markup:
         points = " ".join(f"{axes.x(v):.1f},{axes.y(s):.1f}" for v, s in zip(values, share, strict=True))
         colour = ("#2a78b8", "#d29a1c", "#3c9a5f")[place % 3]
         lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>')
-        lines.append(
-            f'<text x="{_WIDE - 16}" y="{26 + 16 * place}" text-anchor="end" fill="{colour}">{escape(price)}</text>'
-        )
+        at = f'x="{_WIDE - 16}" y="{26 + 16 * place}" text-anchor="end" style="fill:{colour}"'
+        lines.append(f"<text {at}>{escape(price)}</text>")
     return axes.drawn("", "saving of at least, %", "share of runs, %", "".join(lines))
