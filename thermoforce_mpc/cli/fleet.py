@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,14 @@ from rich.console import Console
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
-from thermoforce_mpc.execution import Outcome, TaskProgress, execute
+from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import check_dataset, read_dataset, row_of, write_dataset
 from thermoforce_mpc.simulation.fleet.file import load_fleet
+from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
@@ -59,13 +61,21 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
     """
     console = Console(highlight=False, markup=False)
     file, path = load_fleet(fleet)
-    runs = runs_of(file, buildings_of(file, path), path)
+    buildings = buildings_of(file, path)
+    measured = tasks_of_records(buildings)
+    # Checked before anything is run: those with measurements get their model later.
+    runs = runs_of(file, [building for building in buildings if building.runs], path)
     identifications = len({run.cell.identification_key for run in runs} - {None})
+    if measured:
+        console.print(f"{len(measured)} buildings are identified from measurements", soft_wrap=True)
     console.print(f"{_counted(runs)}, {identifications} identifications", soft_wrap=True)
     if count:
         return
     results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
     check_dataset(results.folder)
+    if measured:
+        models = _identify(measured, results, console, engine, quiet)
+        runs = runs_of(file, with_models(buildings, models), path)
     records = {run.cell.key: record for run in runs if (record := results.record(run)) is not None}
     todo = [run for run in runs if run.cell.key not in records]
     if not quiet:
@@ -79,11 +89,13 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
         raise
     dataset = write_dataset(results.folder, [row_of(run, records[run.cell.key]) for run in runs])
     rows = read_dataset(dataset)
+    verdicts = write_models(results.folder, results, runs, measured)
     page = results.folder / "index.html"
     said = shlex.join(["tf-mpc", "fleet", fleet])
     write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said))
     _show(console, rows, file.reference)
-    console.print(f"Dataset: {shlex.quote(str(dataset))}; page: {shlex.quote(str(page))}", soft_wrap=True)
+    console.print(f"Runs: {shlex.quote(str(dataset))}; models: {shlex.quote(str(verdicts))}", soft_wrap=True)
+    console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
     if (rows["status"] != DONE).any():
         sys.exit(RUNS_FAILED)
 
@@ -97,7 +109,30 @@ def _counted(runs: list[Run]) -> str:
         (len({run.cell.variant for run in runs}), "controllers"),
         (len({run.cell.scenario.seed for run in runs}), "seeds"),
     ]
+    if not runs:
+        return "no runs"
     return " × ".join(f"{n} {what}" for n, what in axes if n > 1) + f": {len(runs)} runs"
+
+
+def _identify(
+    measured: Mapping[str, Task], results: FleetResults, console: Console, engine: Opening, quiet: bool
+) -> dict[str, Path]:
+    """Identify from measurements; where each building's model is, by name. Those without one are said."""
+    models = {}
+    with TaskProgress(console, quiet=quiet) as progress, engine(_sayer(console, quiet)) as where:
+        for outcome in execute(measured.values(), where, results, progress):
+            made_of = outcome.task.inputs
+            if not isinstance(made_of, Measured):
+                continue
+            if why := outcome.reason or outcome.value.refused:
+                console.print(f"{made_of.building}: no model, it is not run: {why}", soft_wrap=True)
+            else:
+                models[made_of.building] = results.model_path(outcome.task.key)
+    return models
+
+
+def _sayer(console: Console, quiet: bool) -> Callable[[str], None]:
+    return lambda text: None if quiet else console.print(text, soft_wrap=True)
 
 
 def _run(
@@ -109,15 +144,7 @@ def _run(
     quiet: bool,
 ) -> None:
     """Run what is left; every record goes into `records` by key as it comes."""
-
-    def say(text: str) -> None:
-        if not quiet:
-            console.print(text, soft_wrap=True)
-
-    with (
-        TaskProgress(console, quiet=quiet, line=_line) as progress,
-        engine(say) as where,
-    ):
+    with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(_sayer(console, quiet)) as where:
         for outcome in execute(tasks_of(todo), where, results, progress):
             run = outcome.task.inputs
             if isinstance(run, Run):

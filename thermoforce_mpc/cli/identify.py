@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,33 +91,18 @@ def _from_measurements(options: dict[str, Any]) -> None:
     others = [name for name in _OF_PLANTS if options.get(name)]
     if others:
         raise click.UsageError(f"--{others[0].replace('_', '-')} is for probing a plant: leave it out with --data")
-    from thermoforce_mpc.identification.operating import MOST_DAYS, telling_part
-    from thermoforce_mpc.identification.pipeline import identify
-    from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.simulation.measured_model import model_of_measurements
 
     display, config = RunDisplay(), _options(options)
-    measured = read_measurements(files, map_file).served()
-    known = measured.understood
-    period = f"{known.begins} to {known.ends}, step {known.step_s / 60:g} min"
-    display.say(f"Measurements: {', '.join(known.files)}\n{period}")
-    record, note = telling_part(measured.record, measured.layout, days=options["data_days"] or MOST_DAYS)
-    if note:
-        display.say(note)
     try:
-        model = identify(
-            record,
-            layout=measured.layout,
-            config=config,
-            source=f"measurements of {record.stamps()[0]} to {record.stamps()[-1]} in {', '.join(known.files)}",
-            progress=display.say,
+        model, record = model_of_measurements(
+            files, map_file, days=options["data_days"], config=config, say=display.say
         )
     except DataError as error:
         raise DataError(f"{error}\n{_PROBE}") from error
-    notes = tuple(text for text in (note, *known.assumed) if text)
-    cards = tuple(replace(card, notes=(*notes, *card.notes)) for card in model.cards)
     if not may_act(model):
         display.say(_PROBE)
-    _finish(replace(model, cards=cards), record, options["out"], display, overwrite=options["overwrite"])
+    _finish(model, record, options["out"], display, overwrite=options["overwrite"])
 
 
 def _options(options: dict[str, Any]) -> IdentificationConfig:

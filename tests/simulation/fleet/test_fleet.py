@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -12,8 +13,12 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
+from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import FORMAT, SCHEMA, read_dataset
 from thermoforce_mpc.simulation.fleet.file import load_fleet
@@ -144,7 +149,8 @@ def test_a_table_names_buildings_and_their_own_files(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ("name,testcase,colour\n", "'colour' is not known"),
-        ("name\n", "no column 'testcase'"),
+        ("name\n", "needs the columns name and testcase"),
+        ("name,record,map\na,x.csv,\n", "line 2: record and map go together"),
         ("name,testcase\n", "has no buildings"),
         ("name,testcase\na,house:2rooms\n,house:2rooms\n", "line 3: needs a name"),
         ("name,testcase\na,house:99rooms\n", "line 2: .*99"),
@@ -197,3 +203,62 @@ def test_the_page_says_what_a_stranger_named(tmp_path: Path) -> None:
     assert "&lt;b&gt;" in page
     assert "--seed 3" in page
     assert "dearer: the plans acted on their model" in page
+
+
+MAP = """\
+time: {zone: UTC}
+outdoor: {column: out, unit: °C}
+sun: {column: sun, unit: W/m2}
+zones:
+  zone: {temperature: {column: room, unit: °C}, lower: 21, upper: 24}
+actuators:
+  actuator: {level: level}
+machines:
+  machine: {power: {column: power, unit: W}, price: 0.3}
+"""
+
+
+def _measured(path: Path, *, heated: bool) -> None:
+    """Three days of an embedded plant that is probed, or left to itself, as a table."""
+    plant = EmbeddedPlant(synthetic_weather())
+    if heated:
+        record = probe(plant, 20 * DAY_S, 3.0, seed=1)
+    else:
+        record = Record.beginning(plant.reset(20 * DAY_S, DAY_S))
+        for _ in range(288):
+            record = record.extended(plant.advance(0.0, 900.0))
+    at = pd.date_range("2025-01-21", periods=record.n_steps + 1, freq="15min", name="when", tz="UTC")
+    ends = {"level": [*record.u[0], np.nan], "power": [*record.power_W[0], np.nan]}
+    columns = {"room": record.T_zone_C[0], "out": record.T_out_C, "sun": record.solar_W_m2}
+    pd.DataFrame(columns | ends, index=at).to_csv(path)
+
+
+@pytest.mark.slow
+def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_them(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text(MAP)
+    _measured(tmp_path / "good.csv", heated=True)
+    _measured(tmp_path / "off.csv", heated=False)
+    (tmp_path / "few.csv").write_text(
+        "name,testcase,record,map\n"
+        "good,bestest_hydronic_heat_pump,good.csv,map.yaml\n"
+        "only known,,good.csv,map.yaml\n"
+        "never heated,bestest_hydronic_heat_pump,off.csv,map.yaml\n"
+    )
+    path = _file(
+        tmp_path,
+        buildings=[{"table": "few.csv"}],
+        windows=["44"],
+        variants={"thermoforce_mpc": {"controller": "thermoforce_mpc"}, **RULES},
+    )
+    code, said = _fleet(path)
+    assert code == 0, said
+    assert "3 buildings are identified from measurements" in said
+    assert "never heated: no model, it is not run: " in said
+    rows = read_dataset(tmp_path / "out")
+    assert rows["building"].tolist() == ["good"] * 3
+    assert rows.set_index("variant").loc["thermoforce_mpc", "plans_solved"] > 0
+    models = pd.read_parquet(tmp_path / "out" / "models.parquet").set_index("building")
+    assert models.loc["good", "competent"]
+    assert models.loc["only known", "effect_K"] == models.loc["good", "effect_K"]
+    assert models.loc["never heated", "verdict"].startswith("refused")
+    assert "3 runs are done, 0 are left" in _fleet(path)[1]

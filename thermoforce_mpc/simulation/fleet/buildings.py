@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.simulation.fleet.file import FleetFile, Rooms, Source
 
-_COLUMNS = ("name", "testcase", "model", "weather", "url", "fmu")
+_COLUMNS = ("name", "testcase", "model", "record", "map", "weather", "url", "fmu")
 _MOST_BYTES = 50_000_000
 
 
@@ -24,7 +24,8 @@ _MOST_BYTES = 50_000_000
 class Building:
     """A building of a fleet: `name`, once in it, and what of its scenario is its own.
 
-    `source`: kind of source. `emitter`, `machine`, `mass`: what it is, '' where that is not known.
+    `source`: kind of source. `emitter`, `machine`, `mass`: what it is, '' where that is not known. `record`: files of
+    its measurements and of their map, from which its model is identified. Without a test case it is not run.
     """
 
     name: str
@@ -35,6 +36,12 @@ class Building:
     mass: str = ""
     area_m2: float = field(default=float("nan"))
     description: str = ""
+    record: tuple[str, str] | None = None
+
+    @property
+    def runs(self) -> bool:
+        """Whether there is a plant to run it on."""
+        return "testcase" in self.scenario
 
 
 def buildings_of(file: FleetFile, path: Path) -> list[Building]:
@@ -97,22 +104,35 @@ def _of_table(table: Path) -> Iterator[Building]:
             raise ConfigError(
                 f"{table}: column '{column}' is not known{suggestion(column, _COLUMNS)}; known: {', '.join(_COLUMNS)}"
             )
-    for needed in ("name", "testcase"):
-        if needed not in columns:
-            raise ConfigError(f"{table}: has no column '{needed}'")
+    if "name" not in columns or not {"testcase", "record"} & set(columns):
+        raise ConfigError(f"{table}: needs the columns name and testcase, or name, record and map")
     empty = True
     for row in reader:
         empty = False
         where = f"{table}: line {reader.line_num}"
         given = {key: (value or "").strip() for key, value in row.items() if key is not None}
-        if None in row or not given["name"] or not given["testcase"]:
-            raise ConfigError(f"{where}: needs a name, a test case and no more values than columns")
+        if None in row or not given["name"] or not (given.get("testcase") or given.get("record")):
+            raise ConfigError(f"{where}: needs a name, a test case or record, and no more values than columns")
         try:
-            yield _of_testcase(given["name"], "table", _scenario(given, table.parent))
+            yield _of_row(given, table.parent)
         except ConfigError as error:
             raise ConfigError(f"{where}: {error}") from error
     if empty:
         raise ConfigError(f"{table}: has no buildings")
+
+
+def _of_row(given: Mapping[str, str], folder: Path) -> Building:
+    record = None
+    if given.get("record") or given.get("map"):
+        if not (given.get("record") and given.get("map")) or given.get("model"):
+            raise ConfigError("record and map go together, and without model")
+        record = (str(folder / Path(given["record"]).expanduser()), str(folder / Path(given["map"]).expanduser()))
+        for file in record:
+            if not Path(file).is_file():
+                raise ConfigError(f"{file}: not a file")
+    if not given.get("testcase"):
+        return Building(given["name"], "record", {}, record=record)
+    return replace(_of_testcase(given["name"], "table", _scenario(given, folder)), record=record)
 
 
 def _scenario(given: Mapping[str, str], folder: Path) -> dict[str, Any]:

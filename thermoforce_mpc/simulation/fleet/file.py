@@ -39,8 +39,9 @@ class Source(StrictModel):
     testcase: str | None = Field(None, description="one test case: a name (see `tf-mpc testcases`) or YAML file")
     table: str | None = Field(
         None,
-        description="CSV file, one building a row: name, testcase, and optionally model (a saved model's folder), "
-        "weather, url, fmu; relative paths start at the table's folder",
+        description="CSV file, one building a row: name; testcase, and optionally model (a saved model's folder), "
+        "weather, url, fmu; or record and map (measurements and their map), with a test case to run it on or without; "
+        "relative paths start at the table's folder",
     )
 
     @model_validator(mode="after")

@@ -109,6 +109,8 @@ def _why(row: pd.Series) -> str:
     plans = {name.removeprefix("plans_"): row[name] for name in row.index if name.startswith("plans_")}
     total = max(sum(plans.values()), 1)
     what = "less comfortable" if colder else "dearer"
+    if plans["rule"] == total:
+        return what
     if plans["gate"] / total > _OFTEN:
         return f"{what}: the model was not competent, the building's own control stayed"
     if plans["watch"] / total > _OFTEN:

@@ -1,0 +1,128 @@
+"""The models of a fleet: identified from measurements before the runs, and the verdicts on all of them as a dataset."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.execution import Task, content_key
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.scenario.settings import merge
+from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, InputFiles, SentFiles, input_files
+from thermoforce_mpc.simulation.comparison.store import Identified
+from thermoforce_mpc.simulation.fleet.buildings import Building
+from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run
+from thermoforce_mpc.simulation.measured_model import model_of_measurements
+
+NAME = "models.parquet"
+_LEAD_H = (1, 6, 24)
+SCHEMA = pa.schema(
+    [
+        *(pa.field(name, pa.string(), nullable=False) for name in ("building", "window", "from", "actuator", "key")),
+        pa.field("seed", pa.int64()),
+        pa.field("competent", pa.bool_()),
+        pa.field("verdict", pa.string(), nullable=False),
+        *(pa.field(name, pa.float64()) for name in ("effect_K", "effect_sd_K", "sign_probability", "explained")),
+        *(pa.field(f"{what}_{h}h_K", pa.float64()) for h in _LEAD_H for what in ("model", "persistence", "weather")),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measurements of a building: files of the record and of its map."""
+
+    building: str
+    record: str
+    map: str
+
+
+def tasks_of_records(buildings: Iterable[Building]) -> dict[str, Task]:
+    """The identification of each building with measurements, by name; raises `ConfigError` for an unreadable file."""
+    tasks = {}
+    for building in buildings:
+        if building.record is None:
+            continue
+        files = input_files(building.record)
+        assert files is not None  # there are two paths
+        sent = Task(content_key(InputFiles.read, files), ", ".join(building.record), InputFiles.read, files)
+        content = sorted(str(dict(hashes)) for hashes in files.hashes.values())
+        key = content_key(identified_from, [building.name, *content])
+        title = f"{building.name} · identifying from measurements"
+        tasks[building.name] = Task(key, title, identified_from, Measured(building.name, *building.record), (sent,))
+    return tasks
+
+
+def identified_from(measured: Measured, files: SentFiles = NO_FILES) -> Identified:
+    """The model of measurements; where they cannot be used or fitted, the reason takes its place."""
+    try:
+        with files.at_hand() as where:
+            paths = [where.get(path, path) for path in (measured.record, measured.map)]
+            model, _ = model_of_measurements([paths[0]], paths[1])
+    except (ConfigError, DataError) as error:
+        return Identified(refused=str(error))
+    with tempfile.TemporaryDirectory() as folder:
+        saved = model.save(Path(folder) / "model")
+        return Identified({path.name: path.read_bytes() for path in sorted(saved.iterdir())})
+
+
+def with_models(buildings: Iterable[Building], models: Mapping[str, Path]) -> list[Building]:
+    """The buildings that can be run: those with measurements act on their model, if there is one in `models`."""
+    found = []
+    for building in buildings:
+        if building.record is None:
+            found.append(building)
+        elif building.runs and building.name in models:
+            model = {"identification": {"model": str(models[building.name])}}
+            found.append(replace(building, scenario=merge(dict(building.scenario), model)))
+    return found
+
+
+def write_models(folder: Path, results: FleetResults, runs: Sequence[Run], records: Mapping[str, Task]) -> Path:
+    """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`."""
+    rows, seen = [], set[str]()
+    for name, task in records.items():
+        rows += _rows(results.model_path(task.key), {"building": name, "window": "", "from": "record", "key": task.key})
+    for run in runs:
+        key = run.cell.identification_key
+        if key is not None and key not in seen:
+            seen.add(key)
+            rows += _rows(
+                results.model_path(key),
+                {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
+                | {"seed": run.cell.scenario.seed},
+            )
+    content, path = io.BytesIO(), folder / NAME
+    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), content)
+    write_whole(path, content.getvalue())
+    return path
+
+
+def _rows(path: Path, of: Mapping[str, Any]) -> list[dict[str, Any]]:
+    if path.is_file():
+        return [{**of, "actuator": "", "competent": False, "verdict": f"refused: {path.read_text(encoding='utf-8')}"}]
+    if not path.is_dir():
+        return [{**of, "actuator": "", "competent": False, "verdict": "failed"}]
+    model, rows = load_model(path), []
+    for actuator, card in zip(model.names.actuators, model.cards, strict=True):
+        found = card.competence
+        row = {**of, "actuator": actuator, "competent": None, "verdict": "not judged"}
+        if found is not None:
+            row |= {"competent": found.competent, "verdict": found.in_words()}
+            row |= {name: getattr(found, name) for name in ("effect_K", "effect_sd_K", "sign_probability", "explained")}
+            for score in found.horizons:
+                row |= {
+                    f"{what}_{score.hours:g}h_K": getattr(score, f"{what}_K")
+                    for what in ("model", "persistence", "weather")
+                }
+        rows.append(row)
+    return rows
