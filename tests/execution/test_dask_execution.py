@@ -75,6 +75,7 @@ def test_a_poisoned_task_is_left_out_and_the_others_are_done(engine, tmp_path):
     assert began[-1] == "1", "again only after the rest"
 
 
+@pytest.mark.slow
 def test_a_task_tells_how_far_it_is_and_can_be_ended(engine, tmp_path):
     shares = []
 
@@ -114,6 +115,7 @@ def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
         open_engine(scheduler=address)
 
 
+@pytest.mark.slow
 def test_a_scheduler_may_restart(tmp_path):
     """Workers without a nanny end with their scheduler; others take over, and nothing that had ended runs again."""
     port = _free_port()

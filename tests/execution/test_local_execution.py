@@ -198,6 +198,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_campaign_is_taken_up(tmp_path, sent):
     """Ctrl-C ends the workers by SIGTERM and keeps what was finished; SIGKILL of the whole does so too."""

@@ -35,6 +35,21 @@ def test_a_log_has_a_line_for_each_start_and_end():
     assert lines[5] == "done    [3/3] task 2 (3 s)"
 
 
+def test_a_task_that_is_begun_again_is_one_task():
+    def shown_again(**console) -> str:
+        out = io.StringIO()
+        with TaskProgress(Console(file=out, width=100, **console)) as progress:
+            progress.planned(1)
+            progress.begun(TASKS[0])
+            progress.begun(TASKS[0])
+            progress.ended(Outcome(TASKS[0], 1, "", 12.0, 2))
+        return out.getvalue()
+
+    assert shown_again().splitlines() == ["started task 0", "started task 0 again", "done    [1/1] task 0 (12 s)"]
+    last = shown_again(force_terminal=True).rsplit("1 of 1 done", 1)[-1]
+    assert "task 0" not in last, "no bar of it is left"
+
+
 def test_a_terminal_has_bars_with_time_left():
     text = shown(force_terminal=True)
     assert "0 of 3 done" in text

@@ -23,6 +23,8 @@ _LOOK_EVERY_S = 2.0
 _SAID_EVERY_S = 60.0
 # So many more tasks than threads wait at the scheduler that a cluster that grows with its work does grow.
 _IN_HAND = 20
+# A task may bring files along, such as an FMU: no reason for a warning.
+_LARGE_IS_MEANT = {"distributed.admin.large-graph-warning-threshold": "1 GB"}
 
 
 class DaskEngine:
@@ -57,7 +59,7 @@ class DaskEngine:
         except BaseException:
             self._client.close()
             raise
-        dashboard = self._client.scheduler_info(0).get("services", {}).get("dashboard")
+        dashboard = self._client.scheduler_info().get("services", {}).get("dashboard")
         link = f", dashboard {self._client.dashboard_link}" if dashboard else ""
         say(f"Dask scheduler {address}: {n} workers{link}")
 
@@ -90,8 +92,11 @@ class DaskEngine:
             self._reconnect()
 
     def _send(self, key: str, title: str) -> None:
+        import dask
+
         name = f"{title}-{uuid.uuid4().hex}"  # the dashboard shows what comes before the last hyphen
-        future = self._client.submit(perform, self._orders[key], key=name, pure=False)
+        with dask.config.set(_LARGE_IS_MEANT):
+            future = self._client.submit(perform, self._orders[key], key=name, pure=False)
         self._futures[key] = future
         future.add_done_callback(lambda done: self._events.put((key, done)))
 

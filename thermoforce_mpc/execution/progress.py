@@ -60,13 +60,16 @@ class TaskProgress:
             self._show_all()
 
     def begun(self, task: Task) -> None:
-        """A worker has begun `task`."""
+        """A worker has begun `task`, perhaps not the first."""
+        again = " again" if task.key in self._shares else ""
         self._shares[task.key] = 0.0
         if self._progress:
-            if len(self._bars) < _MOST_BARS:
+            if task.key in self._bars:
+                self._progress.reset(self._bars[task.key], total=None)
+            elif len(self._bars) < _MOST_BARS:
                 self._bars[task.key] = self._progress.add_task(task.title, total=None, left="")
         elif not self._quiet:
-            self._print(f"started {task.title}")
+            self._print(f"started {task.title}{again}")
 
     def told(self, task: Task, share: float) -> None:
         """A share of `task` is done."""
