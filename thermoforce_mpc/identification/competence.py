@@ -15,17 +15,16 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.blocks import standard_errors_saved
 from thermoforce_mpc.identification.cases import Case
-from thermoforce_mpc.identification.joint import JointFit
+from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import RegressionData, forced_columns, scaled
+from thermoforce_mpc.identification.regression_data import RegressionData, forced_columns
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 
 # Lead times that are reported, h, and those that are judged. A plan is made anew every step and pre-heats by hours; a
@@ -90,7 +89,7 @@ def held_out_h(cases: Sequence[Case], splits: Sequence[Split]) -> float:
 
 
 def held_out_rmse_K(
-    cases: Sequence[Case], splits: Sequence[Split], fit: JointFit, priors: ModePriors, sign: int
+    cases: Sequence[Case], splits: Sequence[Split], fit: ModeFit, priors: ModePriors, sign: int
 ) -> float:
     """Return the mean of the held-out RMSE at the judged lead times, K; NaN where no run is held out."""
     runs = _judged(cases, splits)
@@ -105,7 +104,7 @@ def _judged(cases: Sequence[Case], splits: Sequence[Split]) -> list[tuple[Case, 
     return [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
 
 
-def _model_errors(runs: Sequence[tuple[Case, Split]], fit: JointFit, sign: int) -> dict[float, Array]:
+def _model_errors(runs: Sequence[tuple[Case, Split]], fit: ModeFit, sign: int) -> dict[float, Array]:
     """Held-out errors of `fit` at the judged lead times, K."""
     regressions = [c.regression for c, _ in runs]
     first = [int(s.judged[0]) for _, s in runs]
@@ -120,7 +119,7 @@ def _model_errors(runs: Sequence[tuple[Case, Split]], fit: JointFit, sign: int) 
 def judge(
     cases: Sequence[Case],
     splits: Sequence[Split],
-    fit: JointFit,
+    fit: ModeFit,
     priors: ModePriors,
     uncertainty: dict[str, float],
     explained: float,
@@ -189,19 +188,20 @@ def _innovations(
     disturbances is chosen with the first of the time constants `choices`, which then compete at that size.
     """
 
-    def tried(log_tau: Array, scale: float) -> tuple[float, float, list[tuple[Array, Array]]]:
-        out, likelihood = [], 0.0
-        for regression, effect, n in zip(scaled(regressions, scale), effects, first, strict=True):
-            rest = residuals(regression, log_tau)
-            factor = cholesky(rest.covariance, lower=True)
-            white = solve_triangular(factor, regression.target - effect - rest.mean, lower=True)
-            likelihood -= 0.5 * float(white[:n] @ white[:n]) + float(np.log(np.diagonal(factor)[:n]).sum())
-            out.append((factor, white))
-        return likelihood, scale, out
+    rests = [[residuals(e, log_tau) for e in regressions] for log_tau in choices]
+    left = [
+        [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, of, strict=True)]
+        for of in rests
+    ]
 
-    best = max((tried(choices[0], scale) for scale in _SCALES), key=lambda found: found[0])
-    others = [tried(log_tau, best[1]) for log_tau in choices[1:]]
-    return max([best, *others], key=lambda found: found[0])[2]
+    def likelihoods(choice: int, scales: Sequence[float]) -> Array:
+        of_runs = zip(rests[choice], left[choice], first, strict=True)
+        return np.asarray(np.sum([rest.log_likelihoods(values, n, scales) for rest, values, n in of_runs], axis=0))
+
+    scale = _SCALES[int(np.argmax(likelihoods(0, _SCALES)))]
+    likeliest = int(np.argmax([likelihoods(choice, [scale])[0] for choice in range(len(choices))]))
+    found = [rest.scaled(scale) for rest in rests[likeliest]]
+    return [(rest.factor, rest.whitened(values)) for rest, values in zip(found, left[likeliest], strict=True)]
 
 
 def _errors(

@@ -13,11 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear, minimize
+from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.bounded import least_squares
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.likelihood import whitened
 from thermoforce_mpc.identification.modes import ModePriors, poles
 from thermoforce_mpc.identification.regression_data import (
     FREE_PRIOR,
@@ -39,29 +40,38 @@ from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 _MAX_EVALUATIONS = 60
 # Step of derivatives with respect to ln τ.
 _DERIVATIVE_STEP = 0.01
+# Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
+_LEAST_GAIN = 1e-12
 # Penalty for time constants outside their bounds.
 _OUTSIDE = 1e6
 
 
 @dataclass(frozen=True)
-class JointFit:
-    """Result of the joint estimation of an operator of order r and q free modes.
+class ModeFit:
+    """Time constants and gains of an operator of order r, estimated together with the free part.
 
-    `log_tau` (r,): ln(τ/h). `gains` (r,): [slope K/h, G_2 … G_r K], positive. `covariance` (2r, 2r): posterior of both,
-    time constants first. `free_log_tau` (q,); `free_gains` (q, 8): steady free gains per unit of `INPUTS`.
-    `other_gains` (K, r): [slope, G_2 … G_r] of the other actuators, positive in the direction of their sign, with
-    `other_covariance` (K, 2r, 2r) as `covariance`; `other_sd` (K, r): prior standard deviations of these gains.
-    `residual_scale`: RMS of the whitened residual (1: disturbances as large as assumed). `objective`: negative log
-    posterior at its maximum, up to a constant.
+    `log_tau` (r,): ln(τ/h). `gains` (r,): [slope K/h, G_2 … G_r K], positive. `residual_scale`: RMS of the whitened
+    residual (1: disturbances as large as assumed).
     """
 
     log_tau: Array
     gains: Array
+    residual_scale: float
+
+
+@dataclass(frozen=True)
+class JointFit(ModeFit):
+    """Result of the joint estimation of an operator of order r and q free modes.
+
+    `covariance` (2r, 2r): posterior of `log_tau` and `gains`, time constants first. `free_log_tau` (q,); `free_gains`
+    (q, 8): steady free gains per unit of `INPUTS`. `other_gains` (K, r): [slope, G_2 … G_r] of the other actuators,
+    positive in the direction of their sign, with `other_covariance` (K, 2r, 2r) as `covariance`; `other_sd` (K, r):
+    prior standard deviations of these gains.
+    """
+
     covariance: Array
     free_log_tau: Array
     free_gains: Array
-    residual_scale: float
-    objective: float
     other_gains: Array = field(default_factory=lambda: np.empty((0, 0)))
     other_covariance: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
     other_sd: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -88,46 +98,69 @@ class JointFit:
 
 
 @dataclass(frozen=True)
-class _Solution:
+class _Found:
+    """Maximum of the posterior: `values` of all columns of `system`, at disturbances `scale` times the assumed ones."""
+
+    log_tau: Array
     values: Array
-    objective: float
-    whitened_rms: float
+    residual_scale: float
+    regressions: Sequence[RegressionData]
+    scale: float
+
+    @property
+    def gains(self) -> Array:
+        return np.maximum(self.values[: self.log_tau.size], _LEAST_GAIN)
+
+
+def fit_modes(
+    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> ModeFit:
+    """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
+    found = _found(regressions, priors, config, sign)
+    return ModeFit(found.log_tau, found.gains, found.residual_scale)
 
 
 def fit_joint(
     regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
 ) -> JointFit:
     """Fit time constants, gains and free part to all regressions jointly; `sign` +1 heating, −1 cooling."""
-    log_tau = _search(regressions, priors, sign, priors.log_tau)
-    solution = _solve(regressions, log_tau, priors, sign)
-    # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
-    scale = min(1.0, config.disturbance_margin * solution.whitened_rms)
-    used = regressions
-    if scale < 1.0 and any(not e.is_pair for e in regressions):
-        used = scaled(regressions, scale)
-        log_tau = _search(used, priors, sign, log_tau)
-        solution = _solve(used, log_tau, priors, sign)
-    residual_scale = _residual_scale(regressions, log_tau, solution.values, priors, sign)
-    found = min(1.0, likely_scale(residual_scale) / scale)
+    found = _found(regressions, priors, config, sign)
+    log_tau, values = found.log_tau, found.values
     r, K = priors.order, regressions[0].others.shape[0]
     free_log_tau = free_time_constants(log_tau)
-    covariance = _joint_covariance(used, log_tau, solution.values, priors, sign, found)
+    smaller = min(1.0, likely_scale(found.residual_scale) / found.scale)
+    covariance = _joint_covariance(found.regressions, log_tau, values, priors, sign, smaller)
     of_tau = np.arange(r)
     of_others = [np.concatenate([of_tau, r + (1 + k) * r + of_tau]) for k in range(K)]
     return JointFit(
         log_tau=log_tau,
-        gains=solution.values[:r],
+        gains=found.gains,
+        residual_scale=found.residual_scale,
         covariance=covariance[: 2 * r, : 2 * r],
         free_log_tau=free_log_tau,
         free_gains=_free_gains(
-            solution.values[r + K * r :], free_log_tau.size, with_free=any(not b.is_pair for b in regressions)
+            values[r + K * r :], free_log_tau.size, with_free=any(not b.is_pair for b in regressions)
         ),
-        residual_scale=residual_scale,
-        objective=solution.objective,
-        other_gains=solution.values[r : r + K * r].reshape(K, r),
+        other_gains=values[r : r + K * r].reshape(K, r),
         other_covariance=np.array([covariance[np.ix_(i, i)] for i in of_others]).reshape(K, 2 * r, 2 * r),
         other_sd=other_prior(regressions[0], log_tau)[1].reshape(K, r),
     )
+
+
+def _found(
+    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> _Found:
+    log_tau = _search(regressions, priors, sign, priors.log_tau)
+    values, _ = _solve(regressions, log_tau, priors, sign)
+    residual_scale = _residual_scale(regressions, log_tau, values, priors, sign)
+    # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
+    scale = min(1.0, config.disturbance_margin * residual_scale)
+    if scale == 1.0 or all(e.is_pair for e in regressions):
+        return _Found(log_tau, values, residual_scale, regressions, scale)
+    used = scaled(regressions, scale)
+    log_tau = _search(used, priors, sign, log_tau)
+    values, _ = _solve(used, log_tau, priors, sign)
+    return _Found(log_tau, values, _residual_scale(regressions, log_tau, values, priors, sign), used, scale)
 
 
 def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, start: Array) -> Array:
@@ -138,7 +171,7 @@ def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int
         outside = np.maximum(log_bounds[:, 0] - log_tau, 0.0) + np.maximum(log_tau - log_bounds[:, 1], 0.0)
         if outside.any():
             return _OUTSIDE * (1.0 + float(outside.sum()))
-        return _solve(regressions, log_tau, priors, sign).objective
+        return _solve(regressions, log_tau, priors, sign)[1]
 
     simplex = np.vstack([start, start + np.eye(priors.order) * priors.log_tau_sd])
     found = minimize(
@@ -165,57 +198,60 @@ def _residual_scale(
 
 def system(
     regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int
-) -> tuple[Array, Array, Array, int]:
-    """Return the whitened regression for given time constants: design, target, lower bounds, number of data rows.
+) -> tuple[Array, Array, NDArray[np.bool_], int]:
+    """Return the whitened regression for given time constants: design, target, which are not negative, data rows.
 
     Columns: gains, those of the other actuators, shared free part, initial states run by run. The last rows are the
     priors.
     """
-    others = regressions[0].others.shape[0] * log_tau.size
-    r = log_tau.size + others
+    r, acting = log_tau.size, (1 + regressions[0].others.shape[0]) * log_tau.size
     free_log_tau = free_time_constants(log_tau)
-    runs = [i for i, regression in enumerate(regressions) if not regression.is_pair]
-    n_starts = free_log_tau.size + 1
-    mean, sd = priors.gains_at(log_tau)
-    other_mean, other_sd = other_prior(regressions[0], log_tau)
-    mean, sd = np.concatenate([mean, other_mean]), np.concatenate([sd, other_sd])
-    low = np.zeros(r)
-    if runs:
-        free_mean, free_sd, free_low = free_prior(free_log_tau.size)
-        starts = np.tile(start_sd(n_starts), len(runs))
-        mean = np.concatenate([mean, free_mean, np.zeros(starts.size)])
-        sd = np.concatenate([sd, free_sd, starts])
-        low = np.concatenate([low, free_low, np.full(starts.size, -np.inf)])
-    designs, targets = [], []
-    for i, regression in enumerate(regressions):
-        columns = np.zeros((regression.rows.size, mean.size))
-        columns[:, :r] = np.concatenate(
-            [forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)], axis=1
-        )
+    n_runs = sum(not regression.is_pair for regression in regressions)
+    mean, sd, positive = _prior(regressions[0], log_tau, priors, n_runs)
+    p, rows = mean.size, sum(regression.rows.size for regression in regressions)
+    whole = np.zeros((rows + p, p + 1))
+    row, start = 0, p - n_runs * (free_log_tau.size + 1)
+    for regression in regressions:
+        part = whole[row : row + regression.rows.size]
+        part[:, :r], part[:, r:acting] = forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)
+        part[:, p] = regression.target
         if not regression.is_pair:
-            shared, start = free_columns(regression, log_tau, free_log_tau)
-            columns[:, r : r + shared.shape[1]] = shared
-            first = r + shared.shape[1] + runs.index(i) * n_starts
-            columns[:, first : first + n_starts] = start
-        designs.append(whitened(regression, columns))
-        targets.append(whitened(regression, regression.target))
-    design = np.concatenate([*designs, np.diag(1.0 / sd)])
-    target = np.concatenate([*targets, mean / sd])
-    return design, target, low, sum(t.size for t in targets)
+            shared, begun = free_columns(regression, log_tau, free_log_tau)
+            part[:, acting : acting + shared.shape[1]] = shared
+            part[:, start : start + begun.shape[1]] = begun
+            start += begun.shape[1]
+        part[:] = regression.disturbance.whitened(part)
+        row += regression.rows.size
+    whole[rows + np.arange(p), np.arange(p)] = 1.0 / sd
+    whole[rows:, p] = mean / sd
+    return whole[:, :p], whole[:, p], positive, rows
 
 
-def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int) -> _Solution:
-    """Solve the bounded Gaussian regression for given time constants."""
-    design, target, low, rows = system(regressions, log_tau, priors, sign)
-    values = lsq_linear(design, target, bounds=(low, np.inf)).x
-    residual = design @ values - target
-    away = (log_tau - priors.log_tau) / priors.log_tau_sd
-    objective = 0.5 * float(residual @ residual) + 0.5 * float(away @ away)
-    return _Solution(
-        values=np.asarray(values),
-        objective=objective,
-        whitened_rms=float(np.sqrt(np.mean(residual[:rows] ** 2))),
+def _prior(
+    regression: RegressionData, log_tau: Array, priors: ModePriors, n_runs: int
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return mean, standard deviation and whether it is not negative of each column of `system`, (p,) each."""
+    own, other = priors.gains_at(log_tau), other_prior(regression, log_tau)
+    mean, sd = np.concatenate([own[0], other[0]]), np.concatenate([own[1], other[1]])
+    positive = np.ones(mean.size, dtype=bool)
+    if not n_runs:
+        return mean, sd, positive
+    free_log_tau = free_time_constants(log_tau)
+    free_mean, free_sd, low = free_prior(free_log_tau.size)
+    starts = np.tile(start_sd(free_log_tau.size + 1), n_runs)
+    return (
+        np.concatenate([mean, free_mean, np.zeros(starts.size)]),
+        np.concatenate([sd, free_sd, starts]),
+        np.concatenate([positive, np.isfinite(low), np.zeros(starts.size, dtype=bool)]),
     )
+
+
+def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int) -> tuple[Array, float]:
+    """Solve the bounded Gaussian regression for given time constants: values and negative log posterior."""
+    design, target, positive, _ = system(regressions, log_tau, priors, sign)
+    found = least_squares(design, target, positive)
+    away = (log_tau - priors.log_tau) / priors.log_tau_sd
+    return found.values, 0.5 * found.squares + 0.5 * float(away @ away)
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.identification.bounded import least_squares
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit, system
-from thermoforce_mpc.identification.likelihood import whitened
+from thermoforce_mpc.identification.joint import ModeFit, system
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated, forced_columns
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
@@ -87,7 +86,7 @@ def radiator(assumed: float) -> Shape:
 def estimate(
     shape: Shape,
     regressions: Sequence[RegressionData],
-    fit: JointFit,
+    fit: ModeFit,
     priors: ModePriors,
     sign: int,
 ) -> Estimate:
@@ -97,10 +96,12 @@ def estimate(
     k, log_tau = shape.mean, fit.log_tau
     for _ in range(_ROUNDS):
         driven, slopes = ([_driven(e, f, k) for e in used] for f in (shape.drive, shape.slope))
-        design, target, low, rows = system(driven, log_tau, priors, sign)
-        values = lsq_linear(design, target, bounds=(low, np.inf)).x
+        design, target, positive, rows = system(driven, log_tau, priors, sign)
+        values = least_squares(design, target, positive).values
         by_k = np.zeros(target.size)
-        by_k[:rows] = np.concatenate([whitened(e, forced_columns(e, log_tau, sign) @ values[:r]) for e in slopes])
+        by_k[:rows] = np.concatenate(
+            [e.disturbance.whitened(forced_columns(e, log_tau, sign) @ values[:r]) for e in slopes]
+        )
         shifts = _STEP * np.eye(r)
         by_tau = [
             (system(driven, log_tau + d, priors, sign)[0] - system(driven, log_tau - d, priors, sign)[0]) @ values
@@ -127,7 +128,7 @@ def _driven(regression: RegressionData, by: Callable[[Array, float], Array], k: 
 def level_shape(
     histories: Sequence[Record],
     regressions: Sequence[RegressionData],
-    fit: JointFit,
+    fit: ModeFit,
     priors: ModePriors,
     config: IdentificationConfig,
     power: PowerModel | None,

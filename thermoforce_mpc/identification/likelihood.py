@@ -10,13 +10,16 @@ part of r that the past does not predict, is only reported.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.disturbance import Disturbance
 from thermoforce_mpc.identification.regression_data import (
     RegressionData,
     free_columns,
@@ -32,62 +35,75 @@ from thermoforce_mpc.identification.regression_data import (
 class Residuals:
     """Distribution of the residual target − F of one regression.
 
-    `mean` (rows,) K: prior mean of the free part; `covariance` (rows, rows) K².
+    `mean` (rows,) K: prior mean of what is marginalised; `columns` (rows, p) K: its effect per prior standard
+    deviation; `disturbance` of the rows.
     """
 
     mean: Array
-    covariance: Array
+    columns: Array
+    disturbance: Disturbance
+
+    @cached_property
+    def covariance(self) -> Array:
+        """C (rows, rows), K²."""
+        return np.asarray(self.disturbance.covariance() + self.columns @ self.columns.T)
+
+    @cached_property
+    def factor(self) -> Array:
+        """L (rows, rows), lower, K."""
+        return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
+
+    def whitened(self, values: Array) -> Array:
+        """L⁻¹ values (rows, ...): row i is the innovation given all rows before, in standard deviations."""
+        if not self.columns.shape[1]:
+            return self.disturbance.whitened(values)
+        return np.asarray(solve_triangular(self.factor, values, lower=True, check_finite=False))
 
     def whitener(self) -> Array:
-        """Return L⁻¹, shape (rows, rows): row i gives its innovation given all rows before, in standard deviations."""
-        variance = np.diagonal(self.covariance)
-        if np.count_nonzero(self.covariance) == np.count_nonzero(variance):  # rows of a pair are independent
-            return np.diag(1.0 / np.sqrt(variance))
-        factor = cholesky(self.covariance, lower=True)
-        return np.asarray(solve_triangular(factor, np.eye(factor.shape[0]), lower=True))
+        """Return L⁻¹ (rows, rows)."""
+        return self.whitened(np.eye(self.mean.size))
 
-    def innovation(self, past: NDArray[np.intp], ahead: NDArray[np.intp]) -> Array:
-        """Return the map from the residual over `past` and `ahead` to its innovation over `ahead` given the past."""
-        if past.size == 0:
-            return np.eye(ahead.size)
-        shared = self.covariance[np.ix_(past, ahead)]
-        if not shared.any():  # past and ahead are uncorrelated
-            return np.concatenate([np.zeros((ahead.size, past.size)), np.eye(ahead.size)], axis=1)
-        factor = cholesky(self.covariance[np.ix_(past, past)], lower=True)
-        weights = cho_solve((factor, True), shared).T
-        return np.concatenate([-weights, np.eye(ahead.size)], axis=1)
+    def scaled(self, scale: float) -> Residuals:
+        """With `scale` times the disturbance."""
+        return replace(self, disturbance=self.disturbance.scaled(scale))
 
+    def log_likelihoods(self, residual: Array, rows: int, scales: Sequence[float]) -> Array:
+        """Log likelihood of the first `rows` of `residual` by scale of the disturbance, up to a constant.
 
-def whitened(regression: RegressionData, values: Array) -> Array:
-    """Return `values` (rows, ...) of a regression whitened by its disturbances' Cholesky factor."""
-    if regression.is_pair:  # independent rows: no matrix solve needed
-        sd = np.diagonal(regression.factor)
-        return np.asarray(values / (sd if values.ndim == 1 else sd[:, None]))
-    return np.asarray(solve_triangular(regression.factor, values, lower=True))
+        Whitened by the disturbance, the covariance is s² + W Wᵀ with the columns W, so that one singular value
+        decomposition gives all scales s.
+        """
+        values = np.concatenate([self.columns[:rows], residual[:rows, None]], axis=1)
+        R = np.asarray(np.linalg.qr(self.disturbance.first(rows).whitened(values), mode="r"))
+        U, found, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
+        seen = U.T @ R[:, -1]
+        rest = float(np.sum((R[:, -1] - U @ seen) ** 2))
+        s2 = np.square(scales)
+        total = s2[:, None] + found**2
+        squares = rest / s2 + (seen**2 / total).sum(axis=1)
+        return np.asarray(-0.5 * (squares + (rows - found.size) * np.log(s2) + np.log(total).sum(axis=1)))
 
 
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
-    """Return mean and covariance of target − F in `regression` for these time constants."""
+    """Return the distribution of target − F in `regression` for these time constants."""
     of_others = other_columns(regression, log_tau)
     other_mean, other_sd = other_prior(regression, log_tau)
     expected, coupled = of_others @ other_mean, of_others * other_sd
     if regression.is_pair:
-        noise = np.diag(np.diagonal(regression.factor) ** 2) + coupled @ coupled.T
-        return Residuals(expected, noise)
-    noise = regression.factor @ regression.factor.T + coupled @ coupled.T
+        return Residuals(expected, coupled, regression.disturbance)
     shared, start = free_columns(regression, log_tau, free_time_constants(log_tau))
     mean, sd, _ = free_prior(free_time_constants(log_tau).size)
-    columns = np.concatenate([shared * sd, start * start_sd(start.shape[1])], axis=1)
-    return Residuals(mean=expected + shared @ mean, covariance=noise + columns @ columns.T)
+    columns = np.concatenate([coupled, shared * sd, start * start_sd(start.shape[1])], axis=1)
+    return Residuals(expected + shared @ mean, columns, regression.disturbance)
 
 
 @dataclass(frozen=True)
 class Split:
-    """Training rows, held-out (judged) rows, and the scored rollouts (past rows, rows ahead)."""
+    """Training rows, held-out (judged) rows, and the rows of each scored rollout, which begins from all rows before."""
 
     train: NDArray[np.intp]
     judged: NDArray[np.intp]
-    rollouts: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...] = ()
+    rollouts: tuple[NDArray[np.intp], ...] = ()
 
 
 def split_run(regression: RegressionData, share: float, horizon_h: float) -> Split:
@@ -100,7 +116,7 @@ def split_run(regression: RegressionData, share: float, horizon_h: float) -> Spl
     while start < n:
         stop = start + int(np.searchsorted(hours[start:] - hours[start - 1], horizon_h + 1e-9, side="right"))
         stop = max(stop, start + 1)
-        rollouts.append((np.arange(start), np.arange(start, stop)))
+        rollouts.append(np.arange(start, stop))
         start = stop
     return Split(train=np.arange(first), judged=np.arange(first, n), rollouts=tuple(rollouts))
 
@@ -108,7 +124,7 @@ def split_run(regression: RegressionData, share: float, horizon_h: float) -> Spl
 def hold_out_pair(regression: RegressionData) -> Split:
     """Return a split that holds out the whole pair."""
     rows = np.arange(regression.rows.size)
-    return Split(train=rows[:0], judged=rows, rollouts=((rows[:0], rows),))
+    return Split(train=rows[:0], judged=rows, rollouts=(rows,))
 
 
 def whole(regression: RegressionData) -> Split:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.recursions import first_order
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
@@ -135,16 +136,17 @@ def poles(log_tau: Array, step_s: float) -> Array:
     return np.asarray(np.exp(-step_s / HOUR_S / np.exp(log_tau)))
 
 
-def unit_responses(log_tau: Array, step_s: float, drive: Array) -> Array:
+def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np.intp] | None = None) -> Array:
     """Return the forced response to `drive` (n,) per unit of [slope, G_2 … G_r], shape (n + 1, r), K.
 
-    Row t is the state before step t, starting from zero.
+    Row t is the state before step t, starting from zero; only `rows`, increasing, where they are given.
     """
-    tau, a = np.exp(log_tau), poles(log_tau, step_s)
-    filtered = np.stack([lfilter([1.0 - p], [1.0, -p], drive) for p in a], axis=1)
-    columns = [tau[0] * filtered[:, 0]]
-    columns += [filtered[:, i] - tau[0] / tau[i] * filtered[:, 0] for i in range(1, a.size)]
-    return np.concatenate([np.zeros((1, a.size)), np.stack(columns, axis=1)])
+    tau = np.exp(log_tau)
+    rows = np.arange(drive.size + 1) if rows is None else rows
+    filtered = first_order(np.ascontiguousarray(drive, dtype=np.float64)[None], poles(log_tau, step_s), rows)
+    columns = filtered - tau[0] / tau * filtered[:, :1]
+    columns[:, 0] = tau[0] * filtered[:, 0]
+    return columns
 
 
 def to_operator(

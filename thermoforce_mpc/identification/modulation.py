@@ -12,7 +12,7 @@ from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import LEAST_SCALE, Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit
+from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.likelihood import Split, residuals, whole
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
@@ -47,9 +47,9 @@ def _own_forced(operator: OperatorParameters, history: Record) -> Array:
 def modulate(
     cases: Sequence[Case],
     splits: Sequence[Split],
-    linear: Callable[[JointFit], OperatorParameters],
-    part_fit: JointFit,
-    final: JointFit,
+    linear: Callable[[ModeFit], OperatorParameters],
+    part_fit: ModeFit,
+    final: ModeFit,
     priors: ModePriors,
     config: IdentificationConfig,
 ) -> tuple[OperatorParameters, dict[str, float]]:
@@ -65,10 +65,10 @@ def modulate(
     mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
     mean[0], scale[0] = free.mean(), max(float(free.std()), float(LEAST_SCALE[0]))
 
-    def started(fit: JointFit) -> OperatorParameters:
+    def started(fit: ModeFit) -> OperatorParameters:
         return replace(linear(fit), feature_mean=mean, feature_scale=scale)
 
-    def regressions(fit: JointFit, chosen: Sequence[Split]) -> list[TrainingData]:
+    def regressions(fit: ModeFit, chosen: Sequence[Split]) -> list[TrainingData]:
         return [
             TrainingData(e, x, residuals(e, fit.log_tau), s)
             for e, x, s in zip(
@@ -76,7 +76,7 @@ def modulate(
             )
         ]
 
-    def known(fit: JointFit) -> ModePriors:
+    def known(fit: ModeFit) -> ModePriors:
         # The linear fit assumed larger disturbances; training must not change its slow gain.
         if all(c.regression.is_pair for c in cases):
             return priors

@@ -12,7 +12,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit, fit_joint
+from thermoforce_mpc.identification.joint import ModeFit, fit_modes
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData, follows_action, forced_columns
@@ -34,7 +34,7 @@ class Fitted:
     numbers; `rollout_rmse_K`: RMSE of the held-out rollouts, K.
     """
 
-    fit: JointFit
+    fit: ModeFit
     priors: ModePriors
     judged: Array
     blocks: NDArray[np.intp]
@@ -47,9 +47,14 @@ class Fitted:
 
 
 def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
-    """Return the leading rows of a regression (their Cholesky factor is the leading block)."""
+    """Return the leading rows of a regression."""
     n = rows.size
-    return replace(regression, target=regression.target[:n], rows=regression.rows[:n], factor=regression.factor[:n, :n])
+    return replace(
+        regression,
+        target=regression.target[:n],
+        rows=regression.rows[:n],
+        disturbance=regression.disturbance.first(n),
+    )
 
 
 def fit_and_judge(
@@ -57,7 +62,7 @@ def fit_and_judge(
 ) -> Fitted:
     """Fit to the training rows and evaluate on the held-out rows and rollouts."""
     training = [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
-    fit = fit_joint(training, priors, config, sign)
+    fit = fit_modes(training, priors, config, sign)
     judged, blocks, errors = [], [], []
     for index, (case, split) in enumerate(zip(cases, splits, strict=True)):
         if not split.judged.size:
@@ -65,10 +70,11 @@ def fit_and_judge(
         rest = residuals(case.regression, fit.log_tau)
         residual = case.regression.target - rest.mean - forced_columns(case.regression, fit.log_tau, sign) @ fit.gains
         after_action = split.judged[follows_action(case.regression, _AFTER_ACTION_H)[split.judged]]
-        judged.append((rest.whitener() @ residual)[after_action])
+        white = rest.whitened(residual)
+        judged.append(white[after_action])
         blocks.append(block_numbers(index, case.regression.rows[after_action], case.regression.step_s))
-        for past, ahead in split.rollouts:
-            errors.append(rest.innovation(past, ahead) @ residual[np.concatenate([past, ahead])])
+        # What the rows before a rollout do not predict of it.
+        errors += [rest.factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in split.rollouts]
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     return Fitted(fit, priors, np.concatenate(judged), np.concatenate(blocks), rollout_rmse_K)
 
@@ -83,11 +89,10 @@ def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> floa
     before, after = 0.0, 0.0
     for case in cases:
         rest = residuals(case.regression, log_tau)
-        whitener = rest.whitener()
         residual = case.regression.target - rest.mean
-        before += float(np.sum((whitener @ residual) ** 2))
         forced = forced_columns(case.regression, log_tau, operator.sign) @ gains
-        after += float(np.sum((whitener @ (residual - forced)) ** 2))
+        squares = (rest.whitened(np.stack([residual, residual - forced], axis=1)) ** 2).sum(axis=0)
+        before, after = before + float(squares[0]), after + float(squares[1])
     return 1.0 - after / before
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H, IdentificationConfig
-from thermoforce_mpc.identification.disturbance import disturbance_covariance
+from thermoforce_mpc.identification.disturbance import Disturbance
 from thermoforce_mpc.identification.modes import poles, unit_responses
 from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.recursions import first_order
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -49,15 +50,15 @@ _ROOM, _LEAST_DISTURBED = 2.5, 0.1
 class RegressionData:
     """Run or pair in regression form.
 
-    `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `factor` (rows, rows) lower Cholesky factor of
-    the disturbance covariance, K; `inputs` (n, 8) weather of the steps, empty for a pair; `drives`: sign and drive v
-    (n,) of each run. `others` (K, n): drives of the other actuators, signed by their sign, of a pair their difference;
-    `other_priors` (K, 4): of their gains, see `OtherActuator`.
+    `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `disturbance` of these rows; `inputs` (n, 8)
+    weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run. `others` (K, n): drives of the
+    other actuators, signed by their sign, of a pair their difference; `other_priors` (K, 4): of their gains, see
+    `OtherActuator`.
     """
 
     target: Array
     rows: NDArray[np.intp]
-    factor: Array
+    disturbance: Disturbance
     step_s: float
     drives: tuple[tuple[int, Array], ...]
     inputs: Array
@@ -68,6 +69,17 @@ class RegressionData:
     def n_steps(self) -> int:
         """Number of steps of the run or pair."""
         return int(self.drives[0][1].size)
+
+    @cached_property
+    def drive(self) -> Array:
+        """Drive of the run, of a pair the difference of its drives, (n,)."""
+        return np.asarray(np.sum([sign * drive for sign, drive in self.drives], axis=0))
+
+    @cached_property
+    def weather(self) -> Array:
+        """The inputs of `FREE_PRIOR` in their units (7, n)."""
+        units = ((INPUTS.index(name), unit) for name, (unit, *_) in FREE_PRIOR.items())
+        return np.stack([self.inputs[:, column] * unit for column, unit in units])
 
     @property
     def is_pair(self) -> bool:
@@ -114,7 +126,7 @@ def run_regression(
     return RegressionData(
         target=history.T_zone_C[0, rows] - REFERENCE_C,
         rows=rows,
-        factor=cholesky(disturbance_covariance(history.time_s[rows], config), lower=True),
+        disturbance=Disturbance.assumed(history.time_s[rows], config),
         step_s=history.step_s,
         drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
@@ -144,7 +156,7 @@ def pair_regression(pair: Pair, heat_input: HeatInput, others: Sequence[OtherAct
     return RegressionData(
         target=difference[rows],
         rows=rows,
-        factor=np.eye(rows.size) * _PAIR_SD_K,
+        disturbance=Disturbance.independent(pair.a.time_s[rows], _PAIR_SD_K),
         step_s=pair.a.step_s,
         drives=drives,
         inputs=np.empty((0, len(INPUTS))),
@@ -168,18 +180,17 @@ def likely_scale(residual_scale: float) -> float:
 
 def scaled(regressions: Sequence[RegressionData], scale: float) -> list[RegressionData]:
     """Return the regressions with disturbances of runs times `scale`; pairs are unchanged."""
-    return [e if e.is_pair else replace(e, factor=e.factor * scale) for e in regressions]
+    return [e if e.is_pair else replace(e, disturbance=e.disturbance.scaled(scale)) for e in regressions]
 
 
 def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Array:
     """Return the forced response of each row per unit of [slope, G_2 … G_r], shape (rows, r), K."""
-    total = sum(s * unit_responses(log_tau, regression.step_s, drive) for s, drive in regression.drives)
-    return np.asarray(sign * np.asarray(total)[regression.rows])
+    return np.asarray(sign * unit_responses(log_tau, regression.step_s, regression.drive, regression.rows))
 
 
 def other_columns(regression: RegressionData, log_tau: Array) -> Array:
     """Return the response of each row to the other actuators, (rows, K r) K per unit of [slope, G_2 … G_r] of each."""
-    columns = [unit_responses(log_tau, regression.step_s, drive)[regression.rows] for drive in regression.others]
+    columns = [unit_responses(log_tau, regression.step_s, drive, regression.rows) for drive in regression.others]
     return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
 
 
@@ -197,7 +208,7 @@ def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Arra
 
 def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:
     """Return which rows lie within `hours` after a step with a nonzero drive (pair: drive difference), (rows,)."""
-    done = np.abs(np.sum([s * drive for s, drive in regression.drives], axis=0)) > 0.0
+    done = np.abs(regression.drive) > 0.0
     before = np.concatenate([[0], np.cumsum(done)])
     reach = max(1, round(hours * HOUR_S / regression.step_s))
     return np.asarray(before[regression.rows] > before[np.maximum(regression.rows - reach, 0)])
@@ -205,17 +216,11 @@ def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_
 
 def free_columns(regression: RegressionData, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
     """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
-    weather = []
-    for name, (unit, *_) in FREE_PRIOR.items():
-        signal = regression.inputs[:, INPUTS.index(name)] * unit
-        for mode in free_log_tau:
-            weather.append(unit_responses(np.array([mode]), regression.step_s, signal)[:, 0] / np.exp(mode))
-    shared = np.stack([*weather, np.ones(regression.inputs.shape[0] + 1)], axis=1)
-    steps = np.arange(regression.inputs.shape[0] + 1)
+    weather = first_order(regression.weather, poles(free_log_tau, regression.step_s), regression.rows)
+    shared = np.concatenate([weather, np.ones((regression.rows.size, 1))], axis=1)
     fastest = log_tau[:1] if log_tau.size > 1 else np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
-    modes = np.concatenate([fastest, free_log_tau])
-    start = poles(modes, regression.step_s)[None, :] ** steps[:, None]
-    return shared[regression.rows], start[regression.rows]
+    rate = regression.step_s / HOUR_S / np.exp(np.concatenate([fastest, free_log_tau]))
+    return shared, np.exp(-regression.rows[:, None] * rate)
 
 
 def free_time_constants(log_tau: Array) -> Array:
@@ -224,11 +229,13 @@ def free_time_constants(log_tau: Array) -> Array:
     return np.append(slow, np.log(_GROUND_H))
 
 
+@cache
 def free_prior(n_free: int) -> tuple[Array, Array, Array]:
     """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
     entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
-    mean, sd, low = (np.array(column) for column in zip(*entries, strict=True))
-    return mean, sd, low
+    found = np.array(entries).T
+    found.setflags(write=False)  # shared by all callers
+    return found[0], found[1], found[2]
 
 
 def start_sd(n_modes: int) -> Array:

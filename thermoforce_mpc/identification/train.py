@@ -93,30 +93,33 @@ class _Batch:
         first = 0
         for e in regressions:
             last = first + len(e.regression.drives)
-            target = torch.tensor(e.regression.target - e.residuals.mean)
-            whitener = torch.tensor(e.residuals.whitener())
-            rows, train, judged = (torch.tensor(r) for r in (e.regression.rows, e.split.train, e.split.judged))
-            self.items.append((first, last, rows, target, whitener, train, judged))
+            whitener = e.residuals.whitener()
+            target = whitener @ (e.regression.target - e.residuals.mean)
+            rows = torch.tensor(e.regression.rows)
+            of = [
+                (torch.tensor(target[part]), torch.tensor(whitener[part])) for part in (e.split.train, e.split.judged)
+            ]
+            self.items.append((first, last, rows, of))
             first = last
-        self.n_train = sum(int(item[5].numel()) for item in self.items)
+        self.n_train = sum(e.split.train.size for e in regressions)
 
-    def whitened(self, operator: ForcedResponseOperator) -> tuple[Tensor, Tensor]:
-        """Return the whitened residuals of the training rows and of the held-out rows."""
+    def whitened(self, operator: ForcedResponseOperator, poles: Tensor, gains: Tensor, *, judged: bool) -> Tensor:
+        """Return the whitened residuals of the training rows, or of the held-out rows, with these modes (r,) each."""
         drive = operator.modulation(self.features) * self.heat
-        response = causal_convolution(impulse_response(operator, self.n), drive, self.n_fft)
+        response = causal_convolution(impulse_response(poles, gains, self.n), drive, self.n_fft)
         response = torch.nn.functional.pad(response, (1, 0))
-        trained, judged = [], []
-        for first, last, rows, target, whitener, train_rows, judged_rows in self.items:
-            residual = whitener @ (target - response[first:last].sum(0)[rows])
-            trained.append(residual[train_rows])
-            judged.append(residual[judged_rows])
-        return torch.cat(trained), torch.cat(judged)
+        parts = []
+        for first, last, rows, of in self.items:
+            target, whitener = of[judged]
+            forced = response[first] if last == first + 1 else response[first:last].sum(0)
+            parts.append(target - whitener @ forced[rows])
+        return torch.cat(parts)
 
 
-def impulse_response(operator: ForcedResponseOperator, n_steps: int) -> Tensor:
-    """Return the impulse response Σ g_i a_i^k for k = 0 … n − 1, shape (n,), K."""
+def impulse_response(poles: Tensor, gains: Tensor, n_steps: int) -> Tensor:
+    """Return the impulse response Σ g_i a_i^k for k = 0 … n − 1, shape (n,), K, of `poles` and `gains` (r,)."""
     steps = torch.arange(n_steps, dtype=torch.float64)
-    return (operator.gains[:, None] * operator.poles[:, None] ** steps).sum(0)
+    return gains @ poles[:, None] ** steps
 
 
 def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
@@ -140,17 +143,21 @@ def train(
             operator.output.weight.zero_()
             operator.output.bias.zero_()
     batch = _Batch(regressions)
-    with torch.no_grad():
-        linear = batch.whitened(operator)[1].numpy()
+    known = ModePenalty(priors, operator)
+
+    def judged() -> Array:
+        with torch.no_grad():
+            return batch.whitened(operator, operator.poles, operator.gains, judged=True).numpy()
 
     def loss() -> Tensor:
-        known = 2.0 * (prior_penalty(operator, priors) + network_penalty(operator, modulation_sd))
-        return ((batch.whitened(operator)[0] ** 2).sum() + known) / batch.n_train
+        poles = operator.poles
+        gains = operator.gains_at(poles)
+        away = 2.0 * (known(poles, gains) + network_penalty(operator, modulation_sd))
+        return ((batch.whitened(operator, poles, gains, judged=False) ** 2).sum() + away) / batch.n_train
 
+    linear = judged()
     losses = minimise(loss, list(operator.parameters()), config)
-    with torch.no_grad():
-        judged = batch.whitened(operator)[1].numpy()
-    return TrainingResult(operator.numpy(), linear, judged, np.array(losses))
+    return TrainingResult(operator.numpy(), linear, judged(), np.array(losses))
 
 
 def minimise(loss: Callable[[], Tensor], parameters: list[Tensor], config: IdentificationConfig) -> list[float]:
@@ -200,19 +207,25 @@ def network_penalty(operator: ForcedResponseOperator, modulation_sd: float) -> T
     return 0.5 * hidden + 0.5 * weights / output_sd**2
 
 
-def prior_penalty(operator: ForcedResponseOperator, priors: ModePriors) -> Tensor:
-    """Return the negative log prior of time constants and gains (up to a constant)."""
-    poles, gains = operator.poles, operator.gains * operator.sign
-    tau = -(operator.step_s / HOUR_S) / torch.log(poles)
-    steady = gains / (1.0 - poles)
-    slope = (steady / tau).sum()
-    mean, sd = (torch.tensor(value) for value in priors.gains_at(priors.log_tau))
-    known = torch.cat([slope[None], steady[1:]])
-    if priors.order > 1:
-        # The prior of the slowest mode is on its rate G/τ, independent of its time constant.
-        rate_mean, rate_sd = priors.slowest_rate
-        known = torch.cat([known[:-1], (steady[-1] / tau[-1])[None]])
-        mean = torch.cat([mean[:-1], torch.tensor([rate_mean], dtype=torch.float64)])
-        sd = torch.cat([sd[:-1], torch.tensor([rate_sd], dtype=torch.float64)])
-    away = (torch.log(tau) - torch.tensor(priors.log_tau)) / priors.log_tau_sd
-    return 0.5 * (((known - mean) / sd) ** 2).sum() + 0.5 * (away**2).sum()
+class ModePenalty:
+    """Negative log prior of time constants and gains (up to a constant)."""
+
+    def __init__(self, priors: ModePriors, operator: ForcedResponseOperator) -> None:
+        mean, sd = priors.gains_at(priors.log_tau)
+        self._by_rate = priors.order > 1
+        if self._by_rate:
+            # The prior of the slowest mode is on its rate G/τ, independent of its time constant.
+            mean[-1], sd[-1] = priors.slowest_rate
+        spread = np.full(priors.order, priors.log_tau_sd)
+        self._mean, self._sd = (torch.tensor(np.concatenate(both)) for both in ((mean, priors.log_tau), (sd, spread)))
+        self._hours, self._sign = operator.step_s / HOUR_S, operator.sign
+
+    def __call__(self, poles: Tensor, gains: Tensor) -> Tensor:
+        """The penalty of `poles` and `gains` (r,)."""
+        tau = -self._hours / torch.log(poles)
+        steady = self._sign * gains / (1.0 - poles)
+        rates = steady / tau
+        known = [rates.sum()[None], steady[1:]]
+        if self._by_rate:
+            known = [rates.sum()[None], steady[1:-1], rates[-1:]]
+        return 0.5 * (((torch.cat([*known, torch.log(tau)]) - self._mean) / self._sd) ** 2).sum()

@@ -10,7 +10,7 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, held_out, normalisation, ranges
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit
+from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.modes import centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate
 from thermoforce_mpc.identification.records import Pair
@@ -67,21 +67,13 @@ def _train_on_pairs(
     """Train pole, gain and modulation on pairs, priors centred on the two-stage fit; return operator and scores."""
     first = fit.operator()
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
-    start = JointFit(
-        log_tau=log_tau,
-        gains=slope,
-        covariance=np.diag([fit.a_sd, fit.g_sd]) ** 2,
-        free_log_tau=np.empty(0),
-        free_gains=np.empty((0, 0)),
-        residual_scale=1.0,
-        objective=float("nan"),
-    )
+    start = ModeFit(log_tau, slope, residual_scale=1.0)
     weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.heat_input, None)
     priors = centred_priors(weak, log_tau, slope, _TWO_STAGE_SD)
     cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     mean, scale = normalisation(histories)
 
-    def linear(found: JointFit) -> OperatorParameters:
+    def linear(found: ModeFit) -> OperatorParameters:
         return to_operator(
             found.log_tau,
             found.gains,

@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, held_out, normalisation, ranges
 from thermoforce_mpc.identification.competence import held_out_h, held_out_rmse_K, judge
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit, fit_joint
+from thermoforce_mpc.identification.joint import JointFit, ModeFit, fit_joint
 from thermoforce_mpc.identification.level_shape import level_shape
 from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
@@ -196,7 +196,7 @@ def _joint_model(
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
 
-    def linear(fit: JointFit) -> OperatorParameters:
+    def linear(fit: ModeFit) -> OperatorParameters:
         return to_operator(
             fit.log_tau,
             fit.gains,

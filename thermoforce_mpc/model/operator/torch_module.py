@@ -65,8 +65,11 @@ class ForcedResponseOperator(nn.Module):
 
         The fastest gain is set so that softplus(g̃_1) is the initial slope of the step response; at r = 1 it is eq:gain.
         """
+        return self.gains_at(self.poles)
+
+    def gains_at(self, poles: Tensor) -> Tensor:
+        """Gains (r,) with these `poles` (r,), for callers that have them already."""
         magnitude = nn.functional.softplus(self.raw_gain)
-        poles = self.poles
         weight = -torch.log(poles) / (1.0 - poles)
         first = magnitude[:1] - (magnitude[1:] * weight[1:]).sum()[None] / weight[:1]
         return self.sign * torch.cat([first, magnitude[1:]])

@@ -58,7 +58,7 @@ class _Task:
 
     def _forced(self, operator: ForcedResponseOperator) -> Tensor:
         drive = operator.modulation(self.features) * self.heat
-        return causal_convolution(impulse_response(operator, self.n), drive, self.n_fft)
+        return causal_convolution(impulse_response(operator.poles, operator.gains, self.n), drive, self.n_fft)
 
 
 def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Comparison:
