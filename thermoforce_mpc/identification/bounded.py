@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf, dtrtrs
@@ -12,31 +10,36 @@ from scipy.optimize import nnls
 from thermoforce_mpc.data import Array
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Minimiser `values` (p,) and its sum of squared residuals."""
-
-    values: Array
-    squares: float
+def triangle(matrix: Array) -> Array:
+    """R of a QR factorisation of `matrix` (n, m): (min(n, m), m), of the same sums of squares |matrix x|²."""
+    return np.triu(dgeqrf(matrix)[0][: matrix.shape[1]])
 
 
-def least_squares(design: Array, target: Array, positive: NDArray[np.bool_]) -> Solution:
-    """Minimise |design x − target|² with x ≥ 0 where `positive`; `design` (n, p) has full column rank, n > p.
+class BoundedLeastSquares:
+    """Least |A (x, −1)|² over x (p,), not negative where `positive`.
 
     Variables without a bound come first in a QR factorisation, so that the bounded ones alone are those of the trailing
     triangle, which is solved by active sets (Lawson and Hanson 1974, chapter 23).
+
+    Args:
+        system: A (n, p + 1), the target in its last column; the others have full rank, n > p.
+        positive: (p,).
     """
-    p = positive.size
-    free = int(p - np.count_nonzero(positive))
-    order = np.argsort(positive, kind="stable")
-    augmented = np.empty((target.size, p + 1), order="F")
-    augmented[:, :p], augmented[:, p] = design[:, order], target
-    R = dgeqrf(augmented, overwrite_a=True)[0][: p + 1]
-    z = R[:p, p]
-    sorted_values = np.empty(p)
-    bounded, misfit = nnls(np.triu(R[free:p, free:p]), z[free:]) if free < p else (np.empty(0), 0.0)
-    sorted_values[free:] = bounded
-    sorted_values[:free] = dtrtrs(R[:free, :free], z[:free] - R[:free, free:p] @ bounded)[0] if free else 0.0
-    values = np.empty(p)
-    values[order] = sorted_values
-    return Solution(values, float(R[p, p] ** 2 + misfit**2))
+
+    def __init__(self, system: Array, positive: NDArray[np.bool_]) -> None:
+        self._order = np.argsort(positive, kind="stable")
+        self._free = free = int(positive.size - np.count_nonzero(positive))
+        self._R = triangle(system[:, np.append(self._order, positive.size)])
+        self._bounded, misfit = nnls(self._R[free:-1, free:-1], self._R[free:-1, -1])
+        self.squares = float(self._R[-1, -1] ** 2 + misfit**2)
+        """Least sum of squares."""
+
+    @property
+    def values(self) -> Array:
+        """The minimiser (p,)."""
+        free, R = self._free, self._R
+        values = np.empty(self._order.size)
+        values[self._order[free:]] = self._bounded
+        if free:
+            values[self._order[:free]] = dtrtrs(R[:free, :free], R[:free, -1] - R[:free, free:-1] @ self._bounded)[0]
+        return values

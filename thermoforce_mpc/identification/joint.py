@@ -11,25 +11,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.bounded import least_squares
+from thermoforce_mpc.identification.bounded import BoundedLeastSquares
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.modes import ModePriors, poles
+from thermoforce_mpc.identification.reduction import Reduction, whitened_rows
 from thermoforce_mpc.identification.regression_data import (
     FREE_PRIOR,
     REFERENCE_C,
     RegressionData,
-    forced_columns,
-    free_columns,
     free_prior,
     free_time_constants,
     likely_scale,
-    other_columns,
     other_prior,
     scaled,
     start_sd,
@@ -104,7 +103,6 @@ class _Found:
     log_tau: Array
     values: Array
     residual_scale: float
-    regressions: Sequence[RegressionData]
     scale: float
 
     @property
@@ -112,11 +110,9 @@ class _Found:
         return np.maximum(self.values[: self.log_tau.size], _LEAST_GAIN)
 
 
-def fit_modes(
-    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
-) -> ModeFit:
+def fit_modes(data: Reduction, priors: ModePriors, config: IdentificationConfig) -> ModeFit:
     """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
-    found = _found(regressions, priors, config, sign)
+    found = _found(data, priors, config)
     return ModeFit(found.log_tau, found.gains, found.residual_scale)
 
 
@@ -124,12 +120,12 @@ def fit_joint(
     regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
 ) -> JointFit:
     """Fit time constants, gains and free part to all regressions jointly; `sign` +1 heating, −1 cooling."""
-    found = _found(regressions, priors, config, sign)
+    found = _found(Reduction(regressions, sign), priors, config)
     log_tau, values = found.log_tau, found.values
     r, K = priors.order, regressions[0].others.shape[0]
     free_log_tau = free_time_constants(log_tau)
     smaller = min(1.0, likely_scale(found.residual_scale) / found.scale)
-    covariance = _joint_covariance(found.regressions, log_tau, values, priors, sign, smaller)
+    covariance = _joint_covariance(scaled(regressions, found.scale), log_tau, values, priors, sign, smaller)
     of_tau = np.arange(r)
     of_others = [np.concatenate([of_tau, r + (1 + k) * r + of_tau]) for k in range(K)]
     return JointFit(
@@ -147,31 +143,29 @@ def fit_joint(
     )
 
 
-def _found(
-    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
-) -> _Found:
-    log_tau = _search(regressions, priors, sign, priors.log_tau)
-    values, _ = _solve(regressions, log_tau, priors, sign)
-    residual_scale = _residual_scale(regressions, log_tau, values, priors, sign)
+def _found(data: Reduction, priors: ModePriors, config: IdentificationConfig) -> _Found:
+    log_tau = _search(data, 1.0, priors, priors.log_tau)
+    values = _bounded(data, 1.0, log_tau, priors).values
+    residual_scale = _residual_scale(data, log_tau, values)
     # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
     scale = min(1.0, config.disturbance_margin * residual_scale)
-    if scale == 1.0 or all(e.is_pair for e in regressions):
-        return _Found(log_tau, values, residual_scale, regressions, scale)
-    used = scaled(regressions, scale)
-    log_tau = _search(used, priors, sign, log_tau)
-    values, _ = _solve(used, log_tau, priors, sign)
-    return _Found(log_tau, values, _residual_scale(regressions, log_tau, values, priors, sign), used, scale)
+    if scale == 1.0 or not data.n_runs:
+        return _Found(log_tau, values, residual_scale, scale)
+    log_tau = _search(data, scale, priors, log_tau)
+    values = _bounded(data, scale, log_tau, priors).values
+    return _Found(log_tau, values, _residual_scale(data, log_tau, values), scale)
 
 
-def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, start: Array) -> Array:
-    """Return the maximum a posteriori ln(τ/h) (r,), searched from `start` (r,)."""
+def _search(data: Reduction, scale: float, priors: ModePriors, start: Array) -> Array:
+    """Return the maximum a posteriori ln(τ/h) (r,), searched from `start` (r,), at `scale` times the disturbances."""
     log_bounds = np.log(priors.bounds_h())
 
     def objective(log_tau: Array) -> float:
         outside = np.maximum(log_bounds[:, 0] - log_tau, 0.0) + np.maximum(log_tau - log_bounds[:, 1], 0.0)
         if outside.any():
             return _OUTSIDE * (1.0 + float(outside.sum()))
-        return _solve(regressions, log_tau, priors, sign)[1]
+        away = (log_tau - priors.log_tau) / priors.log_tau_sd
+        return 0.5 * _bounded(data, scale, log_tau, priors).squares + 0.5 * float(away @ away)
 
     simplex = np.vstack([start, start + np.eye(priors.order) * priors.log_tau_sd])
     found = minimize(
@@ -188,70 +182,54 @@ def _search(regressions: Sequence[RegressionData], priors: ModePriors, sign: int
     return np.asarray(found.x)
 
 
-def _residual_scale(
-    regressions: Sequence[RegressionData], log_tau: Array, values: Array, priors: ModePriors, sign: int
-) -> float:
+def _residual_scale(data: Reduction, log_tau: Array, values: Array) -> float:
     """Return the RMS of the residual whitened with the assumed disturbances."""
-    design, target, _, rows = system(regressions, log_tau, priors, sign)
-    return float(np.sqrt(np.mean((design @ values - target)[:rows] ** 2)))
+    rows = data.rows(log_tau)
+    return float(np.sqrt(np.sum((rows[:, :-1] @ values - rows[:, -1]) ** 2) / data.n_rows))
+
+
+def _bounded(data: Reduction, scale: float, log_tau: Array, priors: ModePriors) -> BoundedLeastSquares:
+    """Solve the Gaussian regression for given time constants, with `scale` times the disturbances."""
+    rows = data.rows(log_tau, scale)
+    known, positive = _prior(data.regressions[0], log_tau, priors, data.n_runs)
+    return BoundedLeastSquares(np.concatenate([rows, known]), positive)
 
 
 def system(
     regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int
-) -> tuple[Array, Array, NDArray[np.bool_], int]:
-    """Return the whitened regression for given time constants: design, target, which are not negative, data rows.
+) -> tuple[Array, NDArray[np.bool_], int]:
+    """Return the whitened regression for given time constants: rows, which values are not negative, data rows.
 
-    Columns: gains, those of the other actuators, shared free part, initial states run by run. The last rows are the
-    priors.
+    Rows (n, p + 1) are those of `whitened_rows` and then the priors, the target in the last column.
     """
-    r, acting = log_tau.size, (1 + regressions[0].others.shape[0]) * log_tau.size
-    free_log_tau = free_time_constants(log_tau)
     n_runs = sum(not regression.is_pair for regression in regressions)
-    mean, sd, positive = _prior(regressions[0], log_tau, priors, n_runs)
-    p, rows = mean.size, sum(regression.rows.size for regression in regressions)
-    whole = np.zeros((rows + p, p + 1))
-    row, start = 0, p - n_runs * (free_log_tau.size + 1)
-    for regression in regressions:
-        part = whole[row : row + regression.rows.size]
-        part[:, :r], part[:, r:acting] = forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)
-        part[:, p] = regression.target
-        if not regression.is_pair:
-            shared, begun = free_columns(regression, log_tau, free_log_tau)
-            part[:, acting : acting + shared.shape[1]] = shared
-            part[:, start : start + begun.shape[1]] = begun
-            start += begun.shape[1]
-        part[:] = regression.disturbance.whitened(part)
-        row += regression.rows.size
-    whole[rows + np.arange(p), np.arange(p)] = 1.0 / sd
-    whole[rows:, p] = mean / sd
-    return whole[:, :p], whole[:, p], positive, rows
+    known, positive = _prior(regressions[0], log_tau, priors, n_runs)
+    rows = np.concatenate([*whitened_rows(regressions, log_tau, sign), known])
+    return rows, positive, rows.shape[0] - positive.size
 
 
 def _prior(
     regression: RegressionData, log_tau: Array, priors: ModePriors, n_runs: int
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return mean, standard deviation and whether it is not negative of each column of `system`, (p,) each."""
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the priors as rows (p, p + 1) of `system`, and which values are not negative (p,)."""
     own, other = priors.gains_at(log_tau), other_prior(regression, log_tau)
-    mean, sd = np.concatenate([own[0], other[0]]), np.concatenate([own[1], other[1]])
-    positive = np.ones(mean.size, dtype=bool)
+    mean, sd, positive = _free_prior(free_time_constants(log_tau).size, n_runs)
+    mean, sd = np.concatenate([own[0], other[0], mean]), np.concatenate([own[1], other[1], sd])
+    rows = np.zeros((mean.size, mean.size + 1))
+    rows[:, -1] = mean / sd
+    np.fill_diagonal(rows, 1.0 / sd)
+    return rows, np.concatenate([np.ones(mean.size - positive.size, dtype=bool), positive])
+
+
+@cache
+def _free_prior(q: int, n_runs: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Prior mean, standard deviation, and which are not negative, of the free part and the initial states."""
     if not n_runs:
-        return mean, sd, positive
-    free_log_tau = free_time_constants(log_tau)
-    free_mean, free_sd, low = free_prior(free_log_tau.size)
-    starts = np.tile(start_sd(free_log_tau.size + 1), n_runs)
-    return (
-        np.concatenate([mean, free_mean, np.zeros(starts.size)]),
-        np.concatenate([sd, free_sd, starts]),
-        np.concatenate([positive, np.isfinite(low), np.zeros(starts.size, dtype=bool)]),
-    )
-
-
-def _solve(regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int) -> tuple[Array, float]:
-    """Solve the bounded Gaussian regression for given time constants: values and negative log posterior."""
-    design, target, positive, _ = system(regressions, log_tau, priors, sign)
-    found = least_squares(design, target, positive)
-    away = (log_tau - priors.log_tau) / priors.log_tau_sd
-    return found.values, 0.5 * found.squares + 0.5 * float(away @ away)
+        return np.empty(0), np.empty(0), np.empty(0, dtype=bool)
+    mean, sd, low = free_prior(q)
+    starts = np.tile(start_sd(q + 1), n_runs)
+    positive = np.concatenate([np.isfinite(low), np.zeros(starts.size, dtype=bool)])
+    return np.concatenate([mean, np.zeros(starts.size)]), np.concatenate([sd, starts]), positive
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
@@ -280,15 +258,15 @@ def _joint_covariance(
     acting = 2 * r + regressions[0].others.shape[0] * r
 
     def residual(at: Array) -> Array:
-        design, target, _, _ = system(regressions, at, priors, sign)
-        return np.asarray(design @ values - target)
+        rows, _, _ = system(regressions, at, priors, sign)
+        return np.asarray(rows[:, :-1] @ values - rows[:, -1])
 
     shifts = _DERIVATIVE_STEP * np.eye(r)
     slopes = np.stack([residual(log_tau + d) - residual(log_tau - d) for d in shifts], axis=1) / (
         2.0 * _DERIVATIVE_STEP
     )
-    design, _, _, rows = system(regressions, log_tau, priors, sign)
-    jacobian = np.concatenate([slopes, design], axis=1)
+    whole, _, rows = system(regressions, log_tau, priors, sign)
+    jacobian = np.concatenate([slopes, whole[:, :-1]], axis=1)
     errors = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else found) for e in regressions])
     prior = jacobian[rows:].T @ jacobian[rows:]
     prior[:r, :r] += np.eye(r) / priors.log_tau_sd**2

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.bounded import least_squares
+from thermoforce_mpc.identification.bounded import BoundedLeastSquares
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import ModeFit, system
 from thermoforce_mpc.identification.modes import ModePriors
@@ -96,15 +96,17 @@ def estimate(
     k, log_tau = shape.mean, fit.log_tau
     for _ in range(_ROUNDS):
         driven, slopes = ([_driven(e, f, k) for e in used] for f in (shape.drive, shape.slope))
-        design, target, positive, rows = system(driven, log_tau, priors, sign)
-        values = least_squares(design, target, positive).values
+        whole, positive, rows = system(driven, log_tau, priors, sign)
+        design, target = whole[:, :-1], whole[:, -1]
+        values = BoundedLeastSquares(whole, positive).values
         by_k = np.zeros(target.size)
         by_k[:rows] = np.concatenate(
             [e.disturbance.whitened(forced_columns(e, log_tau, sign) @ values[:r]) for e in slopes]
         )
         shifts = _STEP * np.eye(r)
         by_tau = [
-            (system(driven, log_tau + d, priors, sign)[0] - system(driven, log_tau - d, priors, sign)[0]) @ values
+            (system(driven, log_tau + d, priors, sign)[0] - system(driven, log_tau - d, priors, sign)[0])[:, :-1]
+            @ values
             for d in shifts
         ]
         jacobian = np.column_stack([by_k, *(column / (2.0 * _STEP) for column in by_tau), design])

@@ -91,7 +91,7 @@ def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     expected, coupled = of_others @ other_mean, of_others * other_sd
     if regression.is_pair:
         return Residuals(expected, coupled, regression.disturbance)
-    shared, start = free_columns(regression, log_tau, free_time_constants(log_tau))
+    shared, start = free_columns(regression, log_tau)
     mean, sd, _ = free_prior(free_time_constants(log_tau).size)
     columns = np.concatenate([coupled, shared * sd, start * start_sd(start.shape[1])], axis=1)
     return Residuals(expected + shared @ mean, columns, regression.disturbance)

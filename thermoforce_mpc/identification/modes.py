@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.recursions import first_order
+from thermoforce_mpc.identification.recursions import filtered
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
@@ -141,12 +141,17 @@ def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np
 
     Row t is the state before step t, starting from zero; only `rows`, increasing, where they are given.
     """
-    tau = np.exp(log_tau)
     rows = np.arange(drive.size + 1) if rows is None else rows
-    filtered = first_order(np.ascontiguousarray(drive, dtype=np.float64)[None], poles(log_tau, step_s), rows)
-    columns = filtered - tau[0] / tau * filtered[:, :1]
-    columns[:, 0] = tau[0] * filtered[:, 0]
-    return columns
+    signals, nothing = np.ascontiguousarray(drive, dtype=np.float64)[:, None], np.zeros(log_tau.size)
+    return from_filters(filtered(signals, nothing.astype(np.intp), poles(log_tau, step_s), nothing, rows), log_tau)
+
+
+def from_filters(states: Array, log_tau: Array) -> Array:
+    """Forced response (..., r) per unit of [slope, G_2 … G_r] from that of lags of gain 1 with these time constants."""
+    tau = np.exp(log_tau)
+    columns = states - tau[0] / tau * states[..., :1]
+    columns[..., 0] = tau[0] * states[..., 0]
+    return np.asarray(columns)
 
 
 def to_operator(

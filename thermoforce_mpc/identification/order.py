@@ -15,6 +15,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import ModeFit, fit_modes
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
+from thermoforce_mpc.identification.reduction import Reduction
 from thermoforce_mpc.identification.regression_data import RegressionData, follows_action, forced_columns
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -57,12 +58,20 @@ def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
     )
 
 
+def training_data(cases: Sequence[Case], splits: Sequence[Split], sign: int) -> Reduction:
+    """Return the training rows of all cases."""
+    return Reduction([_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size], sign)
+
+
 def fit_and_judge(
-    cases: Sequence[Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
+    cases: Sequence[Case],
+    splits: Sequence[Split],
+    training: Reduction,
+    priors: ModePriors,
+    config: IdentificationConfig,
 ) -> Fitted:
-    """Fit to the training rows and evaluate on the held-out rows and rollouts."""
-    training = [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
-    fit = fit_modes(training, priors, config, sign)
+    """Fit to the `training_data` and evaluate on the held-out rows and rollouts."""
+    fit, sign = fit_modes(training, priors, config), training.sign
     judged, blocks, errors = [], [], []
     for index, (case, split) in enumerate(zip(cases, splits, strict=True)):
         if not split.judged.size:

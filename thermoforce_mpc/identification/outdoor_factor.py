@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
 from thermoforce_mpc.data import Array, Layout, Record
-from thermoforce_mpc.identification.bounded import least_squares
+from thermoforce_mpc.identification.bounded import BoundedLeastSquares
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.couplings import area_of, other_actuator, others_of, share_of
 from thermoforce_mpc.identification.joint import system
@@ -125,8 +125,9 @@ def _log_evidence(
 
 def _solved(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:
     """Log evidence of the linear part at the prior time constants (Laplace), and RMS of its whitened residual."""
-    design, target, positive, rows = system(regressions, priors.log_tau, priors, sign)
-    residual = design @ least_squares(design, target, positive).values - target
+    whole, positive, rows = system(regressions, priors.log_tau, priors, sign)
+    design = whole[:, :-1]
+    residual = design @ BoundedLeastSquares(whole, positive).values - whole[:, -1]
     log_evidence = -0.5 * float(residual @ residual + np.linalg.slogdet(design.T @ design)[1])
     log_evidence -= float(np.log(priors.gains_at(priors.log_tau)[1]).sum())
     return log_evidence, float(np.sqrt(np.mean(residual[:rows] ** 2)))

@@ -10,26 +10,28 @@ from thermoforce_mpc.data import Array
 
 
 @njit(cache=True)
-def first_order(signals: Array, poles: Array, rows: NDArray[np.intp]) -> Array:
-    """Filter `signals` (s, n) by first-order lags of steady gain 1 with `poles` (q,), from zero.
+def filtered(signals: Array, signal_of: NDArray[np.intp], poles: Array, start: Array, rows: NDArray[np.intp]) -> Array:
+    """First-order lags of steady gain 1 of `signals` (n, s): filter c of signal `signal_of[c]` with `poles[c]`.
+
+    Args:
+        signals: input of each step.
+        signal_of, poles, start: signal, pole per step and state before the first step of each filter, (c,).
+        rows: steps, increasing, up to n (m,).
 
     Returns:
-        The states before the steps `rows` (m,), increasing, up to n: shape (m, s q), column s q + i for pole i.
+        The states before the steps `rows`, (m, c).
     """
-    n_signals, n = signals.shape
-    q = poles.size
-    state = np.zeros(n_signals * q)
-    out = np.empty((rows.size, n_signals * q))
+    n = signals.shape[0]
+    state = start.copy()
+    out = np.empty((rows.size, state.size))
     at = 0
     for t in range(n + 1):
         if at < rows.size and rows[at] == t:
             out[at] = state
             at += 1
         if t < n:
-            for s in range(n_signals):
-                value = signals[s, t]
-                for i in range(q):
-                    state[s * q + i] = poles[i] * state[s * q + i] + (1.0 - poles[i]) * value
+            for c in range(state.size):
+                state[c] = poles[c] * state[c] + (1.0 - poles[c]) * signals[t, signal_of[c]]
     return out
 
 

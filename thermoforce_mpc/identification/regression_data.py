@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H, IdentificationConfig
 from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.modes import poles, unit_responses
+from thermoforce_mpc.identification.modes import from_filters, poles, unit_responses
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.identification.recursions import first_order
+from thermoforce_mpc.identification.recursions import filtered
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -35,6 +35,7 @@ _LEVEL_SD_K = 50.0
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
 # Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
 _GROUND_H = 400.0
+_DEFAULT_FREE_LOG_TAU = np.log([*DEFAULT_TIME_CONSTANTS_H[3][1:], _GROUND_H])
 REFERENCE_C = 20.0
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
 # so the standard deviation per row is ten times as large.
@@ -76,10 +77,16 @@ class RegressionData:
         return np.asarray(np.sum([sign * drive for sign, drive in self.drives], axis=0))
 
     @cached_property
-    def weather(self) -> Array:
-        """The inputs of `FREE_PRIOR` in their units (7, n)."""
-        units = ((INPUTS.index(name), unit) for name, (unit, *_) in FREE_PRIOR.items())
-        return np.stack([self.inputs[:, column] * unit for column, unit in units])
+    def signals(self) -> Array:
+        """What drives the columns in each step (n, 1 + K + 7 + 1).
+
+        The own drive, the others', the inputs of `FREE_PRIOR` in their units (zero for a pair), and nothing.
+        """
+        weather = np.zeros((self.n_steps, len(FREE_PRIOR) + 1))
+        if not self.is_pair:
+            for i, (name, (unit, *_)) in enumerate(FREE_PRIOR.items()):
+                weather[:, i] = self.inputs[:, INPUTS.index(name)] * unit
+        return np.concatenate([self.drive[:, None], self.others.reshape(-1, self.n_steps).T, weather], axis=1)
 
     @property
     def is_pair(self) -> bool:
@@ -197,6 +204,8 @@ def other_columns(regression: RegressionData, log_tau: Array) -> Array:
 def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
     """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
     K, r = regression.others.shape[0], log_tau.size
+    if not K:
+        return np.empty(0), np.empty(0)
     slope, gain, rate, rate_sd = regression.other_priors.T
     mean, sd = np.zeros((K, r)), np.repeat(gain[:, None], r, axis=1)
     sd[:, 0] = slope
@@ -214,19 +223,47 @@ def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_
     return np.asarray(before[regression.rows] > before[np.maximum(regression.rows - reach, 0)])
 
 
-def free_columns(regression: RegressionData, log_tau: Array, free_log_tau: Array) -> tuple[Array, Array]:
+def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
     """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
-    weather = first_order(regression.weather, poles(free_log_tau, regression.step_s), regression.rows)
-    shared = np.concatenate([weather, np.ones((regression.rows.size, 1))], axis=1)
-    fastest = log_tau[:1] if log_tau.size > 1 else np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
-    rate = regression.step_s / HOUR_S / np.exp(np.concatenate([fastest, free_log_tau]))
-    return shared, np.exp(-regression.rows[:, None] * rate)
+    q = free_time_constants(log_tau).size
+    found = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
+    return found[:, : -(q + 1)], found[:, -(q + 1) :]
+
+
+def all_columns(regression: RegressionData, log_tau: Array) -> Array:
+    """Return the columns of all parameters (rows, p), signs of the actuators aside.
+
+    Forced response to the own and to the other actuators, r each; of a run then those of `free_columns`.
+    """
+    r, K = log_tau.size, regression.others.shape[0]
+    free = np.empty(0) if regression.is_pair else free_time_constants(log_tau)
+    fastest = log_tau[:1] if r > 1 else np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
+    signal_of, start = _filters(r, K, free.size)
+    acting, weather = np.tile(log_tau, 1 + K), np.tile(free, len(FREE_PRIOR))
+    level = () if regression.is_pair else ((np.inf,), fastest)
+    pole = poles(np.concatenate([acting, weather, *level, free]), regression.step_s)
+    states = filtered(regression.signals, signal_of, pole, start, regression.rows)
+    states[:, : acting.size] = from_filters(states[:, : acting.size].reshape(-1, 1 + K, r), log_tau).reshape(
+        -1, acting.size
+    )
+    return states
+
+
+@cache
+def _filters(r: int, K: int, q: int) -> tuple[NDArray[np.intp], Array]:
+    """Signal and start of the filter of each column of `all_columns`, for `recursions.filtered`; a pair has q = 0."""
+    signals = [*np.repeat(np.arange(1 + K), r), *np.repeat(1 + K + np.arange(len(FREE_PRIOR)), q)]
+    begun = 1 + (q + 1) if q else 0  # the level, which stays, and the initial states, which decay
+    signal_of = np.array(signals + [1 + K + len(FREE_PRIOR)] * begun, dtype=np.intp)
+    start = np.concatenate([np.zeros(len(signals)), np.ones(begun)])
+    return signal_of, start
 
 
 def free_time_constants(log_tau: Array) -> Array:
     """Return ln τ of the free modes: the slow modes of an operator of order 3 (or of its prior), and the ground."""
-    slow = log_tau[1:] if log_tau.size == 3 else np.log(DEFAULT_TIME_CONSTANTS_H[3][1:])
-    return np.append(slow, np.log(_GROUND_H))
+    if log_tau.size != 3:
+        return _DEFAULT_FREE_LOG_TAU
+    return np.concatenate([log_tau[1:], _DEFAULT_FREE_LOG_TAU[-1:]])
 
 
 @cache

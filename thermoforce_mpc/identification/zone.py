@@ -22,7 +22,7 @@ from thermoforce_mpc.identification.joint import JointFit, ModeFit, fit_joint
 from thermoforce_mpc.identification.level_shape import level_shape
 from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
-from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge
+from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge, training_data
 from thermoforce_mpc.identification.records import Pair, resolution_K
 from thermoforce_mpc.identification.regression_data import (
     OtherActuator,
@@ -170,10 +170,11 @@ def _joint_model(
     """The joint estimator as a zone's model, and its fit: order by held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
     splits = held_out(cases, config)
+    training = training_data(cases, splits, sign)
 
     def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
         priors = (mode_priors(order, chosen, heat_input, floor_area_m2, share) for order in chosen.orders())
-        return {of.order: fit_and_judge(cases, splits, of, config, sign) for of in priors}
+        return {of.order: fit_and_judge(cases, splits, training, of, config) for of in priors}
 
     def error_K(found: dict[int, Fitted]) -> float:
         best = found[choose_order(found)]
