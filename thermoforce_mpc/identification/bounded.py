@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf, dtrtrs
@@ -12,7 +14,14 @@ from thermoforce_mpc.data import Array
 
 def triangle(matrix: Array) -> Array:
     """R of a QR factorisation of `matrix` (n, m): (min(n, m), m), of the same sums of squares |matrix x|²."""
-    return np.triu(dgeqrf(matrix)[0][: matrix.shape[1]])
+    R = dgeqrf(matrix)[0][: matrix.shape[1]]
+    return np.asarray(R * _upper(*R.shape))
+
+
+@cache
+def _upper(n: int, m: int) -> NDArray[np.bool_]:
+    """The places of an upper triangle; numpy.triu makes them anew each time."""
+    return np.triu(np.ones((n, m), dtype=bool))
 
 
 class BoundedLeastSquares:
@@ -27,9 +36,9 @@ class BoundedLeastSquares:
     """
 
     def __init__(self, system: Array, positive: NDArray[np.bool_]) -> None:
-        self._order = np.argsort(positive, kind="stable")
+        self._order = np.concatenate([np.flatnonzero(~positive), np.flatnonzero(positive)])
         self._free = free = int(positive.size - np.count_nonzero(positive))
-        self._R = triangle(system[:, np.append(self._order, positive.size)])
+        self._R = triangle(system[:, [*self._order, -1]])
         self._bounded, misfit = nnls(self._R[free:-1, free:-1], self._R[free:-1, -1])
         self.squares = float(self._R[-1, -1] ** 2 + misfit**2)
         """Least sum of squares."""

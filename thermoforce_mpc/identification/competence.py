@@ -24,7 +24,7 @@ from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import RegressionData, forced_columns
+from thermoforce_mpc.identification.regression_data import forced_columns
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 
 # Lead times that are reported, h, and those that are judged. A plan is made anew every step and pre-heats by hours; a
@@ -109,9 +109,9 @@ def _model_errors(runs: Sequence[tuple[Case, Split]], fit: ModeFit, sign: int) -
     regressions = [c.regression for c, _ in runs]
     first = [int(s.judged[0]) for _, s in runs]
     effects = [forced_columns(e, fit.log_tau, sign) @ fit.gains for e in regressions]
-    model = _innovations(regressions, effects, first, [fit.log_tau])
+    model = _innovations(runs, effects, [fit.log_tau], JUDGED_H)
     return {
-        hours: np.concatenate([_ahead(model[i], *_held_out(case, first[i], hours)) for i, (case, _) in enumerate(runs)])
+        hours: np.concatenate([model[i].ahead(*_held_out(case, first[i], hours)) for i, (case, _) in enumerate(runs)])
         for hours in JUDGED_H
     }
 
@@ -146,8 +146,8 @@ def judge(
     first = [int(s.judged[0]) for _, s in runs]
     effects = [forced_columns(e, fit.log_tau, sign) @ fit.gains for e in regressions]
     none = [np.zeros(e.rows.size) for e in regressions]
-    model = _innovations(regressions, effects, first, [fit.log_tau])
-    weather = _innovations(regressions, none, first, [fit.log_tau, priors.log_tau])
+    model = _innovations(runs, effects, [fit.log_tau], LEAD_TIMES_H)
+    weather = _innovations(runs, none, [fit.log_tau, priors.log_tau], LEAD_TIMES_H)
     hours_held_out = held_out_h(cases, splits)
     block_h = min(_BLOCK_H, hours_held_out / _LEAST_BLOCKS)
     found = {}
@@ -179,15 +179,29 @@ def is_well_known(verdict: Competence | None) -> bool:
     return verdict is not None and verdict.competent and verdict.relative_sd <= WELL_KNOWN_SD
 
 
+@dataclass(frozen=True)
+class _Innovations:
+    """w (m,) and L (m, m) of the rows from `begin` on, in standard deviations and K."""
+
+    begin: int
+    white: Array
+    factor: Array
+
+    def ahead(self, starts: NDArray[np.intp], targets: NDArray[np.intp]) -> Array:
+        """Errors (n,) of the predictions from `starts`, `begin` - 1 or later, to `targets`, K."""
+        rows = zip(starts + 1 - self.begin, targets - self.begin, strict=True)
+        return np.array([self.factor[j, i : j + 1] @ self.white[i : j + 1] for i, j in rows])
+
+
 def _innovations(
-    regressions: Sequence[RegressionData], effects: Sequence[Array], first: Sequence[int], choices: Sequence[Array]
-) -> list[tuple[Array, Array]]:
-    """Return L (rows, rows) and w (rows,) of every run, with the likeliest disturbances and time constants.
+    runs: Sequence[tuple[Case, Split]], effects: Sequence[Array], choices: Sequence[Array], leads_h: Sequence[float]
+) -> list[_Innovations]:
+    """Return what predictions of these lead times need of every run, with the likeliest disturbances and modes.
 
-    Likeliest on the training rows, those before `first`; `effects` (rows,) K are what the actions did. The size of the
-    disturbances is chosen with the first of the time constants `choices`, which then compete at that size.
+    Likeliest on the training rows, those before the held-out ones; `effects` (rows,) K are what the actions did. The
+    size of the disturbances is chosen with the first of the time constants `choices`, which then compete at that size.
     """
-
+    regressions, first = [c.regression for c, _ in runs], [int(s.judged[0]) for _, s in runs]
     rests = [[residuals(e, log_tau) for e in regressions] for log_tau in choices]
     left = [
         [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, of, strict=True)]
@@ -200,15 +214,18 @@ def _innovations(
 
     scale = _SCALES[int(np.argmax(likelihoods(0, _SCALES)))]
     likeliest = int(np.argmax([likelihoods(choice, [scale])[0] for choice in range(len(choices))]))
-    found = [rest.scaled(scale) for rest in rests[likeliest]]
-    return [(rest.factor, rest.whitened(values)) for rest, values in zip(found, left[likeliest], strict=True)]
+    found = []
+    for (case, _), n, rest, values in zip(runs, first, rests[likeliest], left[likeliest], strict=True):
+        begin = 1 + min(int(np.min(_held_out(case, n, hours)[0], initial=n - 1)) for hours in leads_h)
+        found.append(_Innovations(begin, *rest.scaled(scale).later(values, begin)))
+    return found
 
 
 def _errors(
     number: int,
     case: Case,
-    model: tuple[Array, Array],
-    weather: tuple[Array, Array],
+    model: _Innovations,
+    weather: _Innovations,
     first: int,
     hours: float,
     block_h: float,
@@ -221,7 +238,7 @@ def _errors(
     sun = np.array([solar[rows[i] : rows[j] + 1].mean() for i, j in zip(starts, targets, strict=True)])
     blocks = number * 10**6 + ((at[targets] - at[first]) // block_h).astype(np.intp)
     persistence = regression.target[targets] - regression.target[starts]
-    predicted, alone = _ahead(model, starts, targets), _ahead(weather, starts, targets)
+    predicted, alone = model.ahead(starts, targets), weather.ahead(starts, targets)
     return _Errors(predicted, alone, persistence, np.asarray(blocks, dtype=np.intp), sun)
 
 
@@ -233,12 +250,6 @@ def _held_out(case: Case, first: int, hours: float) -> tuple[NDArray[np.intp], N
     # Where the sensor was silent there may be no row that far before: such a target is left out.
     near = (starts >= 0) & (at[targets] - at[np.maximum(starts, 0)] <= 1.5 * hours)
     return starts[near], targets[near]
-
-
-def _ahead(innovations: tuple[Array, Array], starts: NDArray[np.intp], targets: NDArray[np.intp]) -> Array:
-    """Errors (n,) of the predictions from `starts` to `targets`, K, from L and w of `_innovations`."""
-    factor, white = innovations
-    return np.array([factor[j, i + 1 : j + 1] @ white[i + 1 : j + 1] for i, j in zip(starts, targets, strict=True)])
 
 
 def _score(hours: float, errors: _Errors) -> HorizonScore:

@@ -16,7 +16,12 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.recursions import covariance, innovation_form, innovations
+from thermoforce_mpc.identification.recursions import (
+    covariance,
+    innovation_effects,
+    innovation_form,
+    innovations,
+)
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,11 @@ class Disturbance:
     def covariance(self) -> Array:
         """Covariance (rows, rows), K²."""
         return np.asarray(covariance(self.sd_K**2, self._decay, self.noise_sd_K**2))
+
+    def factor(self, first: int = 0) -> Array:
+        """L of the rows from `first` on (m, m), K: the effect of their innovations on them."""
+        gain, decay, sd = self._filter
+        return np.asarray(innovation_effects(gain[first:], decay[first:], sd[first:]))
 
     def whitened(self, values: Array) -> Array:
         """Innovations of `values` (rows, ...) K in standard deviations: L⁻¹ values, where L Lᵀ is the covariance."""

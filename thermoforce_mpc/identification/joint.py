@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,19 +143,20 @@ def fit_joint(
 
 
 def _found(data: Reduction, priors: ModePriors, config: IdentificationConfig) -> _Found:
-    log_tau = _search(data, 1.0, priors, priors.log_tau)
-    values = _bounded(data, 1.0, log_tau, priors).values
+    known = _Priors(data.regressions, priors)
+    log_tau = _search(data, 1.0, known, priors, priors.log_tau)
+    values = _bounded(data, 1.0, log_tau, known).values
     residual_scale = _residual_scale(data, log_tau, values)
     # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
     scale = min(1.0, config.disturbance_margin * residual_scale)
     if scale == 1.0 or not data.n_runs:
         return _Found(log_tau, values, residual_scale, scale)
-    log_tau = _search(data, scale, priors, log_tau)
-    values = _bounded(data, scale, log_tau, priors).values
+    log_tau = _search(data, scale, known, priors, log_tau)
+    values = _bounded(data, scale, log_tau, known).values
     return _Found(log_tau, values, _residual_scale(data, log_tau, values), scale)
 
 
-def _search(data: Reduction, scale: float, priors: ModePriors, start: Array) -> Array:
+def _search(data: Reduction, scale: float, known: _Priors, priors: ModePriors, start: Array) -> Array:
     """Return the maximum a posteriori ln(τ/h) (r,), searched from `start` (r,), at `scale` times the disturbances."""
     log_bounds = np.log(priors.bounds_h())
 
@@ -165,7 +165,7 @@ def _search(data: Reduction, scale: float, priors: ModePriors, start: Array) -> 
         if outside.any():
             return _OUTSIDE * (1.0 + float(outside.sum()))
         away = (log_tau - priors.log_tau) / priors.log_tau_sd
-        return 0.5 * _bounded(data, scale, log_tau, priors).squares + 0.5 * float(away @ away)
+        return 0.5 * _bounded(data, scale, log_tau, known).squares + 0.5 * float(away @ away)
 
     simplex = np.vstack([start, start + np.eye(priors.order) * priors.log_tau_sd])
     found = minimize(
@@ -188,11 +188,9 @@ def _residual_scale(data: Reduction, log_tau: Array, values: Array) -> float:
     return float(np.sqrt(np.sum((rows[:, :-1] @ values - rows[:, -1]) ** 2) / data.n_rows))
 
 
-def _bounded(data: Reduction, scale: float, log_tau: Array, priors: ModePriors) -> BoundedLeastSquares:
+def _bounded(data: Reduction, scale: float, log_tau: Array, known: _Priors) -> BoundedLeastSquares:
     """Solve the Gaussian regression for given time constants, with `scale` times the disturbances."""
-    rows = data.rows(log_tau, scale)
-    known, positive = _prior(data.regressions[0], log_tau, priors, data.n_runs)
-    return BoundedLeastSquares(np.concatenate([rows, known]), positive)
+    return BoundedLeastSquares(np.concatenate([data.rows(log_tau, scale), known.rows(log_tau)]), known.positive)
 
 
 def system(
@@ -202,34 +200,39 @@ def system(
 
     Rows (n, p + 1) are those of `whitened_rows` and then the priors, the target in the last column.
     """
-    n_runs = sum(not regression.is_pair for regression in regressions)
-    known, positive = _prior(regressions[0], log_tau, priors, n_runs)
-    rows = np.concatenate([*whitened_rows(regressions, log_tau, sign), known])
-    return rows, positive, rows.shape[0] - positive.size
+    known = _Priors(regressions, priors)
+    rows = np.concatenate([*whitened_rows(regressions, log_tau, sign), known.rows(log_tau)])
+    return rows, known.positive, rows.shape[0] - known.positive.size
 
 
-def _prior(
-    regression: RegressionData, log_tau: Array, priors: ModePriors, n_runs: int
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the priors as rows (p, p + 1) of `system`, and which values are not negative (p,)."""
-    own, other = priors.gains_at(log_tau), other_prior(regression, log_tau)
-    mean, sd, positive = _free_prior(free_time_constants(log_tau).size, n_runs)
-    mean, sd = np.concatenate([own[0], other[0], mean]), np.concatenate([own[1], other[1], sd])
-    rows = np.zeros((mean.size, mean.size + 1))
-    rows[:, -1] = mean / sd
-    np.fill_diagonal(rows, 1.0 / sd)
-    return rows, np.concatenate([np.ones(mean.size - positive.size, dtype=bool), positive])
+class _Priors:
+    """Priors of the columns of `system`; `positive` (p,): which values are not negative."""
 
+    def __init__(self, regressions: Sequence[RegressionData], priors: ModePriors) -> None:
+        self._priors, self._first = priors, regressions[0]
+        n_runs, log_tau = sum(not regression.is_pair for regression in regressions), priors.log_tau
+        mean, sd = self._acting(log_tau)
+        self._n_acting = mean.size
+        self.positive = np.ones(mean.size, dtype=bool)
+        if n_runs:
+            q = free_time_constants(log_tau).size
+            free_mean, free_sd, low = free_prior(q)
+            starts = np.tile(start_sd(q + 1), n_runs)
+            mean = np.concatenate([mean, free_mean, np.zeros(starts.size)])
+            sd = np.concatenate([sd, free_sd, starts])
+            self.positive = np.concatenate([self.positive, np.isfinite(low), np.zeros(starts.size, dtype=bool)])
+        self._rows = np.concatenate([np.diag(1.0 / sd), (mean / sd)[:, None]], axis=1)
 
-@cache
-def _free_prior(q: int, n_runs: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Prior mean, standard deviation, and which are not negative, of the free part and the initial states."""
-    if not n_runs:
-        return np.empty(0), np.empty(0), np.empty(0, dtype=bool)
-    mean, sd, low = free_prior(q)
-    starts = np.tile(start_sd(q + 1), n_runs)
-    positive = np.concatenate([np.isfinite(low), np.zeros(starts.size, dtype=bool)])
-    return np.concatenate([mean, np.zeros(starts.size)]), np.concatenate([sd, starts]), positive
+    def rows(self, log_tau: Array) -> Array:
+        """The priors as rows (p, p + 1) of `system`; of gains they depend on the time constants."""
+        rows, acting = self._rows.copy(), np.arange(self._n_acting)
+        mean, sd = self._acting(log_tau)
+        rows[acting, acting], rows[acting, -1] = 1.0 / sd, mean / sd
+        return rows
+
+    def _acting(self, log_tau: Array) -> tuple[Array, Array]:
+        own, other = self._priors.gains_at(log_tau), other_prior(self._first, log_tau)
+        return np.concatenate([own[0], other[0]]), np.concatenate([own[1], other[1]])
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.bounded import triangle
 from thermoforce_mpc.identification.disturbance import Disturbance
 from thermoforce_mpc.identification.regression_data import (
     RegressionData,
@@ -43,25 +43,41 @@ class Residuals:
     columns: Array
     disturbance: Disturbance
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """C (rows, rows), K²."""
         return np.asarray(self.disturbance.covariance() + self.columns @ self.columns.T)
 
-    @cached_property
-    def factor(self) -> Array:
-        """L (rows, rows), lower, K."""
-        return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
-
-    def whitened(self, values: Array) -> Array:
-        """L⁻¹ values (rows, ...): row i is the innovation given all rows before, in standard deviations."""
-        if not self.columns.shape[1]:
-            return self.disturbance.whitened(values)
-        return np.asarray(solve_triangular(self.factor, values, lower=True, check_finite=False))
-
     def whitener(self) -> Array:
-        """Return L⁻¹ (rows, rows)."""
-        return self.whitened(np.eye(self.mean.size))
+        """Return L⁻¹ (rows, rows): row i gives its innovation given all rows before, in standard deviations."""
+        if not self.columns.shape[1]:
+            return self.disturbance.whitened(np.eye(self.mean.size))
+        factor = cholesky(self.covariance, lower=True, check_finite=False)
+        return np.asarray(solve_triangular(factor, np.eye(self.mean.size), lower=True, check_finite=False))
+
+    def later(self, residual: Array, first: int) -> tuple[Array, Array]:
+        """Innovations w (m,) of the rows from `first` on, given all rows before, and L (m, m) of these rows.
+
+        Whitened by the disturbance, L_N, the rows are a regression on columns W with priors and noise of 1. With P the
+        covariance that the earlier rows leave of its coefficients, the later ones have 1 + W P Wᵀ = M Mᵀ; L is L_N M.
+        """
+        values = self.disturbance.whitened(np.concatenate([self.columns, residual[:, None]], axis=1))
+        p = self.columns.shape[1]
+        W, seen = values[first:, :p], values[first:, p]
+        if p:
+            R = triangle(np.concatenate([values[:first], np.eye(p, p + 1)]))
+            unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
+            M = cholesky(np.eye(seen.size) + unknown.T @ unknown, lower=True, check_finite=False)
+            white = solve_triangular(M, seen - unknown.T @ R[:p, p], lower=True, check_finite=False)
+            return np.asarray(white), self.disturbance.factor(first) @ M
+        return seen, self.disturbance.factor(first)
+
+    def squares(self, residuals: Array) -> Array:
+        """rᵀ C⁻¹ r of each column r of `residuals` (rows, k), shape (k,)."""
+        W = self.disturbance.whitened(np.concatenate([self.columns, residuals], axis=1))
+        p = self.columns.shape[1]
+        rows = triangle(np.concatenate([W, np.eye(p, W.shape[1])]))
+        return np.asarray((rows[p:, p:] ** 2).sum(axis=0))
 
     def scaled(self, scale: float) -> Residuals:
         """With `scale` times the disturbance."""
@@ -74,7 +90,7 @@ class Residuals:
         decomposition gives all scales s.
         """
         values = np.concatenate([self.columns[:rows], residual[:rows, None]], axis=1)
-        R = np.asarray(np.linalg.qr(self.disturbance.first(rows).whitened(values), mode="r"))
+        R = triangle(self.disturbance.first(rows).whitened(values))
         U, found, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
         seen = U.T @ R[:, -1]
         rest = float(np.sum((R[:, -1] - U @ seen) ** 2))

@@ -14,6 +14,7 @@ from thermoforce_mpc.identification.cases import LEAST_SCALE, Case
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.likelihood import Split, residuals, whole
+from thermoforce_mpc.identification.misfit import TrainingData
 from thermoforce_mpc.identification.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
 from thermoforce_mpc.model.forced_history import forced_history
@@ -57,7 +58,7 @@ def modulate(
 
     Returns the operator and its held-out scores.
     """
-    from thermoforce_mpc.identification.train import TrainingData, train
+    from thermoforce_mpc.identification.train import train
 
     base = linear(final)
     features = [tuple(_features(base, h, config.feedback) for h in c.histories) for c in cases]

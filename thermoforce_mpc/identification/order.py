@@ -79,11 +79,13 @@ def fit_and_judge(
         rest = residuals(case.regression, fit.log_tau)
         residual = case.regression.target - rest.mean - forced_columns(case.regression, fit.log_tau, sign) @ fit.gains
         after_action = split.judged[follows_action(case.regression, _AFTER_ACTION_H)[split.judged]]
-        white = rest.whitened(residual)
-        judged.append(white[after_action])
+        first = int(split.judged[0])
+        white, factor = rest.later(residual, first)
+        judged.append(white[after_action - first])
         blocks.append(block_numbers(index, case.regression.rows[after_action], case.regression.step_s))
         # What the rows before a rollout do not predict of it.
-        errors += [rest.factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in split.rollouts]
+        later = [ahead - first for ahead in split.rollouts]
+        errors += [factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in later]
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     return Fitted(fit, priors, np.concatenate(judged), np.concatenate(blocks), rollout_rmse_K)
 
@@ -100,7 +102,7 @@ def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> floa
         rest = residuals(case.regression, log_tau)
         residual = case.regression.target - rest.mean
         forced = forced_columns(case.regression, log_tau, operator.sign) @ gains
-        squares = (rest.whitened(np.stack([residual, residual - forced], axis=1)) ** 2).sum(axis=0)
+        squares = rest.squares(np.stack([residual, residual - forced], axis=1))
         before, after = before + float(squares[0]), after + float(squares[1])
     return 1.0 - after / before
 

@@ -84,6 +84,23 @@ def innovations(values: Array, gain: Array, decay: Array, sd: Array) -> Array:
 
 
 @njit(cache=True)
+def innovation_effects(gain: Array, decay: Array, sd: Array) -> Array:
+    """Lower triangle (n, n): effect on row i of an innovation of one standard deviation at row j."""
+    n, k = gain.shape
+    out = np.zeros((n, n))
+    for first in range(n):
+        out[first, first] = sd[first]
+        state = gain[first] * sd[first]
+        for t in range(first + 1, n):
+            total = 0.0
+            for i in range(k):
+                state[i] *= decay[t - 1, i]
+                total += state[i]
+            out[t, first] = total
+    return out
+
+
+@njit(cache=True)
 def covariance(variance: Array, decay: Array, noise: float) -> Array:
     """Covariance (n, n) of the sum of processes and noise of `innovation_form`."""
     n, k = decay.shape
@@ -97,4 +114,33 @@ def covariance(variance: Array, decay: Array, noise: float) -> Array:
                 shared[i] *= decay[t - 1, i]
                 total += shared[i]
             out[first, t] = out[t, first] = total
+    return out
+
+
+@njit(cache=True)
+def responses(drive: Array, poles: Array) -> tuple[Array, Array]:
+    """Modes y(t + 1) = a y(t) + d(t) from zero under `drive` (n,), and their derivatives by `poles` (r,).
+
+    Shape (n + 1, r) each.
+    """
+    n, r = drive.size, poles.size
+    y, slope = np.zeros((n + 1, r)), np.zeros((n + 1, r))
+    for t in range(n):
+        for i in range(r):
+            y[t + 1, i] = poles[i] * y[t, i] + drive[t]
+            slope[t + 1, i] = poles[i] * slope[t, i] + y[t, i]
+    return y, slope
+
+
+@njit(cache=True)
+def adjoint(by_response: Array, poles: Array, gains: Array) -> Array:
+    """Derivatives (n,) by the drive of what has the derivatives `by_response` (n + 1,) by Σ gains y of `responses`."""
+    n, r = by_response.size - 1, poles.size
+    state, out = np.zeros(r), np.empty(n)
+    for t in range(n, 0, -1):
+        total = 0.0
+        for i in range(r):
+            state[i] = poles[i] * state[i] + gains[i] * by_response[t]
+            total += state[i]
+        out[t - 1] = total
     return out

@@ -1,24 +1,24 @@
 """Training of the monotone-neural operator on multi-step rollouts (paper eq:operator, eq:paired).
 
-The forced response is linear in the drive m(x_t) v_t, so a run or pair is one causal convolution (by FFT) with the
-operator's impulse response, without a loop over steps. Training starts from the linear fit with m = 1, with priors on
-modes and weights; held-out data decide whether the network is kept.
+The loss and its gradient are those of `misfit`. Training starts from the linear fit with m = 1, with priors on modes
+and weights; held-out data decide whether the network is kept.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.likelihood import Residuals, Split
+from thermoforce_mpc.identification.misfit import Misfit, TrainingData
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
@@ -31,16 +31,6 @@ _MODULATION_SD = {"identity": 0.15, "heat": 0.05}
 _SIGNIFICANT, _RELEVANT = 1.0, 0.98
 # L-BFGS: history size; convergence tolerances of the gradient's largest element and of the change of the loss.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-8
-
-
-@dataclass(frozen=True)
-class TrainingData:
-    """Regression with its features x_t (n, 4) of each run, in the order of its drives, residual model and split."""
-
-    regression: RegressionData
-    features: tuple[Array, ...]
-    residuals: Residuals
-    split: Split
 
 
 @dataclass(frozen=True)
@@ -77,56 +67,25 @@ class TrainingResult:
         return self.improvement_in_standard_errors > _SIGNIFICANT and self.score < _RELEVANT * self.linear_score
 
 
-class _Batch:
-    """All runs of all regressions as tensors, zero-padded at the end."""
+class _Loss(torch.autograd.Function):
+    """A function of one vector that returns its gradient too, for torch's optimisers."""
 
-    def __init__(self, regressions: Sequence[TrainingData]) -> None:
-        runs = [(s, v, x) for e in regressions for (s, v), x in zip(e.regression.drives, e.features, strict=True)]
-        self.n = max(v.size for _, v, _ in runs)
-        self.n_fft = 1 << (2 * self.n).bit_length()
-        self.heat = torch.zeros(len(runs), self.n, dtype=torch.float64)
-        self.features = torch.zeros(len(runs), self.n, 4, dtype=torch.float64)
-        for i, (s, v, x) in enumerate(runs):
-            self.heat[i, : v.size] = torch.tensor(s * v)
-            self.features[i, : v.size] = torch.tensor(np.array(x))
-        self.items = []
-        first = 0
-        for e in regressions:
-            last = first + len(e.regression.drives)
-            whitener = e.residuals.whitener()
-            target = whitener @ (e.regression.target - e.residuals.mean)
-            rows = torch.tensor(e.regression.rows)
-            of = [
-                (torch.tensor(target[part]), torch.tensor(whitener[part])) for part in (e.split.train, e.split.judged)
-            ]
-            self.items.append((first, last, rows, of))
-            first = last
-        self.n_train = sum(e.split.train.size for e in regressions)
+    @staticmethod
+    def forward(ctx: Any, parameters: Tensor, function: Callable[[Array], tuple[float, Array]]) -> Tensor:
+        """The value; `function` gives value and gradient (P,)."""
+        value, gradient = function(parameters.detach().numpy())
+        ctx.gradient = torch.from_numpy(gradient)
+        return torch.tensor(value, dtype=torch.float64)
 
-    def whitened(self, operator: ForcedResponseOperator, poles: Tensor, gains: Tensor, *, judged: bool) -> Tensor:
-        """Return the whitened residuals of the training rows, or of the held-out rows, with these modes (r,) each."""
-        drive = operator.modulation(self.features) * self.heat
-        response = causal_convolution(impulse_response(poles, gains, self.n), drive, self.n_fft)
-        response = torch.nn.functional.pad(response, (1, 0))
-        parts = []
-        for first, last, rows, of in self.items:
-            target, whitener = of[judged]
-            forced = response[first] if last == first + 1 else response[first:last].sum(0)
-            parts.append(target - whitener @ forced[rows])
-        return torch.cat(parts)
+    @staticmethod
+    def backward(ctx: Any, outer: Tensor) -> tuple[Tensor, None]:
+        """The gradient times that of what follows."""
+        return outer * ctx.gradient, None
 
 
-def impulse_response(poles: Tensor, gains: Tensor, n_steps: int) -> Tensor:
-    """Return the impulse response Σ g_i a_i^k for k = 0 … n − 1, shape (n,), K, of `poles` and `gains` (r,)."""
-    steps = torch.arange(n_steps, dtype=torch.float64)
-    return gains @ poles[:, None] ** steps
-
-
-def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
-    """Return the first n values of the convolution of `drive` (..., n) with `kernel` (n,); `n_fft` at least 2n."""
-    n = drive.shape[-1]
-    product = torch.fft.rfft(drive, n_fft) * torch.fft.rfft(kernel, n_fft)
-    return torch.fft.irfft(product, n_fft)[..., :n]
+def loss_of(parameters: Tensor, misfit: Misfit) -> Tensor:
+    """Value of `misfit` at `parameters` (P,) as a tensor that has its gradient."""
+    return torch.as_tensor(_Loss.apply(parameters, misfit))
 
 
 def train(
@@ -142,22 +101,13 @@ def train(
             operator.hidden.bias.normal_(0.0, _HIDDEN_SD)
             operator.output.weight.zero_()
             operator.output.bias.zero_()
-    batch = _Batch(regressions)
-    known = ModePenalty(priors, operator)
-
-    def judged() -> Array:
-        with torch.no_grad():
-            return batch.whitened(operator, operator.poles, operator.gains, judged=True).numpy()
-
-    def loss() -> Tensor:
-        poles = operator.poles
-        gains = operator.gains_at(poles)
-        away = 2.0 * (known(poles, gains) + network_penalty(operator, modulation_sd))
-        return ((batch.whitened(operator, poles, gains, judged=False) ** 2).sum() + away) / batch.n_train
-
-    linear = judged()
-    losses = minimise(loss, list(operator.parameters()), config)
-    return TrainingResult(operator.numpy(), linear, judged(), np.array(losses))
+    misfit = Misfit(start, regressions, priors, modulation_sd)
+    parameters = torch.nn.Parameter(parameters_to_vector(operator.parameters()).detach())
+    linear = misfit.judged(parameters.detach().numpy())
+    losses = minimise(lambda: loss_of(parameters, misfit), [parameters], config)
+    judged = misfit.judged(parameters.detach().numpy())
+    vector_to_parameters(parameters.detach(), operator.parameters())
+    return TrainingResult(operator.numpy(), linear, judged, np.array(losses))
 
 
 def minimise(loss: Callable[[], Tensor], parameters: list[Tensor], config: IdentificationConfig) -> list[float]:
@@ -195,37 +145,3 @@ def minimise(loss: Callable[[], Tensor], parameters: list[Tensor], config: Ident
 
 def _rms(residual: Array) -> float:
     return float(np.sqrt(np.mean(residual**2))) if residual.size else float("nan")
-
-
-def network_penalty(operator: ForcedResponseOperator, modulation_sd: float) -> Tensor:
-    """Return the negative log prior of the weights: hidden ones sd 1, output such that m − 1 has `modulation_sd`."""
-    hidden = sum((p**2).sum() for p in operator.hidden.parameters())
-    if operator.gamma == 0.0:
-        return torch.as_tensor(0.5 * hidden)
-    output_sd = modulation_sd / operator.gamma
-    weights = (operator.output.weight**2).sum() * operator.output.in_features + (operator.output.bias**2).sum()
-    return 0.5 * hidden + 0.5 * weights / output_sd**2
-
-
-class ModePenalty:
-    """Negative log prior of time constants and gains (up to a constant)."""
-
-    def __init__(self, priors: ModePriors, operator: ForcedResponseOperator) -> None:
-        mean, sd = priors.gains_at(priors.log_tau)
-        self._by_rate = priors.order > 1
-        if self._by_rate:
-            # The prior of the slowest mode is on its rate G/τ, independent of its time constant.
-            mean[-1], sd[-1] = priors.slowest_rate
-        spread = np.full(priors.order, priors.log_tau_sd)
-        self._mean, self._sd = (torch.tensor(np.concatenate(both)) for both in ((mean, priors.log_tau), (sd, spread)))
-        self._hours, self._sign = operator.step_s / HOUR_S, operator.sign
-
-    def __call__(self, poles: Tensor, gains: Tensor) -> Tensor:
-        """The penalty of `poles` and `gains` (r,)."""
-        tau = -self._hours / torch.log(poles)
-        steady = self._sign * gains / (1.0 - poles)
-        rates = steady / tau
-        known = [rates.sum()[None], steady[1:]]
-        if self._by_rate:
-            known = [rates.sum()[None], steady[1:-1], rates[-1:]]
-        return 0.5 * (((torch.cat([*known, torch.log(tau)]) - self._mean) / self._sd) ** 2).sum()

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils import parameters_to_vector
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.train import causal_convolution, impulse_response, minimise
+from thermoforce_mpc.identification.disturbance import Disturbance
+from thermoforce_mpc.identification.likelihood import Residuals, Split
+from thermoforce_mpc.identification.misfit import Misfit, TrainingData
+from thermoforce_mpc.identification.modes import ModePriors
+from thermoforce_mpc.identification.regression_data import RegressionData
+from thermoforce_mpc.identification.train import loss_of, minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
+from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 from thermoforce_mpc.research.bench.operator_speed import Comparison, median_s, must_agree, random_operator
@@ -22,62 +28,77 @@ from thermoforce_mpc.research.many_buildings import fit_two_stage_many
 _NOISE_K = 0.05
 # Relative tolerance between batched and single identification; the solver of the latter stops within a tolerance.
 _SAME_POLE = 1e-3
+# Standard deviation of a prior that says nothing.
+_WEAK = 1e9
 
 
 class _Task:
-    """Training of an operator on noisy rollouts of another; loss by convolution and by a loop over the steps."""
+    """Training of an operator on noisy rollouts of another; the same loss by `Misfit` and by a loop over the steps."""
 
     def __init__(self, n_steps: int, rollouts: int) -> None:
         rng = np.random.default_rng(0)
         self.n, self.rollouts = n_steps, rollouts
-        self.n_fft = 1 << (2 * n_steps).bit_length()
-        self.features = torch.tensor(rng.normal(size=(rollouts, n_steps, 4)))
-        self.heat = torch.tensor(rng.uniform(size=(rollouts, n_steps)))
+        features, heat = rng.normal(size=(rollouts, n_steps, 4)), rng.uniform(size=(rollouts, n_steps))
+        self.features, self.heat = torch.tensor(features), torch.tensor(heat)
+        base = random_operator(3, 1)
+        # Initial operator, always the same, with gains and weights that differ from the target operator.
+        self._start = OperatorParameters(**{**vars(base), "gains": 0.5 * base.gains})
         with torch.no_grad():
-            clean = self._forced(ForcedResponseOperator(random_operator(3, 7)))
+            clean = torch.stack(self._states(ForcedResponseOperator(random_operator(3, 7))), dim=1)
         self.target = clean + _NOISE_K * torch.tensor(rng.normal(size=(rollouts, n_steps)))
+        rows = np.arange(1, n_steps + 1)
+        disturbance = Disturbance.independent(np.asarray(rows * base.step_s), 1.0)
+        data = [
+            TrainingData(
+                RegressionData(target, rows, disturbance, base.step_s, ((1, v),), np.empty((0, len(INPUTS)))),
+                (x,),
+                Residuals(np.zeros(n_steps), np.empty((n_steps, 0)), disturbance),
+                Split(rows - 1, rows[:0]),
+            )
+            for target, v, x in zip(self.target.numpy(), heat, features, strict=True)
+        ]
+        unknown = ModePriors(np.zeros(3), _WEAK, np.zeros(3), np.full(3, _WEAK), (0.0, _WEAK))
+        self.misfit = Misfit(self._start, data, unknown, modulation_sd=_WEAK)
 
     def start(self) -> ForcedResponseOperator:
-        """Initial operator, always the same, with gains and weights that differ from the target operator."""
-        base = random_operator(3, 1)
-        return ForcedResponseOperator(OperatorParameters(**{**vars(base), "gains": 0.5 * base.gains}))
-
-    def fast(self, operator: ForcedResponseOperator) -> Tensor:
-        """Mean squared error by one convolution over all steps of all rollouts."""
-        return ((self._forced(operator) - self.target) ** 2).mean()
+        """Initial operator."""
+        return ForcedResponseOperator(self._start)
 
     def loop(self, operator: ForcedResponseOperator) -> Tensor:
-        """Mean squared error by a loop over the steps, for all rollouts at once."""
-        state = torch.zeros(self.rollouts, 3, dtype=torch.float64)
-        total = torch.zeros((), dtype=torch.float64)
+        """The loss by a loop over the steps, for all rollouts at once."""
+        known = (operator.hidden.weight**2).sum() + (operator.hidden.bias**2).sum()
+        error = torch.stack(self._states(operator), dim=1) - self.target
+        return ((error**2).sum() + known) / self.target.numel()
+
+    def _states(self, operator: ForcedResponseOperator) -> list[Tensor]:
+        """Forced response after each step, (rollouts,) each."""
+        state, found = torch.zeros(self.rollouts, 3, dtype=torch.float64), []
         for t in range(self.n):
             drive = operator.modulation(self.features[:, t]) * self.heat[:, t]
             state = operator.poles * state + operator.gains * drive[:, None]
-            total = total + ((state.sum(-1) - self.target[:, t]) ** 2).sum()
-        return total / self.target.numel()
+            found.append(state.sum(-1))
+        return found
 
-    def _forced(self, operator: ForcedResponseOperator) -> Tensor:
-        drive = operator.modulation(self.features) * self.heat
-        return causal_convolution(impulse_response(operator.poles, operator.gains, self.n), drive, self.n_fft)
+
+def _vector(operator: ForcedResponseOperator) -> Tensor:
+    return parameters_to_vector(operator.parameters()).detach()
 
 
 def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Comparison:
-    """Compare one epoch (loss and gradient): convolution against a loop over the steps for all rollouts at once."""
+    """Compare one epoch (loss and gradient): the package's against a loop over the steps for all rollouts at once."""
     task = _Task(n_steps, rollouts)
     operator = task.start()
-    must_agree("training loss", task.fast(operator).detach().numpy(), task.loop(operator).detach().numpy())
+    vector = _vector(operator).numpy()
+    must_agree("training loss", np.array(task.misfit(vector)[0]), task.loop(operator).detach().numpy())
 
-    def epoch(loss: Callable[[ForcedResponseOperator], Tensor]) -> Callable[[], object]:
-        def run() -> None:
-            operator.zero_grad()
-            loss(operator).backward()
-
-        return run
+    def by_loop() -> None:
+        operator.zero_grad()
+        task.loop(operator).backward()
 
     return Comparison(
         f"epoch of training, {rollouts} rollouts of {n_steps} steps",
-        median_s(epoch(task.loop), max(3, repeats // 3)),
-        median_s(epoch(task.fast), repeats),
+        median_s(by_loop, max(3, repeats // 3)),
+        median_s(lambda: task.misfit(vector), repeats),
     )
 
 
@@ -95,16 +116,16 @@ def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> 
     plain_s = perf_counter() - began
 
     def train() -> None:
-        operator = task.start()
+        parameters = torch.nn.Parameter(_vector(task.start()))
 
-        def loss() -> Tensor:
-            value = task.fast(operator)
-            if float(value.detach()) <= aim:
+        def value() -> Tensor:
+            found = loss_of(parameters, task.misfit)
+            if float(found.detach()) <= aim:
                 raise _Reached
-            return value
+            return found
 
         try:
-            minimise(loss, list(operator.parameters()), IdentificationConfig(epochs=5000))
+            minimise(value, [parameters], IdentificationConfig(epochs=5000))
         except _Reached:
             return
         raise ArithmeticError(f"training: L-BFGS ended above the loss that Adam reached, {aim:g}")

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.train import causal_convolution
 from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
@@ -151,3 +150,10 @@ def _fit(training: Training, decay: float) -> FreeGain:
         mean=mean,
         scale=scale,
     )
+
+
+def causal_convolution(kernel: Tensor, drive: Tensor, n_fft: int) -> Tensor:
+    """Return the first n values of the convolution of `drive` (..., n) with `kernel` (n,); `n_fft` at least 2n."""
+    n = drive.shape[-1]
+    product = torch.fft.rfft(drive, n_fft) * torch.fft.rfft(kernel, n_fft)
+    return torch.fft.irfft(product, n_fft)[..., :n]

@@ -1,0 +1,79 @@
+"""The loss of the training and its gradient, against the operator as a torch module."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from houses import House, record
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.identification import IdentificationConfig
+from thermoforce_mpc.identification.likelihood import Split, residuals
+from thermoforce_mpc.identification.misfit import Misfit, TrainingData
+from thermoforce_mpc.identification.modes import mode_priors, to_operator
+from thermoforce_mpc.identification.regression_data import run_regression
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
+from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
+
+SD, GAMMA = 0.15, 0.6
+
+
+def by_torch(operator, data, priors):
+    """The definition: squares of the whitened residuals of the training rows, and the priors, per row."""
+    poles, gains, total, rows = operator.poles, operator.gains * operator.sign, 0.0, 0
+    for e in data:
+        drives = [torch.tensor(s * v) for s, v in e.regression.drives]
+        drive = sum(v * operator.modulation(torch.tensor(x)) for v, x in zip(drives, e.features, strict=True))
+        forced = [torch.zeros_like(poles)]
+        for v in drive:
+            forced.append(poles * forced[-1] + operator.gains * v)
+        left = torch.tensor(e.regression.target - e.residuals.mean) - torch.stack(forced).sum(1)[e.regression.rows]
+        whitened = torch.tensor(e.residuals.whitener()) @ left
+        total, rows = total + (whitened[e.split.train] ** 2).sum(), rows + e.split.train.size
+    tau = -operator.step_s / HOUR_S / torch.log(poles)
+    steady = gains / (1.0 - poles)
+    known = torch.cat([(steady / tau).sum()[None], steady[1:]])
+    mean, sd = (torch.tensor(x) for x in priors.gains_at(priors.log_tau))
+    if priors.order > 1:
+        known = torch.cat([known[:-1], (steady / tau)[-1:]])
+        mean, sd = (
+            torch.cat([x[:-1], torch.tensor([y])]) for x, y in zip((mean, sd), priors.slowest_rate, strict=True)
+        )
+    away = (torch.log(tau) - torch.tensor(priors.log_tau)) / priors.log_tau_sd
+    weights = (operator.hidden.weight**2).sum() + (operator.hidden.bias**2).sum()
+    output = (operator.output.weight**2).sum() * operator.output.in_features + operator.output.bias[0] ** 2
+    return (total + (((known - mean) / sd) ** 2).sum() + (away**2).sum() + weights + output * (GAMMA / SD) ** 2) / rows
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_value_and_gradient_are_those_of_the_definition(order, sign):
+    config = IdentificationConfig()
+    priors = mode_priors(order, config, IDENTITY, None)
+    data = []
+    for seed, days in ((1, 1.0), (2, 1.25)):
+        run = record(House(), days, seed=seed, noise_K=0.01)
+        e = run_regression(run, IDENTITY, config)
+        x = feature_matrix(run.T_zone_C[0, :-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1])
+        rows = np.arange(e.rows.size)
+        data.append(TrainingData(e, (x,), residuals(e, priors.log_tau), Split(rows[:70], rows[70:])))
+    start = to_operator(
+        priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=priors.bounds_h(), sign=sign,
+        gamma=GAMMA, hidden=4, heat_input=IDENTITY, feature_mean=np.array([20.0, 4.0, 60.0, 0.0]),
+        feature_scale=np.array([2.0, 4.0, 90.0, 0.7]),
+    )  # fmt: skip
+    operator = ForcedResponseOperator(start)
+    values = parameters_to_vector(operator.parameters()).detach()
+    values += 0.3 * torch.tensor(np.random.default_rng(order).normal(size=values.shape))
+    vector_to_parameters(values, operator.parameters())
+    expected = by_torch(operator, data, priors)
+    expected.backward()
+    gradient = parameters_to_vector([p.grad for p in operator.parameters()]).numpy()
+
+    misfit = Misfit(start, data, priors, SD)
+    value, found = misfit(values.numpy())
+    assert value == pytest.approx(float(expected.detach()), rel=1e-10)
+    np.testing.assert_allclose(found, gradient, rtol=1e-7, atol=1e-9 * np.abs(gradient).max())
