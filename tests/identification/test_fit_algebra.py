@@ -113,3 +113,5 @@ def test_bounded_least_squares_agree_with_scipys():
         found = BoundedLeastSquares(system, positive)
         np.testing.assert_allclose(found.values, expected.x, atol=1e-7)
         assert found.squares == pytest.approx(2.0 * expected.cost, rel=1e-9)
+        normal = system[:, :-1].T @ system[:, :-1]
+        assert found.log_determinant == pytest.approx(np.linalg.slogdet(normal)[1], abs=1e-9)

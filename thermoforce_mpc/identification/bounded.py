@@ -52,3 +52,8 @@ class BoundedLeastSquares:
         if free:
             values[self._order[:free]] = dtrtrs(R[:free, :free], R[:free, -1] - R[:free, free:-1] @ self._bounded)[0]
         return values
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the design's normal equations."""
+        return 2.0 * float(np.log(np.abs(np.diagonal(self._R)[: self._order.size])).sum())

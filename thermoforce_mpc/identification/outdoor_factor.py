@@ -126,8 +126,8 @@ def _log_evidence(
 def _solved(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:
     """Log evidence of the linear part at the prior time constants (Laplace), and RMS of its whitened residual."""
     whole, positive, rows = system(regressions, priors.log_tau, priors, sign)
-    design = whole[:, :-1]
-    residual = design @ BoundedLeastSquares(whole, positive).values - whole[:, -1]
-    log_evidence = -0.5 * float(residual @ residual + np.linalg.slogdet(design.T @ design)[1])
+    found = BoundedLeastSquares(whole, positive)
+    log_evidence = -0.5 * (found.squares + found.log_determinant)
     log_evidence -= float(np.log(priors.gains_at(priors.log_tau)[1]).sum())
-    return log_evidence, float(np.sqrt(np.mean(residual[:rows] ** 2)))
+    residual = whole[:rows, :-1] @ found.values - whole[:rows, -1]
+    return log_evidence, float(np.sqrt(np.mean(residual**2)))

@@ -48,17 +48,21 @@ def innovation_form(variance: Array, decay: Array, noise: float) -> tuple[Array,
         Gains (n, k) and standard deviations (n,) of the innovations.
     """
     n, k = decay.shape
-    gain, sd = np.empty((n, k)), np.empty(n)
-    P = np.diag(variance)
+    gain, sd, shared, P = np.empty((n, k)), np.empty(n), np.empty(k), np.zeros((k, k))
+    for i in range(k):
+        P[i, i] = variance[i]
     for t in range(n):
-        shared = P.sum(axis=1)
-        total = shared.sum() + noise
-        sd[t] = np.sqrt(total)
-        gain[t] = shared / total
+        total = noise
         for i in range(k):
+            shared[i] = 0.0
             for j in range(k):
-                left = P[i, j] - shared[i] * shared[j] / total
-                P[i, j] = decay[t, i] * decay[t, j] * left
+                shared[i] += P[i, j]
+            total += shared[i]
+        sd[t] = np.sqrt(total)
+        for i in range(k):
+            gain[t, i] = shared[i] / total
+            for j in range(k):
+                P[i, j] = decay[t, i] * decay[t, j] * (P[i, j] - shared[i] * shared[j] / total)
             P[i, i] += variance[i] * (1.0 - decay[t, i] ** 2)
     return gain, sd
 
@@ -107,7 +111,9 @@ def covariance(variance: Array, decay: Array, noise: float) -> Array:
     out = np.empty((n, n))
     for first in range(n):
         shared = variance.copy()
-        out[first, first] = shared.sum() + noise
+        out[first, first] = noise
+        for i in range(k):
+            out[first, first] += variance[i]
         for t in range(first + 1, n):
             total = 0.0
             for i in range(k):
