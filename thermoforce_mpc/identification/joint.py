@@ -18,20 +18,11 @@ from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.bounded import BoundedLeastSquares
+from thermoforce_mpc.identification.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.modes import ModePriors, poles
 from thermoforce_mpc.identification.reduction import Reduction, whitened_rows
-from thermoforce_mpc.identification.regression_data import (
-    FREE_PRIOR,
-    REFERENCE_C,
-    RegressionData,
-    free_prior,
-    free_time_constants,
-    likely_scale,
-    other_prior,
-    scaled,
-    start_sd,
-)
+from thermoforce_mpc.identification.regression_data import FREE_PRIOR, REFERENCE_C, RegressionData, likely_scale, scaled
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Function evaluations of the search per time constant.

@@ -19,9 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.bounded import triangle
-from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.regression_data import (
-    RegressionData,
+from thermoforce_mpc.identification.columns import (
     free_columns,
     free_prior,
     free_time_constants,
@@ -29,6 +27,8 @@ from thermoforce_mpc.identification.regression_data import (
     other_prior,
     start_sd,
 )
+from thermoforce_mpc.identification.disturbance import Disturbance
+from thermoforce_mpc.identification.regression_data import RegressionData
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.cases import Case
+from thermoforce_mpc.identification.columns import forced_columns
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import ModeFit, fit_modes
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.reduction import Reduction
-from thermoforce_mpc.identification.regression_data import RegressionData, follows_action, forced_columns
+from thermoforce_mpc.identification.regression_data import RegressionData, follows_action
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A lower order is chosen only if it is better on held-out rows with this probability (Student's t) and by this share of

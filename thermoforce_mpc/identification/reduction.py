@@ -8,7 +8,8 @@ import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.bounded import triangle
-from thermoforce_mpc.identification.regression_data import FREE_PRIOR, RegressionData, all_columns, free_time_constants
+from thermoforce_mpc.identification.columns import all_columns, free_time_constants
+from thermoforce_mpc.identification.regression_data import FREE_PRIOR, RegressionData
 
 
 def whitened_rows(regressions: Sequence[RegressionData], log_tau: Array, sign: int) -> list[Array]:

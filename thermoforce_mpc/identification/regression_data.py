@@ -1,20 +1,18 @@
-"""Regression form of runs and pairs: targets, disturbance covariance, and columns of forced and free response."""
+"""Regression form of runs and pairs: targets, disturbances, and what drives the forced and the free response."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H, IdentificationConfig
+from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.modes import from_filters, poles, unit_responses
 from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.identification.recursions import filtered
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -30,12 +28,6 @@ FREE_PRIOR: dict[str, tuple[float, float, float, float]] = {
     "daily_sine": (1.0, 0.0, 0.3, -np.inf),
     "solar_squared": (0.01, 0.0, 1.0, -np.inf),
 }
-# Weak priors of the level of the free response and of each mode's initial state, K.
-_LEVEL_SD_K = 50.0
-_START_SD_K = (3.0, 20.0, 50.0, 50.0)
-# Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
-_GROUND_H = 400.0
-_DEFAULT_FREE_LOG_TAU = np.log([*DEFAULT_TIME_CONSTANTS_H[3][1:], _GROUND_H])
 REFERENCE_C = 20.0
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
 # so the standard deviation per row is ten times as large.
@@ -190,91 +182,9 @@ def scaled(regressions: Sequence[RegressionData], scale: float) -> list[Regressi
     return [e if e.is_pair else replace(e, disturbance=e.disturbance.scaled(scale)) for e in regressions]
 
 
-def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Array:
-    """Return the forced response of each row per unit of [slope, G_2 … G_r], shape (rows, r), K."""
-    return np.asarray(sign * unit_responses(log_tau, regression.step_s, regression.drive, regression.rows))
-
-
-def other_columns(regression: RegressionData, log_tau: Array) -> Array:
-    """Return the response of each row to the other actuators, (rows, K r) K per unit of [slope, G_2 … G_r] of each."""
-    columns = [unit_responses(log_tau, regression.step_s, drive, regression.rows) for drive in regression.others]
-    return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
-
-
-def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
-    K, r = regression.others.shape[0], log_tau.size
-    if not K:
-        return np.empty(0), np.empty(0)
-    slope, gain, rate, rate_sd = regression.other_priors.T
-    mean, sd = np.zeros((K, r)), np.repeat(gain[:, None], r, axis=1)
-    sd[:, 0] = slope
-    if r > 1:
-        tau = float(np.exp(log_tau[-1]))
-        mean[:, -1], sd[:, -1] = rate * tau, rate_sd * tau
-    return mean.ravel(), sd.ravel()
-
-
 def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:
     """Return which rows lie within `hours` after a step with a nonzero drive (pair: drive difference), (rows,)."""
     done = np.abs(regression.drive) > 0.0
     before = np.concatenate([[0], np.cumsum(done)])
     reach = max(1, round(hours * HOUR_S / regression.step_s))
     return np.asarray(before[regression.rows] > before[np.maximum(regression.rows - reach, 0)])
-
-
-def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
-    q = free_time_constants(log_tau).size
-    found = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
-    return found[:, : -(q + 1)], found[:, -(q + 1) :]
-
-
-def all_columns(regression: RegressionData, log_tau: Array) -> Array:
-    """Return the columns of all parameters (rows, p), signs of the actuators aside.
-
-    Forced response to the own and to the other actuators, r each; of a run then those of `free_columns`.
-    """
-    r, K = log_tau.size, regression.others.shape[0]
-    free = np.empty(0) if regression.is_pair else free_time_constants(log_tau)
-    fastest = log_tau[:1] if r > 1 else np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
-    signal_of, start = _filters(r, K, free.size)
-    acting, weather = np.tile(log_tau, 1 + K), np.tile(free, len(FREE_PRIOR))
-    level = () if regression.is_pair else ((np.inf,), fastest)
-    pole = poles(np.concatenate([acting, weather, *level, free]), regression.step_s)
-    states = filtered(regression.signals, signal_of, pole, start, regression.rows)
-    states[:, : acting.size] = from_filters(states[:, : acting.size].reshape(-1, 1 + K, r), log_tau).reshape(
-        -1, acting.size
-    )
-    return states
-
-
-@cache
-def _filters(r: int, K: int, q: int) -> tuple[NDArray[np.intp], Array]:
-    """Signal and start of the filter of each column of `all_columns`, for `recursions.filtered`; a pair has q = 0."""
-    signals = [*np.repeat(np.arange(1 + K), r), *np.repeat(1 + K + np.arange(len(FREE_PRIOR)), q)]
-    begun = 1 + (q + 1) if q else 0  # the level, which stays, and the initial states, which decay
-    signal_of = np.array(signals + [1 + K + len(FREE_PRIOR)] * begun, dtype=np.intp)
-    start = np.concatenate([np.zeros(len(signals)), np.ones(begun)])
-    return signal_of, start
-
-
-def free_time_constants(log_tau: Array) -> Array:
-    """Return ln τ of the free modes: the slow modes of an operator of order 3 (or of its prior), and the ground."""
-    if log_tau.size != 3:
-        return _DEFAULT_FREE_LOG_TAU
-    return np.concatenate([log_tau[1:], _DEFAULT_FREE_LOG_TAU[-1:]])
-
-
-@cache
-def free_prior(n_free: int) -> tuple[Array, Array, Array]:
-    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
-    entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
-    found = np.array(entries).T
-    found.setflags(write=False)  # shared by all callers
-    return found[0], found[1], found[2]
-
-
-def start_sd(n_modes: int) -> Array:
-    """Return the prior standard deviation of a run's initial state per mode, K, shape (n_modes,)."""
-    return np.asarray(_START_SD_K[-n_modes:])

@@ -1,0 +1,123 @@
+"""Columns of the regression for given time constants, one per parameter, and the priors of the parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H
+from thermoforce_mpc.identification.modes import from_filters, poles, unit_responses
+from thermoforce_mpc.identification.recursions import filtered
+from thermoforce_mpc.identification.regression_data import FREE_PRIOR, RegressionData
+
+# Weak priors of the level of the free response and of each mode's initial state, K.
+_LEVEL_SD_K = 50.0
+_START_SD_K = (3.0, 20.0, 50.0, 50.0)
+# Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
+_GROUND_H = 400.0
+_DEFAULT_FASTEST_LOG_TAU = np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
+_NEVER = np.array([np.inf])
+_DEFAULT_FREE_LOG_TAU = np.log([*DEFAULT_TIME_CONSTANTS_H[3][1:], _GROUND_H])
+
+
+def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Array:
+    """Return the forced response of each row per unit of [slope, G_2 … G_r], shape (rows, r), K."""
+    return np.asarray(sign * unit_responses(log_tau, regression.step_s, regression.drive, regression.rows))
+
+
+def other_columns(regression: RegressionData, log_tau: Array) -> Array:
+    """Return the response of each row to the other actuators, (rows, K r) K per unit of [slope, G_2 … G_r] of each."""
+    columns = [unit_responses(log_tau, regression.step_s, drive, regression.rows) for drive in regression.others]
+    return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
+
+
+def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
+    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
+    K, r = regression.others.shape[0], log_tau.size
+    if not K:
+        return np.empty(0), np.empty(0)
+    slope, gain, rate, rate_sd = regression.other_priors.T
+    mean, sd = np.zeros((K, r)), np.repeat(gain[:, None], r, axis=1)
+    sd[:, 0] = slope
+    if r > 1:
+        tau = float(np.exp(log_tau[-1]))
+        mean[:, -1], sd[:, -1] = rate * tau, rate_sd * tau
+    return mean.ravel(), sd.ravel()
+
+
+def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
+    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
+    q = free_time_constants(log_tau).size
+    found = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
+    return found[:, : -(q + 1)], found[:, -(q + 1) :]
+
+
+def all_columns(regression: RegressionData, log_tau: Array) -> Array:
+    """Return the columns of all parameters (rows, p), signs of the actuators aside.
+
+    Forced response to the own and to the other actuators, r each; of a run then those of `free_columns`.
+    """
+    r, K = log_tau.size, regression.others.shape[0]
+    filters = _Filters.of(r, K, regression.is_pair)
+    fastest = log_tau[:1] if r > 1 else _DEFAULT_FASTEST_LOG_TAU
+    modes = poles(np.concatenate([log_tau, fastest, free_time_constants(log_tau), _NEVER]), regression.step_s)
+    states = filtered(regression.signals, filters.signal, modes[filters.mode], filters.start, regression.rows)
+    acting = (1 + K) * r
+    states[:, :acting] = from_filters(states[:, :acting].reshape(-1, 1 + K, r), log_tau).reshape(-1, acting)
+    return states
+
+
+@dataclass(frozen=True)
+class _Filters:
+    """Signal, mode and state at the start of the filter of each column of `all_columns`, (p,) each.
+
+    See `recursions.filtered`. Modes are the r of the operator, the fastest of the initial state, the q free
+    ones, and one that never decays.
+    """
+
+    signal: NDArray[np.intp]
+    mode: NDArray[np.intp]
+    start: Array
+
+    @staticmethod
+    @cache
+    def of(r: int, K: int, is_pair: bool) -> _Filters:
+        """Those of an operator of order r with K other actuators."""
+        q = _DEFAULT_FREE_LOG_TAU.size
+        weather, free = len(FREE_PRIOR), r + 1 + np.arange(q)
+        signal, mode = np.repeat(np.arange(1 + K), r), np.tile(np.arange(r), 1 + K)
+        start = np.zeros(signal.size)
+        if not is_pair:
+            # The level, which stays, and the initial states, which decay, have no signal.
+            alone = [r + 1 + q, r, *free]
+            signal = np.concatenate(
+                [signal, np.repeat(1 + K + np.arange(weather), q), np.full(len(alone), 1 + K + weather)]
+            )
+            mode = np.concatenate([mode, np.tile(free, weather), alone])
+            start = np.concatenate([start, np.zeros(weather * q), np.ones(len(alone))])
+        return _Filters(signal.astype(np.intp), mode.astype(np.intp), start)
+
+
+def free_time_constants(log_tau: Array) -> Array:
+    """Return ln τ of the free modes: the slow modes of an operator of order 3 (or of its prior), and the ground."""
+    if log_tau.size != 3:
+        return _DEFAULT_FREE_LOG_TAU
+    return np.concatenate([log_tau[1:], _DEFAULT_FREE_LOG_TAU[-1:]])
+
+
+@cache
+def free_prior(n_free: int) -> tuple[Array, Array, Array]:
+    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
+    entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
+    found = np.array(entries).T
+    found.setflags(write=False)  # shared by all callers
+    return found[0], found[1], found[2]
+
+
+def start_sd(n_modes: int) -> Array:
+    """Return the prior standard deviation of a run's initial state per mode, K, shape (n_modes,)."""
+    return np.asarray(_START_SD_K[-n_modes:])
