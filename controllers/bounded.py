@@ -8,13 +8,11 @@ bounded this way: solvers get limits of their own as well.
 
 from __future__ import annotations
 
-import math
 import queue
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -49,7 +47,7 @@ class _Left:
 
 
 class BoundedCalls:
-    """Makes calls one at a time, each with a deadline where there is one (`within`).
+    """Makes calls one at a time, each within a time where one is given.
 
     Args:
         most_abandoned: calls that may be left behind at a time.
@@ -60,24 +58,14 @@ class BoundedCalls:
         self._jobs: queue.SimpleQueue[_Job | None] | None = None
         self._thread: threading.Thread | None = None
         self._left: list[_Left] = []
-        self._until_s = math.inf
 
-    @contextmanager
-    def within(self, seconds: float) -> Iterator[None]:
-        """Calls made inside share this time, s; outside there is no deadline."""
-        before = self._until_s
-        self._until_s = time.monotonic() + seconds
-        try:
-            yield
-        finally:
-            self._until_s = before
-
-    def __call__(self, owner: object, call: Callable[[], Result]) -> Result:
+    def __call__(self, owner: object, call: Callable[[], Result], seconds: float | None = None) -> Result:
         """Return what `call` returns, or raise what it raises.
 
         Args:
             owner: the object whose method is called; it is not called again while a call on it is left behind.
             call: what is called, without arguments.
+            seconds: how long to wait for its answer, s; None: for ever.
 
         Raises:
             Overdue: there was no answer in time, an earlier call of `owner` has not returned yet, or too many calls
@@ -92,19 +80,18 @@ class BoundedCalls:
         if len(self._left) >= self._most:
             raise Overdue(f"{len(self._left)} calls have not returned: no more are started")
         job, began_s = _Job(call), time.monotonic()
-        left_s = self._until_s - began_s
-        if left_s <= 0.0:
+        if seconds is not None and seconds <= 0.0:
             raise Overdue("no time is left in this step")
         self._worker().put(job)
         answered = False
         try:
-            answered = job.done.wait(None if math.isinf(left_s) else left_s)
+            answered = job.done.wait(seconds)
         finally:
             if not answered:  # also where the wait was interrupted
                 self._left.append(_Left(owner, job, began_s))
                 self._dismiss()
         if not answered:
-            raise Overdue(f"no answer within {left_s:.3g} s")
+            raise Overdue(f"no answer within {seconds:.3g} s")
         if job.error is None:
             return job.result
         if not isinstance(job.error, Exception):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -31,6 +30,7 @@ from controllers.sensor_state import SensorState
 from controllers.solvers import Solver, build_solver
 from controllers.watch import Watch, WatchState
 from controllers.watched import WatchedPredictions
+from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedStateEstimator
@@ -42,7 +42,6 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
 
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
@@ -53,6 +52,9 @@ _SOLVERS_ABANDONED = 3
 
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _PLANNERS_KEPT = 4
+
+# What each actuator's model differs in from the identified one; None where in nothing.
+_Factors = tuple[tuple[float, float, float] | None, ...]
 
 
 class ThermoForceMPC(FallingBack):
@@ -130,7 +132,7 @@ class ThermoForceMPC(FallingBack):
             Watch(c.watch, zone, n_steps, partial(self._expected_power_W, a)) for a, zone in enumerate(self._zones)
         ]
         self._watched = WatchedPredictions(watches, self._planner, model)
-        self._calls = BoundedCalls(len(layout.names.zones) + _SOLVERS_ABANDONED)
+        self._answer = Answering(BoundedCalls(len(layout.names.zones) + _SOLVERS_ABANDONED))
         given = free_response or [_build_free_response(c.free_response, free) for free in model.free]
         methods = given if isinstance(given, Sequence) else [given] * len(layout.names.zones)
         self._free_responses = [self._with_substitutes(method) for method in methods]
@@ -142,7 +144,7 @@ class ThermoForceMPC(FallingBack):
         self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
         self._meters = Meters(layout, c.meter, c.meters)
         self._base = self._build_planner(model)
-        self._adapted: list[tuple[tuple[ZoneModel, ...], Planner]] = []
+        self._adapted: list[tuple[_Factors, Planner]] = []
 
     @property
     def model(self) -> ThermalModel:
@@ -189,6 +191,13 @@ class ThermoForceMPC(FallingBack):
             DataError: error of the caller: the observation is of another building, the boundary forecast is too short,
                 its step or that of the history is not `step_s`, or `state` is not from a plan of this controller.
         """
+        return answered(self.planning(observation, state), self._answer)
+
+    def planning(self, observation: Observation, state: object = None) -> Asking[Plan]:
+        """`plan` as a computation that asks for its forecasts and its solve, so that many plans are made together.
+
+        It changes nothing but caches: one controller may make the plans of several buildings of the same model.
+        """
         given, actuation = self._begun(observation, state, MPCState)
         actuators, zones = len(self._zones), len(self._layout.names.zones)
         before = given or MPCState(
@@ -200,11 +209,13 @@ class ThermoForceMPC(FallingBack):
             meters=self._meters.begin,
         )
         try:
-            return self._decided(observation, before, actuation)
+            return (yield from self._decided(observation, before, actuation))
         except Exception as error:  # whatever is wrong, the building is not left without control
             return self._released(before, actuation, f"no decision was made ({said(error)})")
 
-    def _decided(self, observation: Observation, before: MPCState, actuation: tuple[ActuationState, ...]) -> Plan:
+    def _decided(
+        self, observation: Observation, before: MPCState, actuation: tuple[ActuationState, ...]
+    ) -> Asking[Plan]:
         """The plan after `before`, with the actuators now at `actuation` (A,)."""
         actuators = len(self._zones)
         if before.failures >= self.config.fallback.cold_after:  # what it kept may be what fails
@@ -239,12 +250,12 @@ class ThermoForceMPC(FallingBack):
             if watch.alarm:
                 held[a] = Held(PlanStatus.WATCH, self._watched.reason(watch, observation.time_s))
         if any(watch.alarm for watch in now.watch):
-            with self._calls.within(self.config.deadline.forecast_s):
-                now = self._watched.shadowed(self._ahead(observation), now)
+            shadowed = self._watched.shadowed(self._ahead(observation), now)
+            now = yield from within(self.config.deadline.forecast_s, shadowed)
         if len(held) == actuators:
             plan = self._stood_back(observation, now, held, zones_now.T_C)
         else:
-            plan = self._planned(observation, now, held, zones_now, filled)
+            plan = yield from self._planned(observation, now, held, zones_now, filled)
         if news := "; ".join(filter(None, (zones_now.news, metered.news))):
             plan = replace(plan, why=f"{news}; {plan.why}")
         return self._watched.asked(observation, plan)
@@ -266,7 +277,7 @@ class ThermoForceMPC(FallingBack):
 
     def _planned(
         self, observation: Observation, now: MPCState, held: Mapping[int, Held], zones: Zones, filled: str
-    ) -> Plan:
+    ) -> Asking[Plan]:
         """Predict, solve and check; the fallback policy acts where one of them fails."""
         history, limits = observation.history, self.config.deadline
 
@@ -280,29 +291,27 @@ class ThermoForceMPC(FallingBack):
             planner = self._planner(adaptation)
             predictor = now.predictor
             if predictor and any(
-                before is not None and after is not None and before.model is not after.model
+                before is not None and after is not None and before.factors != after.factors
                 for before, after in zip(now.adaptation, adaptation, strict=True)
             ):
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
-            with self._calls.within(limits.forecast_s):
-                context = planner.predictor.context(self._ahead(observation), predictor)
+            contexting = planner.predictor.contexting(self._ahead(observation), predictor)
+            context = yield from within(limits.forecast_s, contexting)
             problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return fallen_back(f"no prediction ({said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
         now = replace(now, sensors=self._sensing.anchored(now.sensors, history, context))
         now = self._watched.put_down(now, context, planner)
-        began = time.perf_counter()
         try:
             solve = partial(planner.solver.solve, problem, self._guess(now.good, observation))
-            with self._calls.within(limits.solve_s):
-                solution = self._calls(planner.solver, solve)
+            solution, solve_s = yield from timed(asked(Ask(planner.solver, solve, seconds=limits.solve_s)))
             refused = solution.problem if not solution.ok else problem.unfit(solution.u)
         except Exception as error:  # likewise for solvers
             if isinstance(error, Overdue):
                 self._renew_solver(planner)
             return fallen_back(f"the solver failed ({said(error)})", "raised", context.seconds)
-        seconds = {**context.seconds, "solve": time.perf_counter() - began}
+        seconds = {**context.seconds, "solve": solve_s}
         if refused:
             return fallen_back(refused, solution.status, seconds)
         doubts = [zones.bridged, filled, context.free.doubt]
@@ -322,14 +331,15 @@ class ThermoForceMPC(FallingBack):
 
     def _planner(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
         """The planner of the building with adapted models of its actuators (A,), from the cache if present."""
-        zones = tuple(
-            zone if state is None else state.model for zone, state in zip(self._zones, adaptation, strict=True)
-        )
-        for known, planner in ((self._zones, self._base), *self._adapted):
-            if all(one is other for one, other in zip(zones, known, strict=True)):
+        factors = tuple(None if state is None or not state.adapted else state.factors for state in adaptation)
+        if not any(factors):
+            return self._base
+        for known, planner in self._adapted:
+            if known == factors:
                 return planner
+        zones = [zone if state is None else state.model for zone, state in zip(self._zones, adaptation, strict=True)]
         planner = self._build_planner(self._base.model.with_actuators(zones))
-        self._adapted = [*self._adapted, (zones, planner)][-_PLANNERS_KEPT:]
+        self._adapted = [*self._adapted, (factors, planner)][-_PLANNERS_KEPT:]
         return planner
 
     def _renew_solver(self, planner: Planner) -> None:
@@ -337,12 +347,12 @@ class ThermoForceMPC(FallingBack):
         renewed = replace(planner, solver=self._build_solver(planner.operator, self._assembly.machinery))
         if planner is self._base:
             self._base = renewed
-        self._adapted = [(zones, renewed if one is planner else one) for zones, one in self._adapted]
+        self._adapted = [(factors, renewed if one is planner else one) for factors, one in self._adapted]
 
     def _with_substitutes(self, method: FreeResponse) -> FreeResponse:
         if self.config.free_response.substitutes:
-            return WithSubstitutes(method, self._calls)
-        return WithSubstitutes(method, self._calls, substitutes=())
+            return WithSubstitutes(method)
+        return WithSubstitutes(method, substitutes=())
 
     def _build_planner(self, model: ThermalModel) -> Planner:
         # The operator must match the actuation: below the lowest level the machine switches.

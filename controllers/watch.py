@@ -229,7 +229,7 @@ class Watch:
         )
         assert used.adaptation is not None
         tracks = [used]
-        if used.adaptation.model is not self._model:
+        if used.adaptation.adapted:
             tracks.append(Track("the model as identified", self._adaptation.started(), _without_force(used.predictor)))
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
@@ -333,7 +333,7 @@ class Watch:
         change = ratio / max(float(np.median(before)), 1e-6)
         # A model that was adapted to the machine is no witness of how the machine was at first.
         used = state.tracks[0].adaptation
-        adapted = used is not None and used.model is not self._model
+        adapted = used is not None and used.adapted
         if any(1.0 / limit <= value <= limit for value in ((change,) if adapted else (ratio, change))):
             return "", state
         return f"the machine's {what} was {ratio:.0%} of the model's in the last hours ({change:.0%} of before)", state

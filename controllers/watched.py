@@ -13,6 +13,7 @@ from controllers.errors import said
 from controllers.own_record import own_context, own_record
 from controllers.planner import MPCState, Planner
 from controllers.watch import Track, Watch, WatchState
+from thermoforce_mpc.asking import Asking, together
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
@@ -76,7 +77,7 @@ class WatchedPredictions:
             states[a] = replace(states[a], tracks=(issued,))
         return replace(now, watch=tuple(states))
 
-    def shadowed(self, observation: Observation, now: MPCState) -> MPCState:
+    def shadowed(self, observation: Observation, now: MPCState) -> Asking[MPCState]:
         """The state with new predictions of the models that are judged while another controller acts.
 
         `observation` has the boundary forecast of the horizon.
@@ -85,14 +86,14 @@ class WatchedPredictions:
         for a, watch in enumerate(self._watches):
             if not states[a].alarm or not watch.due(observation.time_s):
                 continue
-            tracks = tuple(self._predicted(observation, now, a, track) for track in states[a].tracks)
-            states[a] = replace(states[a], tracks=tracks)
+            tracks = yield from together([self._predicted(observation, now, a, track) for track in states[a].tracks])
+            states[a] = replace(states[a], tracks=tuple(tracks))
         return replace(now, watch=tuple(states))
 
-    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Track:
+    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Asking[Track]:
         planner = self._planner(_with(now.adaptation, a, track.adaptation))
         try:
-            context = planner.predictor.context(observation, track.predictor)
+            context = yield from planner.predictor.contexting(observation, track.predictor)
         except Exception:  # as in planning; without predictions a model does not get control back
             return track
         if context.operator.home[a] in context.unmeasured:

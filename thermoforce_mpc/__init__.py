@@ -13,6 +13,7 @@ from thermoforce_mpc.version import VERSION as __version__
 if TYPE_CHECKING:
     from controllers.mpc import ThermoForceMPC
     from controllers.mpc_config import MPCConfig
+    from controllers.portfolio import Portfolio, plan_many
     from thermoforce_mpc.data import Boundary, Observation, Plan, Record
     from thermoforce_mpc.errors import ThermoForceError
     from thermoforce_mpc.identification.config import IdentificationConfig
@@ -30,6 +31,7 @@ __all__ = [
     "MPCConfig",
     "Observation",
     "Plan",
+    "Portfolio",
     "Record",
     "ThermalModel",
     "ThermoForceError",
@@ -38,6 +40,7 @@ __all__ = [
     "counterfactual",
     "identify",
     "load_model",
+    "plan_many",
     "read_forecast",
     "read_measurements",
     "run",
@@ -50,6 +53,7 @@ _HOME = {
     "MPCConfig": "controllers.mpc_config",
     "Observation": "thermoforce_mpc.data",
     "Plan": "thermoforce_mpc.data",
+    "Portfolio": "controllers.portfolio",
     "Record": "thermoforce_mpc.data",
     "ThermalModel": "thermoforce_mpc.model.thermal_model",
     "ThermoForceError": "thermoforce_mpc.errors",
@@ -57,6 +61,7 @@ _HOME = {
     "counterfactual": "thermoforce_mpc.whatif.counterfactual",
     "identify": "thermoforce_mpc.identification.pipeline",
     "load_model": "thermoforce_mpc.model.thermal_model",
+    "plan_many": "controllers.portfolio",
     "read_forecast": "thermoforce_mpc.measurements.forecast",
     "read_measurements": "thermoforce_mpc.measurements.load",
     "run": "thermoforce_mpc.simulation.run",

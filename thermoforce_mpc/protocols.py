@@ -1,4 +1,4 @@
-"""Structural protocols between packages: `Plant`, `FreeResponse`, `FollowingFreeResponse` and `Controller`.
+"""Structural protocols between packages: `Plant`, `FreeResponse` and its kinds, and `Controller`.
 
 Each free response and each controller is one file, listed in one registry.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
+from thermoforce_mpc.asking import Asking
 from thermoforce_mpc.data import (
     Array,
     Bands,
@@ -119,6 +120,17 @@ class FollowingFreeResponse(FreeResponse, Protocol):
 
     def follow(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> tuple[FreeForecast, object]:
         """Forecast as `forecast` does, given the state of the last call (None: start of a run); also return the new."""
+        ...
+
+
+@runtime_checkable
+class AskingFreeResponse(FreeResponse, Protocol):
+    """Free response that asks for its work (`thermoforce_mpc.asking`), so that many forecasts share one pass."""
+
+    def following(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> Asking[tuple[FreeForecast, object]]:
+        """Forecast as `FollowingFreeResponse.follow` does, as a computation."""
         ...
 
 

@@ -111,6 +111,16 @@ class AdaptationState:
         for array in (self.log_factors, self.covariance):
             array.setflags(write=False)
 
+    @property
+    def factors(self) -> tuple[float, float, float]:
+        """Logarithms of the factors on gain, time constants and heat: all of what `model` differs in."""
+        return float(self.log_factors[0]), float(self.log_factors[1]), self.log_heat
+
+    @property
+    def adapted(self) -> bool:
+        """Whether `model` is another than the identified one."""
+        return any(self.factors)
+
     def noted(self, time_s: float, outcome: Outcome, information: float) -> AdaptationState:
         """Return this state with the result of a block that ended at `time_s` appended."""
         gain, slower = np.exp(self.log_factors)

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from thermoforce_mpc.asking import Asking, answered, timed, together
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
 from thermoforce_mpc.model.free_response.checks import checked_forecast
-from thermoforce_mpc.model.free_response.following import follow
+from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.gaps import WEATHER, bridged
 from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -230,6 +231,10 @@ class Predictor:
                 the weather, the forecast of the weather has gaps, or the estimate or the forecast is not fit to plan
                 with.
         """
+        return answered(self.contexting(observation, state))
+
+    def contexting(self, observation: Observation, state: PredictorState | None = None) -> Asking[PredictionContext]:
+        """`context` as a computation: the forecasts of all zones are asked for together."""
         boundary = observation.boundary
         boundary.check(*WEATHER)
         began = time.perf_counter()
@@ -237,24 +242,24 @@ class Predictor:
         before = state or PredictorState()
         followed = self._checked_estimate(self._estimator.update(before.forced, history), history)
         forced = followed.forced_K
-        estimated = time.perf_counter()
+        estimate_s = time.perf_counter() - began
         free_C = history.T_zone_C - forced.sum(axis=(1, 3))
         zones = range(len(self._free_responses))
         kept = before.free or (None,) * len(zones)
         known = np.isfinite(free_C).any(axis=1)
         if not known.any():
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
-        answers, states = [], list(kept)
-        for z in np.flatnonzero(known).tolist():
-            method = self._free_responses[z]
-            answer, states[z] = follow(method, free_C[z], history, boundary, kept[z])
-            answers.append(checked_forecast(answer, boundary.n_steps, method.name))
+        measured, states = np.flatnonzero(known).tolist(), list(kept)
+        forecasts = [following(self._free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
+        found, forecast_s = yield from timed(together(forecasts))
+        answers = []
+        for z, (answer, states[z]) in zip(measured, found, strict=True):
+            answers.append(checked_forecast(answer, boundary.n_steps, self._free_responses[z].name))
         unmeasured = tuple(np.flatnonzero(~known).tolist())
         free = _with_mean(FreeForecast.stacked(answers), known)
         for z in unmeasured:
             said = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
             note = f"{note}, {said}" if note else f"bridged {said}"
-        forecast_s = time.perf_counter() - estimated
         followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
         now_C = np.empty(len(zones))
         now_C[known] = [row[np.isfinite(row)][-1] for row in free_C[known]]
@@ -270,7 +275,7 @@ class Predictor:
             bridged=note,
             unmeasured=unmeasured,
             origin=history.origin,
-            seconds={"estimate": estimated - began, "forecast": forecast_s},
+            seconds={"estimate": estimate_s, "forecast": forecast_s},
             state=PredictorState(followed, tuple(states)),
             names=history.names,
         )

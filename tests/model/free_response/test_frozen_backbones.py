@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -20,6 +21,7 @@ from forecasting import LEVELS, boundary_of, daily, history_of, hours
 from safetensors.torch import load_file, save_file
 
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
+from thermoforce_mpc.model.free_response.backbones import loading
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -326,6 +328,7 @@ def test_offline_mode_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_the_optional_package_its_name_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(loading, "_SHARED", weakref.WeakValueDictionary())  # none is in use
     with pytest.raises(BackboneError, match="pip install fracast"):
         load_backbone("fracast")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from forecasting import LEVELS, boundary_of, history_of, hours
 
+from thermoforce_mpc.asking import Asking
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, fit_linear_weather
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -28,7 +29,8 @@ class Fixed:
         rows = last + (LEVELS - 0.5)[:, None] * self.spread_K / 0.4 + np.zeros(boundary.n_steps)
         return FreeForecast(LEVELS, rows, f"fixed {self.offset_K:g}")
 
-    def forecast_many(self, tasks: list[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
+    def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Asking[list[FreeForecast]]:
+        yield from ()
         self.asked = getattr(self, "asked", [])
         self.asked.append(len(tasks))
         return [self.forecast(*task) for task in tasks]
@@ -202,9 +204,9 @@ def test_trials_see_nothing_of_what_they_forecast() -> None:
     seen: list[tuple[Array, Record, Boundary]] = []
 
     class Watching(Fixed):
-        def forecast_many(self, tasks: list[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
+        def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Asking[list[FreeForecast]]:
             seen.extend(tasks)
-            return super().forecast_many(tasks)
+            return super().forecasting(tasks)
 
     ResidualFreeResponse(Watching(0.0)).forecast(free[: N + 1], history, boundary)
     trials = seen[3:]  # the forecast itself comes first, three candidates of it

@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import checked_free
-from thermoforce_mpc.model.free_response.following import follow
+from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.protocols import FreeResponse
 
 _INSIDE = 0.8
@@ -108,10 +109,16 @@ class CalibratedFreeResponse:
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> tuple[FreeForecast, CalibratedState]:
         """See `FollowingFreeResponse.follow`; raises what the wrapped method raises."""
+        return answered(self.following(free_C, history, boundary, state))
+
+    def following(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> Asking[tuple[FreeForecast, CalibratedState]]:
+        """See `AskingFreeResponse.following`; raises what the wrapped method raises."""
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
         last = state if isinstance(state, CalibratedState) else CalibratedState()
-        raw, inner = follow(self.inner, free, history, boundary, last.inner)
+        raw, inner = yield from following(self.inner, free, history, boundary, last.inner)
         group_of = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
         if now < last.latest_s or n != last.n_steps:
             last = CalibratedState()

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from thermoforce_mpc.asking import Ask, Asking, answered, asked
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.model.free_response.backbones.base import Context
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.multi_resolution import (
@@ -32,6 +34,8 @@ __all__ = ["SHIPPED", "ChronosFreeResponse", "shipped_folder"]
 _SHORTEST_HISTORY_S = DAY_S
 _SHORTEST_CONTEXT = 16
 _RESOLUTIONS = ("several", "one")
+
+Task = tuple[Array, Record, Boundary]
 
 
 class ChronosFreeResponse:
@@ -92,35 +96,50 @@ class ChronosFreeResponse:
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
-    def forecast_many(self, tasks: Sequence[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
+    def forecast_many(self, tasks: Sequence[Task]) -> list[FreeForecast]:
         """Return forecasts for several buildings or instants in one pass through the model.
 
         Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
         """
+        return answered(self.forecasting(tasks))
+
+    def following(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> Asking[tuple[FreeForecast, object]]:
+        """See `AskingFreeResponse.following`; raises what `forecast` raises."""
+        (found,) = yield from self.forecasting([(free_C, history, boundary)])
+        return found, None
+
+    def forecasting(self, tasks: Sequence[Task]) -> Asking[list[FreeForecast]]:
+        """`forecast_many` as a computation: it asks the backbone for the quantiles of all its contexts."""
+        inputs = [self._input_of(*task) for task in tasks]
+        contexts = [one.context for resolutions in inputs if isinstance(resolutions, list) for one in resolutions]
+        found: Iterator[Array] = iter(())
+        if contexts:
+            found = iter((yield from asked(Ask(self._model, self._passed, contexts))))
+        answers = []
+        for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
+            if isinstance(of_task, FreeForecast):
+                answers.append(of_task)
+                continue
+            quantiles = merged(of_task, [next(found) for _ in of_task])
+            answers.append(self._checked(np.sort(quantiles, axis=0), boundary))
+        return answers
+
+    def _passed(self, contexts: Sequence[Context]) -> list[Array]:
+        """Quantiles of all contexts in one pass through the frozen backbone."""
         import torch
 
-        answers: list[FreeForecast | None] = []
-        batch: list[list[Resolution]] = []
-        for free_C, history, boundary in tasks:
-            free = checked_free(free_C, history)
-            if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
-                raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
-            why = self._too_little(free, boundary.step_s)
-            answers.append(self._persistence(free, history, boundary, why) if why else None)
-            if not why:
-                batch.append(self._resolutions_of(free, history, boundary))
-        if batch:
-            with _one_thread(), torch.inference_mode():
-                found = iter(
-                    self._model.quantiles_C([resolution.context for resolutions in batch for resolution in resolutions])
-                )
-            of_task = iter(batch)
-            for index, (_, _, boundary) in enumerate(tasks):
-                if answers[index] is None:
-                    resolutions = next(of_task)
-                    quantiles = merged(resolutions, [next(found) for _ in resolutions])
-                    answers[index] = self._checked(np.sort(quantiles, axis=0), boundary)
-        return [answer for answer in answers if answer is not None]
+        with _one_thread(), torch.inference_mode():
+            return self._model.quantiles_C(contexts)
+
+    def _input_of(self, free_C: Array, history: Record, boundary: Boundary) -> list[Resolution] | FreeForecast:
+        """What the backbone is given for a task, or the forecast of persistence where it is too little."""
+        free = checked_free(free_C, history)
+        if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
+            raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
+        why = self._too_little(free, boundary.step_s)
+        return self._persistence(free, history, boundary, why) if why else self._resolutions_of(free, history, boundary)
 
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""

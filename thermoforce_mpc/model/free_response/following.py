@@ -1,14 +1,15 @@
-"""Call of a free response during a run, with or without state."""
+"""Call of a free response during a run, with or without state, and with its work done here or together with others'."""
 
 from __future__ import annotations
 
+from thermoforce_mpc.asking import Ask, Asking, asked
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.protocols import FollowingFreeResponse, FreeResponse
+from thermoforce_mpc.protocols import AskingFreeResponse, FollowingFreeResponse, FreeResponse
+
+Answer = tuple[FreeForecast, object]
 
 
-def follow(
-    method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
-) -> tuple[FreeForecast, object]:
+def follow(method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object) -> Answer:
     """Return the forecast of `method` and its state for the next call of this run (None at its start).
 
     A method without state returns None as state. Raises what the method raises.
@@ -16,3 +17,13 @@ def follow(
     if isinstance(method, FollowingFreeResponse):
         return method.follow(free_C, history, boundary, state)
     return method.forecast(free_C, history, boundary), None
+
+
+def following(
+    method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
+) -> Asking[Answer]:
+    """`follow` as a computation that asks; a method that does not ask is one ask itself."""
+    if isinstance(method, AskingFreeResponse):
+        return (yield from method.following(free_C, history, boundary, state))
+    answer: Answer = yield from asked(Ask(method, lambda: follow(method, free_C, history, boundary, state)))
+    return answer

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
-from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse, Task
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fit_linear_weather
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
@@ -41,8 +42,6 @@ _TRIAL_S = DAY_S
 _RENEW_S = DAY_S
 # Number of cached trials, about two weeks, so that renewing the weights repeats none.
 _REMEMBERED = 128
-
-_Task = tuple[Array, Record, Boundary]
 
 
 @dataclass(frozen=True)
@@ -87,12 +86,19 @@ class ResidualFreeResponse:
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> tuple[FreeForecast, Weights | None]:
         """See `FollowingFreeResponse.follow`; raises as `forecast` does."""
+        return answered(self.following(free_C, history, boundary, state))
+
+    def following(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> Asking[tuple[FreeForecast, Weights | None]]:
+        """See `AskingFreeResponse.following`; raises as `forecast` does."""
         weights = state if isinstance(state, Weights) else None
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
             # Too short for the linear model; the backbone handles short histories and notes it.
-            return self.backbone.forecast(free, history, boundary), weights
-        candidates, note = self.candidates([(free, history, boundary)])
+            (alone,) = yield from self.backbone.forecasting([(free, history, boundary)])
+            return alone, weights
+        candidates, note = yield from self._candidates([(free, history, boundary)])
         now = float(history.time_s[-1])
         if (
             weights is None
@@ -100,18 +106,21 @@ class ResidualFreeResponse:
             or weights.share.shape[1] != boundary.n_steps
             or weights.step_s != boundary.step_s
         ):
-            weights = self._learn(free, history, boundary)
+            weights = yield from self._learn(free, history, boundary)
         quantiles = np.einsum("kn,kqn->qn", weights.share, candidates[0])
         note = f"linear weather models plus residual by {note}; {weights.why}"
         return FreeForecast(LEVELS, quantiles, note), weights
 
-    def candidates(self, tasks: Sequence[_Task]) -> tuple[list[Array], str]:
+    def candidates(self, tasks: Sequence[Task]) -> tuple[list[Array], str]:
         """Return the quantiles (3, 9, N) °C of the three candidates for each task, and the backbone's note.
 
         Candidates: the backbone alone, then with the weather model for independent errors and for a slow disturbance.
         Raises as `forecast` does.
         """
-        todo: list[_Task] = []
+        return answered(self._candidates(tasks))
+
+    def _candidates(self, tasks: Sequence[Task]) -> Asking[tuple[list[Array], str]]:
+        todo: list[Task] = []
         ahead: list[Array] = []
         for free, history, boundary in tasks:
             todo.append((free, history, boundary))
@@ -120,18 +129,18 @@ class ResidualFreeResponse:
                 fit = fit_linear_weather(free, history, boundary, disturbance_h)
                 todo.append((free - fit.past_C, history, boundary))
                 ahead.append(fit.ahead_C)
-        rests = self.backbone.forecast_many(todo)
+        rests = yield from self.backbone.forecasting(todo)
         found = [course + rest.quantiles_C for course, rest in zip(ahead, rests, strict=True)]
         k = len(_NAMES)
         return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
 
-    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Weights:
+    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Asking[Weights]:
         """Return weights from one-day trial forecasts over the last week, made with the measured weather."""
         step_s, now = boundary.step_s, float(history.time_s[-1])
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))
         lead_h = np.arange(1, boundary.n_steps + 1) * step_s / HOUR_S
         group_of = np.searchsorted(_LEAD_EDGES_H, lead_h - 1e-9)
-        errors, origin_s = self._trial_errors(free, history, trial_steps)
+        errors, origin_s = yield from self._trial_errors(free, history, trial_steps)
         share = np.repeat(_PRIOR[:, None], boundary.n_steps, axis=1)
         if len(errors) >= _LEAST_TRIALS:
             trust = np.exp((origin_s - origin_s[-1]) / _FORGET_S)
@@ -140,7 +149,7 @@ class ResidualFreeResponse:
             share[:, trial_steps:] = learned[:, -1:]
         return Weights(share, len(errors) if len(errors) >= _LEAST_TRIALS else 0, now, step_s)
 
-    def _trial_errors(self, free: Array, history: Record, steps: int) -> tuple[list[Array], Array]:
+    def _trial_errors(self, free: Array, history: Record, steps: int) -> Asking[tuple[list[Array], Array]]:
         """Return the errors of the candidates' medians, (3, steps) per trial, K, and the trials' instants, s."""
         step_s = history.step_s
         last = history.n_steps - steps
@@ -158,7 +167,7 @@ class ResidualFreeResponse:
         keys = [_key(free, history, t, steps) for t in origins]
         new = [(key, t) for key, t in zip(keys, origins, strict=True) if key not in self._errors]
         if new:
-            found, _ = self.candidates([_past_task(free, history, t, steps) for _, t in new])
+            found, _ = yield from self._candidates([_past_task(free, history, t, steps) for _, t in new])
             for (key, t), quantiles in zip(new, found, strict=True):
                 self._errors[key] = quantiles[:, LEVELS.size // 2] - free[t + 1 : t + steps + 1]
         for key in keys:
@@ -169,7 +178,7 @@ class ResidualFreeResponse:
         return errors, history.time_s[origins]
 
 
-def _past_task(free: Array, history: Record, origin: int, steps: int) -> _Task:
+def _past_task(free: Array, history: Record, origin: int, steps: int) -> Task:
     """Return the forecast task at step `origin` of the history, with the measured weather as weather forecast."""
     ahead = history.slice(origin, origin + steps).weather()
     return free[: origin + 1], history.slice(0, origin), ahead

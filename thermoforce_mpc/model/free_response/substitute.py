@@ -8,22 +8,19 @@ front exceeds what three days have shown, and the linear model is poor in a ligh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError, ThermoForceError
 from thermoforce_mpc.model.free_response.checks import checked_forecast, checked_free
-from thermoforce_mpc.model.free_response.following import follow
+from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.protocols import FreeResponse
-
-Answer = tuple[FreeForecast, object]
-Bounded = Callable[[object, Callable[[], Answer]], Answer]
-"""Makes a call on an object (first argument) with a deadline; raises where there was no answer in time."""
 
 # Lead times at which a forecast is compared with the record, h.
 _LEADS_H = (0.25, 1.0, 6.0, 24.0)
@@ -55,7 +52,6 @@ class WithSubstitutes:
 
     Args:
         method: the free response asked first.
-        bounded: makes its calls with a deadline; by default they have none.
         substitutes: asked in turn where the method fails; without any, its failures are raised, and what is finite is
             believed.
     """
@@ -63,10 +59,9 @@ class WithSubstitutes:
     def __init__(
         self,
         method: FreeResponse,
-        bounded: Bounded = lambda owner, call: call(),
         substitutes: Sequence[FreeResponse] = (LinearWeather(), Persistence()),
     ) -> None:
-        self.method, self._bounded, self._substitutes = method, bounded, tuple(substitutes)
+        self.method, self._substitutes = method, tuple(substitutes)
         if hasattr(method, "weight_hash"):
             self.weight_hash = method.weight_hash
 
@@ -87,11 +82,17 @@ class WithSubstitutes:
         Raises:
             DataError: no temperature was measured, or neither the method nor a substitute gave a forecast.
         """
+        return answered(self.following(free_C, history, boundary, state))
+
+    def following(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> Asking[tuple[FreeForecast, SubstituteState]]:
+        """See `AskingFreeResponse.following`; raises as `follow` does."""
         free = checked_free(free_C, history)
         before = state if isinstance(state, SubstituteState) else SubstituteState()
         inner = before.inner if before.failures < _COLD_AFTER else None
         try:
-            answer, after = self._bounded(self.method, lambda: follow(self.method, free, history, boundary, inner))
+            answer, after = yield from following(self.method, free, history, boundary, inner)
             checked_forecast(answer, boundary.n_steps, self.name)
             absurd = absurdity(answer, free, history, boundary) if self._substitutes else ""
             if absurd:

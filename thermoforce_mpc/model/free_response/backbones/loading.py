@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import os
+import weakref
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -28,10 +29,12 @@ _HUB_TIMEOUT_S = 5.0
 # Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
 _SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
 SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
+# Backbones in use: frozen, so that one serves all who ask for it, in one pass.
+_SHARED: weakref.WeakValueDictionary[tuple[object, ...], Backbone] = weakref.WeakValueDictionary()
 
 
 def load_backbone(name: str) -> Backbone:
-    """Load a backbone, frozen: evaluation mode and no gradients.
+    """Load a backbone, frozen: evaluation mode and no gradients; one that is in use already is shared.
 
     Args:
         name: one of `SHIPPED_SCALES`, 'fracast', a plugin's, a directory with config.json and weights of Chronos-Bolt
@@ -40,10 +43,23 @@ def load_backbone(name: str) -> Backbone:
     Raises:
         BackboneError: unknown name, damaged or incomplete weights, hub not reachable, or unsupported model family.
     """
-    backbone = REGISTRY.find(name)() if name in REGISTRY else _chronos(name)
-    for module in backbone.modules:
-        module.eval().requires_grad_(False)
+    key = _same(name)
+    backbone = _SHARED.get(key)
+    if backbone is None:
+        backbone = REGISTRY.find(name)() if name in REGISTRY else _chronos(name)
+        for module in backbone.modules:
+            module.eval().requires_grad_(False)
+        _SHARED[key] = backbone
     return backbone
+
+
+def _same(name: str) -> tuple[object, ...]:
+    """What tells backbones apart: the name, and of a directory the state of its files."""
+    folder = Path(name).expanduser()
+    if name in REGISTRY or not folder.is_dir():
+        return (name,)
+    files = [(path.name, path.stat()) for path in sorted(folder.iterdir())]
+    return (str(folder.resolve()), *((file, stat.st_size, stat.st_mtime_ns) for file, stat in files))
 
 
 def shipped_folder(name: str = SHIPPED) -> Path:

@@ -1,0 +1,128 @@
+"""Plans of many buildings made together: one pass of the forecaster for all of them, each plan checked on its own.
+
+Every building is planned by the computation of a single one (`ThermoForceMPC.planning`); only the work that these
+computations ask for is done together. What is wrong with one building costs that one its plan: its own controller takes
+over, and the reason says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+
+from controllers.bounded import BoundedCalls
+from controllers.errors import said
+from controllers.mpc import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from controllers.planner import MPCState
+from thermoforce_mpc.asking import Answering, Asking, answered, timed, together
+from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Buildings whose computations are open at a time: enough to fill the forecaster's batches, few enough for memory.
+AT_A_TIME = 128
+# Calls that may be left behind at a time.
+_ABANDONED = 16
+
+Wanted = tuple[str, Observation, object]
+"""A building's name, its observation, and its state after the last plan (None: a run begins)."""
+Known = Mapping[str, tuple[ThermalModel, MPCConfig]]
+"""Model and options of each building by name."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What one building is to do. Times are those of the observation's clock, s.
+
+    Attributes:
+        plan: the plan; its blocks hold one after another from `begins_s` on, the last one until `expires_s`.
+        begins_s: the instant of the observation.
+        expires_s: from then on the building's own controller acts.
+        state: to be given with the building's next observation; None: a run begins.
+        reason: why it is no plan of a solve that was checked and optimal; empty where it is.
+        seconds: what it cost, s: `estimate`, `forecast` (its share of the common pass), `solve`, and `all`.
+    """
+
+    plan: Plan
+    begins_s: float
+    expires_s: float
+    state: object
+    reason: str
+    seconds: Mapping[str, float]
+
+    def block_at(self, time_s: float) -> Block | None:
+        """What holds at `time_s`; None where the plan is not valid, so that the building's own controller acts."""
+        if not self.begins_s <= time_s < self.expires_s:
+            return None
+        until_s = self.begins_s
+        for block in self.plan.blocks:
+            until_s += block.duration_s
+            if time_s < until_s:
+                return block
+        return self.plan.blocks[-1]
+
+
+class Together:
+    """Plans buildings together, in this process.
+
+    Args:
+        known: model and options of each building.
+        grace_s: how long a plan stays valid after its step, s.
+    """
+
+    def __init__(self, known: Known, grace_s: float) -> None:
+        self._known, self._grace_s = known, grace_s
+        self._built: dict[str, ThermoForceMPC | Exception] = {}
+        self._answer = Answering(BoundedCalls(_ABANDONED), strangers=True)
+
+    def plans(self, wanted: Iterable[Wanted]) -> Iterator[tuple[str, Planned]]:
+        """The plans in the order of `wanted`; no error of a building is raised."""
+        ahead = iter(wanted)
+        while some := list(islice(ahead, AT_A_TIME)):
+            plans = answered(together([timed(self._planned(*one)) for one in some]), self._answer)
+            for (name, observation, _), ((plan, state), seconds) in zip(some, plans, strict=True):
+                yield name, self._told(observation, plan, state, seconds)
+
+    def _planned(self, name: str, observation: Observation, state: object) -> Asking[tuple[Plan, object]]:
+        """Plan and next state of one building; where there can be no plan, native control, and the state as it was."""
+        try:
+            plan = yield from self._controller(name).planning(observation, state)
+        except Exception as error:  # of the building's data, model or options, which are the caller's
+            kept = state if isinstance(state, MPCState) else None
+            return self.handed_over(name, observation, said(error)), kept
+        return plan, plan.state
+
+    def _controller(self, name: str) -> ThermoForceMPC:
+        if name not in self._known:
+            raise DataError(f"there is no model of building '{name}'")
+        built = self._built.get(name)
+        if built is None:
+            try:
+                built = ThermoForceMPC(*self._known[name], name=name)
+            except Exception as error:  # raised at every plan: building anew would give the same
+                built = error
+            self._built[name] = built
+        if isinstance(built, Exception):
+            raise built
+        return built
+
+    def handed_over(self, name: str, observation: Observation, reason: str) -> Plan:
+        """A step of native control because of `reason`."""
+        names, step_s = observation.names, observation.boundary.step_s
+        if name in self._known:
+            model, config = self._known[name]
+            names, step_s = model.names, config.step_s or model.operator.step_s
+        block = Block.native(len(names.actuators), step_s)
+        return Plan((block,), PlanStatus.NATIVE, f"{reason}: native control", names=names)
+
+    def told(self, name: str, observation: Observation, reason: str, state: object) -> Planned:
+        """A building without a plan because of `reason`."""
+        return self._told(observation, self.handed_over(name, observation, reason), state, 0.0)
+
+    def _told(self, observation: Observation, plan: Plan, state: object, seconds: float) -> Planned:
+        begins_s = observation.time_s
+        expires_s = begins_s + sum(block.duration_s for block in plan.blocks) + self._grace_s
+        acts = plan.status in (PlanStatus.SOLVED, PlanStatus.BRIDGED)
+        return Planned(plan, begins_s, expires_s, state, "" if acts else plan.why, {**plan.seconds, "all": seconds})

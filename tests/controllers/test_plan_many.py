@@ -1,0 +1,204 @@
+"""Plans of many buildings: as if each were planned alone, and what is wrong with one costs that one."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import SimpleHouse, simple_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.errors import ControllerConfigError
+from controllers.portfolio import Portfolio, plan_many
+from controllers.qp_backends import Clarabel
+from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+
+HOURLY = {"step_s": None, "horizon_h": 24.0}
+WEATHER_MODEL = MPCConfig(**HOURLY, free_response={"name": "linear_weather"})
+# The smallest scale of the forecaster.
+FORECASTER = MPCConfig(**HOURLY, free_response={"name": "residual", "options": {"backbone": "shipped_tiny"}})
+# A float32 of 20 °C is exact to 2e-6 K; batches of another size round elsewhere.
+SAME_K = 2e-5
+
+
+def seen(T_start_C: float = 21.0, price: float = 0.25) -> Observation:
+    house = SimpleHouse(T_start_C)
+    house.reset(10 * 86400.0, 6 * 86400.0)
+    boundary = house.forecast(24 * HOUR_S, HOUR_S)
+    return Observation(house.past(HOUR_S), replace(boundary, price_per_kWh=0 * boundary.price_per_kWh + price))
+
+
+def later(observation: Observation) -> Observation:
+    """An hour later, as if it had gone on evenly."""
+    after = {name: getattr(observation, name) for name in ("history", "boundary")}
+    return Observation(**{name: replace(one, time_s=one.time_s + HOUR_S) for name, one in after.items()})
+
+
+def houses(n: int) -> dict[str, Observation]:
+    return {f"house {i}": seen(18.0 + i, 0.2 + 0.05 * i) for i in range(n)}
+
+
+def models(n: int) -> dict:
+    return {f"house {i}": replace(simple_model()) for i in range(n)}
+
+
+def same(ours, theirs, tolerance: float = 0.0) -> None:
+    assert (ours.status, ours.blocks, ours.acting) == (theirs.status, theirs.blocks, theirs.acting)
+    for name in ("u", "T_free_C", "T_free_low_C", "T_forced_K", "slack_K"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.slow
+def test_plans_and_forecasts_made_together_are_those_made_alone_in_one_pass_of_the_forecaster(monkeypatch):
+    passes, inner = [], BoltBackbone.quantiles_C
+    monkeypatch.setattr(
+        BoltBackbone, "quantiles_C", lambda self, contexts: (passes.append(len(contexts)), inner(self, contexts))[1]
+    )
+    observations = houses(4)
+    with Portfolio(models(4), FORECASTER) as portfolio:
+        first = portfolio.plan(observations)
+        assert len(passes) == 2, "the forecasts, then the trials of all that learn their weights"
+        second = portfolio.plan(
+            {name: later(one) for name, one in observations.items()}, {n: p.state for n, p in first.items()}
+        )
+        assert len(passes) == 3
+    alone = ThermoForceMPC(simple_model(), FORECASTER)
+    for name, observation in observations.items():
+        plan = alone.plan(observation)
+        same(first[name].plan, plan, SAME_K)
+        same(second[name].plan, alone.plan(later(observation), plan.state), SAME_K)
+        assert first[name].reason == ""
+
+
+def test_the_same_input_gives_the_same_bytes_in_any_company():
+    observations = houses(3)
+    with Portfolio(models(3), WEATHER_MODEL) as portfolio:
+        first = portfolio.plan(observations)
+        states = {name: planned.state for name, planned in first.items()}
+        after = {name: later(one) for name, one in observations.items()}
+        once, again = portfolio.plan(after, states), portfolio.plan(after, states)
+        alone = portfolio.plan({"house 1": after["house 1"]}, states)
+    for name in observations:
+        same(once[name].plan, again[name].plan)
+    same(once["house 1"].plan, alone["house 1"].plan)
+    assert list(once) == list(observations)
+
+
+def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
+    observations, buildings, options = houses(3), models(3), dict.fromkeys(models(3), WEATHER_MODEL)
+    condemned = replace(simple_model().only.card, competence=Competence(False, reasons=("it errs by 7 K",)))
+    buildings |= {
+        "not competent": replace(simple_model(), cards=(condemned,)),
+        "no power": replace(simple_model(), power=(None,)),
+        "bad step": simple_model(),
+        "bad state": simple_model(),
+        "no forecast": simple_model(),
+        "no solution": simple_model(),
+    }
+    one = seen()
+    observations |= dict.fromkeys(buildings.keys() - observations.keys(), one) | {
+        "bad step": Observation(one.history.resample(2), one.boundary),
+        "no forecast": Observation(replace(one.history, T_zone_C=one.history.T_zone_C * np.nan), one.boundary),
+        "unknown": one,
+    }
+    options |= dict.fromkeys(buildings.keys() - {"no solution"}, WEATHER_MODEL)
+    options["no solution"] = MPCConfig(
+        **HOURLY, free_response={"name": "linear_weather"}, qp={"backends": ("clarabel",)}
+    )
+    monkeypatch.setattr(Clarabel, "__call__", lambda self, q: 1 / 0)
+    found = plan_many(buildings, observations, {"bad state": "a state"}, config=options)
+    expected = plan_many(models(3), houses(3), config=WEATHER_MODEL)
+    for name, planned in expected.items():
+        same(found[name].plan, planned.plan)
+        assert not found[name].reason
+    said = {
+        "not competent": (PlanStatus.GATE, "it errs by 7 K"),
+        "no power": (PlanStatus.NATIVE, "without measured power"),
+        "bad step": (PlanStatus.NATIVE, "step 0 of"),
+        "bad state": (PlanStatus.NATIVE, "state is a str"),
+        "no forecast": (PlanStatus.NATIVE, "never measured"),
+        "no solution": (PlanStatus.THERMOSTAT, "clarabel: raised ZeroDivisionError"),
+        "unknown": (PlanStatus.NATIVE, "no model of building 'unknown'"),
+    }
+    for name, (status, reason) in said.items():
+        assert found[name].plan.status is status, name
+        assert reason in found[name].reason
+        levels = [u for block in found[name].plan.blocks for u in block.u]
+        assert all(u is None or 0.0 <= u <= 1.0 for u in levels)
+
+
+def test_a_plan_holds_until_it_expires_and_then_the_buildings_own_controller_acts():
+    now = seen()
+    planned = Portfolio({"a": simple_model()}, WEATHER_MODEL, grace_s=300.0).plan({"a": now})["a"]
+    assert planned.begins_s == now.time_s
+    assert planned.expires_s == now.time_s + HOUR_S + 300.0
+    blocks, at = planned.plan.blocks, planned.begins_s
+    for block in blocks:
+        assert planned.block_at(at) == planned.block_at(at + block.duration_s - 1.0) == block
+        at += block.duration_s
+    assert planned.block_at(planned.expires_s - 1.0) == blocks[-1]
+    assert planned.block_at(planned.expires_s) is None
+    assert planned.block_at(planned.begins_s - 1.0) is None
+
+
+@pytest.mark.parametrize("wrong", [{"workers": 0}, {"grace_s": -1.0}, {"deadline_s": 0.0}, {"grace_s": float("nan")}])
+def test_numbers_without_sense_are_refused(wrong):
+    with pytest.raises(ControllerConfigError, match="expected at least one process"):
+        Portfolio({"a": simple_model()}, **wrong)
+
+
+def test_options_of_a_building_without_a_model_and_what_is_no_observation_are_refused():
+    with pytest.raises(ControllerConfigError, match="no model of building 'b'"):
+        Portfolio({"a": simple_model()}, {"b": WEATHER_MODEL})
+    with pytest.raises(DataError, match="building 'a': a dict is no Observation"):
+        plan_many({"a": simple_model()}, {"a": {}})
+
+
+class Deadly:
+    """A state that ends the process that reads it."""
+
+    def __reduce__(self):
+        return os._exit, (3,)
+
+
+class Slow:
+    """A state that takes long to read."""
+
+    def __reduce__(self):
+        return time.sleep, (60.0,)
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_plans_and_one_that_dies_costs_its_cause_alone():
+    observations = houses(3)
+    here = plan_many(models(3), observations, config=WEATHER_MODEL)
+    states = {name: planned.state for name, planned in here.items()}
+    after = {name: later(one) for name, one in observations.items()}
+    expected = plan_many(models(3), after, states, config=WEATHER_MODEL)
+    with Portfolio(models(3), WEATHER_MODEL, workers=2) as portfolio:
+        for name, planned in portfolio.plan(observations).items():
+            same(planned.plan, here[name].plan)
+            states[name] = planned.state
+        found = portfolio.plan(after, states | {"house 2": Deadly()})
+        for name in ("house 0", "house 1"):
+            same(found[name].plan, expected[name].plan)
+        assert found["house 2"].plan.status is PlanStatus.NATIVE
+        assert "its process died while planning it" in found["house 2"].reason
+        same(portfolio.plan(after, states)["house 2"].plan, expected["house 2"].plan)
+
+
+@pytest.mark.slow
+def test_a_process_that_does_not_answer_costs_its_buildings_their_plan():
+    with Portfolio(models(2), WEATHER_MODEL, workers=2, deadline_s=20.0) as portfolio:
+        portfolio.plan(houses(2))
+        portfolio._deadline_s = 1.0
+        found = portfolio.plan(houses(2), {"house 0": Slow()})
+    assert "no plan within 1 s" in found["house 0"].reason
+    assert isinstance(found["house 0"].state, Slow), "its run goes on from where it was"
+    assert found["house 1"].reason == ""

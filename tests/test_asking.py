@@ -1,0 +1,92 @@
+"""Computations that ask: side by side they are answered together, and what fails for one fails for no other."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from thermoforce_mpc.asking import Answering, Ask, answered, asked, timed, together, within
+
+DOUBLED = object()
+
+
+def doubled(calls: list[list[float]], value: float):
+    """A computation that asks for the double of a value, twice."""
+
+    def call(items):
+        calls.append(list(items))
+        if min(items) < 0:
+            raise ValueError(f"{min(items)} is negative")
+        return [2 * item for item in items]
+
+    (once,) = yield from asked(Ask(DOUBLED, call, [value]))
+    (twice,) = yield from asked(Ask(DOUBLED, call, [once]))
+    return twice
+
+
+def caught(computation):
+    try:
+        return (yield from computation)
+    except ValueError as error:
+        return str(error)
+
+
+def test_computations_side_by_side_share_each_call_and_keep_their_order():
+    calls: list[list[float]] = []
+    assert answered(together([doubled(calls, value) for value in (1, 2, 3)])) == [4, 8, 12]
+    assert calls == [[1, 2, 3], [2, 4, 6]]
+
+
+def test_those_that_ask_less_often_do_not_hold_up_the_others():
+    def at_once(value):
+        yield from ()
+        return value
+
+    calls: list[list[float]] = []
+    assert answered(together([at_once(7), doubled(calls, 1), at_once(8)])) == [7, 4, 8]
+
+
+def test_where_a_shared_call_fails_each_is_asked_alone():
+    calls: list[list[float]] = []
+    found = answered(together([caught(doubled(calls, value)) for value in (1, -2, 3)]))
+    assert found == [4, "-2 is negative", 12]
+    assert calls[1:4] == [[1], [-2], [3]]
+
+
+def test_a_call_that_gives_too_few_answers_is_not_believed():
+    def call(items):
+        return items[:1]
+
+    def one(value):
+        (found,) = yield from asked(Ask(DOUBLED, call, [value]))
+        return found
+
+    assert answered(together([one(1), one(2)])) == [1, 2]
+
+
+def test_the_cost_of_a_computation_is_its_own():
+    def slow(items):
+        time.sleep(0.02 * len(items))
+        return items
+
+    def one(n):
+        return (yield from asked(Ask(DOUBLED, slow, [0] * n)))
+
+    (_, short), (_, long) = answered(together([timed(one(1)), timed(one(4))]))
+    assert 0.02 <= short < 0.05
+    assert 0.08 <= long < 0.11
+
+
+def test_time_is_counted_from_the_begin_of_a_computation():
+    left = []
+
+    def bounded(owner, call, seconds):
+        left.append(seconds)
+        time.sleep(0.02)
+        return call()
+
+    answered(within(1.0, doubled([], 1.0)), Answering(bounded))
+    assert 0.9 < left[1] < left[0] - 0.02 < 1.0
+    with pytest.raises(ValueError, match="negative"):
+        answered(within(1.0, doubled([], -1.0)), Answering(bounded))
