@@ -321,8 +321,10 @@ class ThermoForceMPC(FallingBack):
         )
         return replace(plan, why=f"{plan.why}; {context.bridged}") if context.bridged else plan
 
-    def _adapted_now(self, now: MPCState, history: Record) -> tuple[AdaptationState, ...]:
-        """States of all adaptations after `history`."""
+    def _adapted_now(self, now: MPCState, history: Record) -> tuple[AdaptationState | None, ...]:
+        """States of all adaptations after `history`; as they were where nothing is adapted."""
+        if not self.config.adaptation.enabled:
+            return now.adaptation
         forced_K = now.predictor.forced.forced_K if now.predictor and now.predictor.forced else None
         return tuple(
             adaptation.update(now.adaptation[a], own_record(self._base.model, history, forced_K, a))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -35,10 +36,10 @@ def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_i
     measured heat is taken.
     """
     levels = np.array(history.u[0])
-    if heat_input.heat is not None:
-        for time_s, level in asked:
-            step = _step_of(time_s, history)
-            if step is None or np.isfinite(level) or not np.isfinite(history.heat_W[0, step] + history.T_out_C[step]):
+    if heat_input.heat is not None and asked:
+        native, steps = _found(asked, history)
+        for step in steps[~np.isfinite(native)]:
+            if not np.isfinite(history.heat_W[0, step] + history.T_out_C[step]):
                 continue
             share = abs(float(history.heat_W[0, step])) / heat_input.reference_W
             levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
@@ -110,20 +111,19 @@ def machine_ratio(
     return None
 
 
-def _step_of(time_s: float, history: Record) -> int | None:
-    """Index of the step of `history` that starts at `time_s`; None if there is none."""
-    step = int(np.searchsorted(history.time_s, time_s - 0.5 * history.step_s))
-    known = step < history.n_steps and abs(history.time_s[step] - time_s) <= 0.5 * history.step_s
-    return step if known else None
+def _found(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, NDArray[np.intp]]:
+    """Levels asked for and the index of their steps of `history`, both (n,), without those that are not in it."""
+    time_s, level = np.array(asked, dtype=np.float64).reshape(-1, 2).T
+    half_s = 0.5 * history.step_s
+    step = np.searchsorted(history.time_s, time_s - half_s)
+    known = step < history.n_steps
+    known[known] = np.abs(history.time_s[step[known]] - time_s[known]) <= half_s
+    return level[known], step[known]
 
 
-def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, Array]:
+def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, NDArray[np.intp]]:
     """Levels asked for and measured, both (n,), and the index (n,) of those steps, where both are known."""
-    want, got, index = [], [], []
-    for time_s, level in asked:
-        step = _step_of(time_s, history)
-        if step is not None and np.isfinite(level) and np.isfinite(history.u[0, step]):
-            want.append(level)
-            got.append(float(history.u[0, step]))
-            index.append(step)
-    return np.array(want), np.array(got), np.array(index, dtype=np.intp)
+    want, index = _found(asked, history)
+    got = history.u[0, index]
+    both = np.isfinite(want) & np.isfinite(got)
+    return want[both], got[both], index[both]

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,7 +208,7 @@ class Layout:
 
 def _freeze(value: object, name: str, length: int, names: Names) -> Array:
     """An array (length,) or, with an axis of its own, (rows, length); raises `DataError` for another shape."""
-    array = np.array(value, dtype=np.float64)
+    array = value if _frozen(value) else np.array(value, dtype=np.float64)
     expected: tuple[int, ...] = (length,)
     if name in _AXIS:
         rows = len(getattr(names, _AXIS[name]))
@@ -219,6 +219,13 @@ def _freeze(value: object, name: str, length: int, names: Names) -> Array:
         raise DataError(f"{name} has shape {array.shape}, expected {expected}")
     array.setflags(write=False)
     return array
+
+
+def _frozen(value: object) -> TypeGuard[Array]:
+    """Whether nobody can change `value`, an array, any more: it need not be copied."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.flags.writeable:
+        return False
+    return value.base is None or (isinstance(value.base, np.ndarray) and not value.base.flags.writeable)
 
 
 def _of_each(value: object, name: str, names: Names) -> Array:

@@ -13,7 +13,7 @@ and the adaptation at the time of issue.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,40 +43,35 @@ _STEERING_RANGE = (-1.1, 1.1)
 _SCALE_RANGE = (0.25, 5.0)
 
 
-@dataclass(frozen=True)
-class _Issued:
-    """Issued forecast: ends of its steps, raw median and half-widths, and log-width adaptation, each (N,)."""
-
-    time_s: float
-    ends_s: Array
-    median_C: Array
-    up_K: Array
-    down_K: Array
-    steering: Array
-    compared: int = 0
+# Rows of an issued forecast.
+_ENDS, _MEDIAN, _UP, _DOWN, _ADAPTED = range(5)
+_NONE = np.empty((0, 2))
 
 
 @dataclass(frozen=True)
 class _Group:
     """State of a group of lead times that share a width.
 
-    `steering`: adaptation of the log width. `window`: width from the last days, NaN with too few values. `scores`: time
-    (s) and distance from the median in raw half-widths of past values.
+    `steering`: adaptation of the log width. `window`: width from the last days, NaN with too few values. `scores`
+    (k, 2): time, s, and distance from the median in raw half-widths of past values.
     """
 
     steering: float = 0.0
     window: float = float("nan")
-    scores: tuple[tuple[float, float], ...] = ()
+    scores: Array = field(default_factory=lambda: _NONE)
 
 
 @dataclass(frozen=True)
 class CalibratedState:
     """State of a run: forecasts issued and not yet fully compared, and the width of each group of lead times.
 
-    `latest_s`: time of the last forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
+    `issued` (I, 5, K): of each forecast, at one lead time per hour, the end of the step, s, raw median, half-widths
+    above and below, and log-width adaptation. `issued_s`: time of the last of them, s; `latest_s`: time of the last
+    forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
     """
 
-    issued: tuple[_Issued, ...] = ()
+    issued: Array | None = None
+    issued_s: float = -np.inf
     groups: tuple[_Group, ...] = (_Group(),) * (len(_LEAD_EDGES_H) + 1)
     latest_s: float = -np.inf
     n_steps: int = 0
@@ -122,65 +117,60 @@ class CalibratedFreeResponse:
         group_of = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
         if now < last.latest_s or n != last.n_steps:
             last = CalibratedState()
-        issued, groups = _compared(last, free, history, group_of, boundary.step_s)
+        # One lead time per hour: those between are nearly identical.
+        stride = max(1, round(_EVERY_S / boundary.step_s))
+        hourly = slice(stride - 1, None, stride)
+        before = np.empty((0, 5, len(range(n)[hourly]))) if last.issued is None else last.issued
+        issued, groups = _compared(last, before, free, history, group_of[hourly])
         steering = np.array([group.steering for group in groups])[group_of]
         window = np.array([group.window for group in groups])[group_of]
         scale = _width(window, steering)
-        if not issued or now - issued[-1].time_s >= _EVERY_S - 1.0:
+        median, issued_s = raw.median_C, last.issued_s
+        if not len(issued) or now - issued_s >= _EVERY_S - 1.0:
             # NaN marks forecasts issued without a known width, which were not adapted.
-            new = _issued(now, boundary.time_s[1:], raw, np.where(np.isnan(window), np.nan, steering))
-            issued = (*issued, new)
-        median = raw.median_C
+            given = np.where(np.isnan(window), np.nan, steering)
+            up, down = raw.quantiles_C[-1] - median, median - raw.quantiles_C[0]
+            new = np.stack([boundary.time_s[1:], median, np.maximum(up, 1e-6), np.maximum(down, 1e-6), given])
+            issued, issued_s = np.concatenate([issued, new[None, :, hourly]]), now
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
         forecast = FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
-        return forecast, CalibratedState(issued, groups, now, n, inner)
+        return forecast, CalibratedState(issued, issued_s, groups, now, n, inner)
 
 
 def _compared(
-    last: CalibratedState, free: Array, history: Record, group_of: NDArray[np.intp], step_s: float
-) -> tuple[tuple[_Issued, ...], tuple[_Group, ...]]:
+    last: CalibratedState, issued: Array, free: Array, history: Record, group_of: NDArray[np.intp]
+) -> tuple[Array, tuple[_Group, ...]]:
     """Compare the values since the last call with their forecasts; return pending forecasts and updated groups."""
     now = float(history.time_s[-1])
-    # One lead time per hour: those between are nearly identical.
-    stride = max(1, round(_EVERY_S / step_s))
-    held: list[list[bool]] = [[] for _ in last.groups]
-    new: list[list[tuple[float, float]]] = [[] for _ in last.groups]
-    issued = []
-    for past in last.issued:
-        came = int(np.searchsorted(past.ends_s, now + 0.5))
-        leads = np.arange(past.compared, came)
-        leads = leads[(leads + 1) % stride == 0]
-        if came < past.ends_s.size:
-            issued.append(replace(past, compared=came))
-        gap = _known(past.ends_s[leads], history.time_s, free) - past.median_C[leads]
-        scores = np.abs(gap) / np.where(gap >= 0, past.up_K[leads], past.down_K[leads])
-        for lead, score in zip(leads[np.isfinite(scores)], scores[np.isfinite(scores)], strict=True):
-            index = group_of[lead]
-            new[index].append((float(past.ends_s[lead]), float(score)))
-            steering, window = past.steering[lead], last.groups[index].window
-            if np.isfinite(steering + window):
-                held[index].append(bool(score <= _width(window, steering)))
+    ends = issued[:, _ENDS]
+    due = (ends > last.latest_s + 0.5) & (ends <= now + 0.5)
+    pending = issued[(ends > now + 0.5).any(axis=1)]
+    came = issued.transpose(1, 0, 2)[:, due]
+    gap = _known(came[_ENDS], history.time_s, free) - came[_MEDIAN]
+    scores = np.abs(gap) / np.where(gap >= 0, came[_UP], came[_DOWN])
+    known = np.isfinite(scores)
+    of = np.broadcast_to(group_of, due.shape)[due]
     groups = []
-    for group, inside, found, gain in zip(last.groups, held, new, _STEERING_OF_GROUP, strict=True):
-        steering = group.steering
-        if inside:
+    for index, (group, gain) in enumerate(zip(last.groups, _STEERING_OF_GROUP, strict=True)):
+        new = known & (of == index)
+        steering, adapted = group.steering, came[_ADAPTED, new] + group.window
+        if np.isfinite(adapted).any():
+            width = _width(group.window, came[_ADAPTED, new])
+            inside = (scores[new] <= width)[np.isfinite(adapted)]
             steering = float(np.clip(steering + gain * (_INSIDE - float(np.mean(inside))), *_STEERING_RANGE))
-        kept = tuple(item for item in (*group.scores, *found) if now - item[0] <= _WINDOW_S)
-        known = len(kept) >= _LEAST_VALUES
-        width = float(np.quantile([score for _, score in kept], _INSIDE)) if known else float("nan")
-        groups.append(_Group(steering, width, kept))
-    return tuple(issued), tuple(groups)
+        kept = group.scores[now - group.scores[:, 0] <= _WINDOW_S]
+        if not new.any() and len(kept) == len(group.scores):
+            groups.append(replace(group, steering=steering))
+            continue
+        kept = np.concatenate([kept, np.stack([came[_ENDS, new], scores[new]], axis=1)])
+        width_now = float(np.quantile(kept[:, 1], _INSIDE)) if len(kept) >= _LEAST_VALUES else float("nan")
+        groups.append(_Group(steering, width_now, kept))
+    return pending, tuple(groups)
 
 
 def _width(window: Array | float, steering: Array | float) -> Array:
     """Return the factor on the distance of each quantile from the median; 1 with too few values."""
     return np.nan_to_num(np.clip(window * np.exp(steering), *_SCALE_RANGE), nan=1.0)
-
-
-def _issued(time_s: float, ends_s: Array, raw: FreeForecast, steering: Array) -> _Issued:
-    median = raw.median_C
-    up, down = raw.quantiles_C[-1] - median, median - raw.quantiles_C[0]
-    return _Issued(time_s, np.asarray(ends_s), median, np.maximum(up, 1e-6), np.maximum(down, 1e-6), steering)
 
 
 def _known(ends_s: Array, time_s: Array, free: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 from thermoforce_mpc.asking import Ask, Asking, asked
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.protocols import AskingFreeResponse, FollowingFreeResponse, FreeResponse
@@ -23,7 +25,8 @@ def following(
     method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
 ) -> Asking[Answer]:
     """`follow` as a computation that asks; a method that does not ask is one ask itself."""
-    if isinstance(method, AskingFreeResponse):
-        return (yield from method.following(free_C, history, boundary, state))
+    # By name: checks of a protocol cost more than all else here.
+    if hasattr(method, "following"):
+        return (yield from cast(AskingFreeResponse, method).following(free_C, history, boundary, state))
     answer: Answer = yield from asked(Ask(method, lambda: follow(method, free_C, history, boundary, state)))
     return answer

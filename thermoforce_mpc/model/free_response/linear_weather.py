@@ -9,6 +9,7 @@ history instead of one-step changes, which gives the better 24-h forecast.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,11 +53,21 @@ def fit_linear_weather(
 ) -> LinearFit:
     """Fit to the finite values of `free_C` (n + 1,) and simulate over the weather of `boundary`.
 
+    Args and errors as in `fits_linear_weather`.
+    """
+    return fits_linear_weather(free_C, history, boundary, (disturbance_h,))[0]
+
+
+def fits_linear_weather(
+    free_C: Array, history: Record, boundary: Boundary, disturbances_h: Sequence[float | None]
+) -> list[LinearFit]:
+    """Fit as `fit_linear_weather` does, once for each kind of disturbance.
+
     Args:
         free_C: control-free temperature at the boundaries of `history`, °C.
         history: past weather.
         boundary: weather forecast.
-        disturbance_h: None: independent errors (ordinary least squares). A number: time constant, h, of first-order
+        disturbances_h: None: independent errors (ordinary least squares). A number: time constant, h, of first-order
             autocorrelated errors (generalised least squares), so that a disturbance of a few days has less influence.
 
     Raises:
@@ -75,16 +86,20 @@ def fit_linear_weather(
         if bad.size:
             raise DataError(f"linear weather model: {name} is not finite at step {bad[0]} ({bad.size} such)")
     columns, bounded, ridge = _columns(time_s, T_out, solar, step_s)
-    rows, targets = _equations(columns[: free_C.size], free_C, disturbance_h, step_s)
     modes = TIME_CONSTANTS_H.size
     # Columns 0..modes-1 are the outdoor gains: their sum is the long-run gain.
     long_run = np.zeros(columns.shape[1])
     long_run[:modes] = _LONG_RUN_GAIN_WEIGHT
-    A = np.vstack([rows, np.diag(np.sqrt(ridge)), long_run])
-    b = np.concatenate([targets, np.zeros(ridge.size), [_LONG_RUN_GAIN_WEIGHT]])
-    weights = _bounded_least_squares(A, b, bounded)
-    course = columns @ weights
-    return LinearFit(course[: free_C.size], course[free_C.size :], weights)
+    prior = np.diag(ridge) + np.outer(long_run, long_run)
+    fits = []
+    for disturbance_h in disturbances_h:
+        rows, targets = _equations(columns[: free_C.size], free_C, disturbance_h, step_s)
+        weights = _bounded_least_squares(
+            rows.T @ rows + prior, rows.T @ targets + _LONG_RUN_GAIN_WEIGHT * long_run, bounded
+        )
+        course = columns @ weights
+        fits.append(LinearFit(course[: free_C.size], course[free_C.size :], weights))
+    return fits
 
 
 def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_s: float) -> tuple[Array, Array]:
@@ -93,7 +108,7 @@ def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_
     Whitened rows are scaled to the disturbance's variance, so the priors have the same weight in both cases.
     """
     known = np.flatnonzero(np.isfinite(free_C))
-    rows, targets = columns[known], free_C[known]
+    rows, targets = (columns, free_C) if known.size == free_C.size else (columns[known], free_C[known])
     if disturbance_h is None:
         return rows, targets
     # The correlation across a gap decays over the length of the gap.
@@ -106,17 +121,17 @@ def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_
     )
 
 
-def _bounded_least_squares(A: Array, b: Array, bounded: NDArray[np.bool_]) -> Array:
-    """Return the exact minimiser of |A w − b| with w ≥ 0 for the `bounded` columns.
+def _bounded_least_squares(gram: Array, right: Array, bounded: NDArray[np.bool_]) -> Array:
+    """Return the exact minimiser of |A w − b| with w ≥ 0 for the `bounded` columns, from A'A and A'b.
 
-    It uses the normal equations, since there are thousands of rows and few columns; the ridge rows of A make them
-    positive definite. With the free columns first in the Cholesky factor, the bounded ones form a separate nonnegative
-    least-squares problem and the free ones follow by substitution.
+    There are thousands of rows and few columns; the priors make A'A positive definite. With the free columns first in
+    the Cholesky factor, the bounded ones form a separate nonnegative least-squares problem and the free ones follow by
+    substitution.
     """
     order = np.argsort(bounded, kind="stable")
     free = int((~bounded).sum())
-    R = cholesky(A[:, order].T @ A[:, order])
-    z = solve_triangular(R, A[:, order].T @ b, trans="T")
+    R = cholesky(gram[np.ix_(order, order)])
+    z = solve_triangular(R, right[order], trans="T")
     above, _ = nnls(R[free:, free:], z[free:])
     weights = np.empty(bounded.size)
     weights[order[free:]] = above
@@ -160,7 +175,7 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
     for mode, pole in enumerate(poles):
         states[1:, mode] = lfilter([1.0 - pole], [1.0, -pole], mean, axis=0, zi=pole * first[None])[0]
     waves = [f(k * hour_angle) for k in (1, 2) for f in (np.cos, np.sin)]
-    start = poles[None, :] ** np.arange(time_s.size)[:, None]
+    start = np.exp(np.arange(time_s.size)[:, None] * (-step_s / HOUR_S / TIME_CONSTANTS_H))
     columns = np.concatenate(
         [states[:, :, 0], states[:, :, 1], np.stack([np.ones(time_s.size), *waves], axis=1), start], axis=1
     )

@@ -43,10 +43,12 @@ class Resolution:
             n = min(self.n_steps, quantiles_C.shape[1])
             reached[:, :n] = quantiles_C[:, :n]
             return reached
-        instants = self.stride * np.arange(quantiles_C.shape[1] + 1)
-        lead = np.arange(1, self.n_steps + 1)
-        for row, course in zip(reached, quantiles_C, strict=True):
-            row[:] = np.interp(lead, instants, np.concatenate([[self.now_C], course]))
+        before = np.concatenate([np.full((quantiles_C.shape[0], 1), self.now_C), quantiles_C[:, :-1]], axis=1)
+        share = np.arange(1, self.stride + 1) / self.stride
+        between = before[:, :, None] + (quantiles_C - before)[:, :, None] * share
+        courses = between.reshape(quantiles_C.shape[0], -1)[:, : self.n_steps]
+        reached[:, : courses.shape[1]] = courses
+        reached[:, courses.shape[1] :] = courses[:, -1:]
         return reached
 
 
@@ -89,7 +91,7 @@ def _at_resolution(
     """Return the resolution of the last `longest` of every `stride`-th value up to now, and `ahead` steps ahead."""
     series = free_C[::-1][::stride][::-1][-longest:]
     # Weather of a coarse step is its mean, since irradiance at one instant does not represent an hour.
-    past = _block_means(past_weather, stride, pad_before=True)[-series.size :]
+    past = _block_means(past_weather[-series.size * stride :], stride, pad_before=True)
     coming = _block_means(ahead_weather[:ahead], stride, pad_before=False)
     now_C = float(free_C[np.isfinite(free_C)][-1])
     return Resolution(Context(series, past, coming), stride, len(ahead_weather), now_C)
@@ -112,6 +114,9 @@ def _block_means(weather: Array, stride: int, *, pad_before: bool) -> Array:
     """Return means of `stride` rows each; an incomplete first (`pad_before`) or last block repeats its end value."""
     if stride == 1:
         return weather
-    short = (-len(weather)) % stride
-    padded = np.pad(weather, ((short, 0) if pad_before else (0, short), (0, 0)), mode="edge")
+    short, padded = (-len(weather)) % stride, weather
+    if short and pad_before:
+        padded = np.concatenate([np.repeat(weather[:1], short, axis=0), weather])
+    elif short:
+        padded = np.concatenate([weather, np.repeat(weather[-1:], short, axis=0)])
     return np.asarray(padded.reshape(-1, stride, weather.shape[1]).mean(axis=1))

@@ -19,7 +19,7 @@ from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse, Task
-from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fit_linear_weather
+from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fits_linear_weather
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
 # Chosen on free runs of EnergyPlus and of the embedded plant that no table of the documentation uses.
@@ -125,8 +125,7 @@ class ResidualFreeResponse:
         for free, history, boundary in tasks:
             todo.append((free, history, boundary))
             ahead.append(np.zeros(boundary.n_steps))
-            for disturbance_h in _DISTURBANCE_H:
-                fit = fit_linear_weather(free, history, boundary, disturbance_h)
+            for fit in fits_linear_weather(free, history, boundary, _DISTURBANCE_H):
                 todo.append((free - fit.past_C, history, boundary))
                 ahead.append(fit.ahead_C)
         rests = yield from self.backbone.forecasting(todo)
