@@ -33,10 +33,11 @@ from controllers.watched import WatchedPredictions
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
-from thermoforce_mpc.model.forced_state import ForcedStateEstimator
+from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
+from thermoforce_mpc.model.gaps import gapless
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
@@ -230,8 +231,12 @@ class ThermoForceMPC(FallingBack):
             before = replace(before, predictor=replace(before.predictor, forced=None))
         filled = "; ".join(filter(None, (metered.why, filled)))
         history = self._sensing.believed(before.sensors, observation.history)
-        forced_K = None if all(closed) else self._forced_K(before, history)
+        forced = None if all(closed) else self._forced(before, history)
+        forced_K = None if forced is None else forced.forced_K
         sensors, observation, zones_now = self._sensing.judged(before.sensors, observation, forced_K)
+        as_planned = self._planner(before.adaptation) is self._base and observation.history is history
+        if forced and before.predictor and as_planned and gapless(history):
+            before = replace(before, predictor=replace(before.predictor, forced=forced))  # not computed again
         now = replace(
             before,
             peak_W=self._peak_W(before, observation),
@@ -260,12 +265,12 @@ class ThermoForceMPC(FallingBack):
             plan = replace(plan, why=f"{news}; {plan.why}")
         return self._watched.asked(observation, plan)
 
-    def _forced_K(self, now: MPCState, history: Record) -> Array | None:
-        """Forced states of the building until now (Z, A, n + 1, r), K; None at the start, or if unknown."""
+    def _forced(self, now: MPCState, history: Record) -> ForcedState | None:
+        """Forced states of the building until now; None at the start, or if unknown."""
         if now.predictor is None:
             return None
         try:
-            return self._base.predictor.followed(history, now.predictor).forced_K
+            return self._base.predictor.followed(history, now.predictor)
         except Exception:  # as in planning: without it, nothing is judged in this step
             return None
 

@@ -547,6 +547,8 @@ class Record:
 
     def part(self, zone: int, actuators: Sequence[int], machines: Sequence[int] = ()) -> Record:
         """The record of one zone with some of the actuators and machines; without machines, power is not measured."""
+        if self.names.single and len(actuators) == len(machines) == 1:
+            return self
         names = Names(
             (self.names.zones[zone],),
             tuple(self.names.actuators[a] for a in actuators),

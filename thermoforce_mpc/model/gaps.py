@@ -50,6 +50,11 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
     return (replace(history, **filled), "bridged " + ", ".join(notes)) if filled else (history, "")
 
 
+def gapless(history: Record) -> bool:
+    """Whether `bridged` has nothing to fill."""
+    return all(bool(np.isfinite(getattr(history, name)).all()) for name in (*WEATHER, "u"))
+
+
 def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
     """Return which instants of the weather signal `name` lie in a gap longer than 6 h, shape (n + 1,)."""
     time_s, values = history.time_s, getattr(history, name)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
@@ -130,12 +129,12 @@ def _bounded_least_squares(gram: Array, right: Array, bounded: NDArray[np.bool_]
     """
     order = np.argsort(bounded, kind="stable")
     free = int((~bounded).sum())
-    R = cholesky(gram[np.ix_(order, order)])
-    z = solve_triangular(R, right[order], trans="T")
+    R = np.linalg.cholesky(gram[np.ix_(order, order)]).T
+    z = np.linalg.solve(R.T, right[order])
     above, _ = nnls(R[free:, free:], z[free:])
     weights = np.empty(bounded.size)
     weights[order[free:]] = above
-    weights[order[:free]] = solve_triangular(R[:free, :free], z[:free] - R[:free, free:] @ above)
+    weights[order[:free]] = np.linalg.solve(R[:free, :free], z[:free] - R[:free, free:] @ above)
     return weights
 
 

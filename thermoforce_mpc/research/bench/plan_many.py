@@ -43,9 +43,9 @@ class ManyPlans:
     """Figures for `buildings` planned in `workers` processes, each after the instant before.
 
     `per_second`: plans a second, median of the instants, from observations to plans in this process; `first_s`: the
-    first instant, with the start of processes and the building of controllers. `cpu_ms`: processor time of all processes
-    per plan, which other load on the machine changes less. Of a plan's own time, ms: `plan_ms`, and of it `forecast_ms`
-    and `solve_ms`. `single_ms`: the same plans by single controllers one after another, in this
+    first instant, with the start of processes and the building of controllers. `cpu_ms`: processor time of all
+    processes per plan, which other load on the machine changes less. Of a plan's own time, ms: `plan_ms`, and of it
+    `forecast_ms` and `solve_ms`. `single_ms`: the same plans by single controllers one after another, in this
     process. `peak_MB`: largest resident memory of all processes together, `worker_MB` of it of those that plan (NaN
     where the system does not tell). `solved`: share of plans that are checked solutions.
     """
