@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -100,34 +101,41 @@ class Issued:
     judged: int = 0
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A prediction that came due at `time_s`.
+class Judged(NamedTuple):
+    """A prediction that came due at `time_s`, or arrays (k,) of several.
 
     Index of its `lead`, error (measured − predicted), promise, and predicted effect of the levels since, all K.
     """
 
-    time_s: float
-    lead: int
-    error_K: float
-    promise_K: float
-    effect_K: float
+    time_s: Any
+    lead: Any
+    error_K: Any
+    promise_K: Any
+    effect_K: Any
+
+    @classmethod
+    def of(cls, rows: Array) -> Judged:
+        """Those of `Track.judged` (k, 5)."""
+        return cls(*rows.T)
+
+
+_NONE_JUDGED, _NO_BANDS = np.empty((0, len(Judged._fields))), np.empty((0, 0))
 
 
 @dataclass(frozen=True)
 class Track:
     """A model under judgement: predictions pending and judged, and the evidence against it.
 
-    `bands` (time s, half-width at each lead K) of the last week; `evidence` maps (lead, phase, side) to the detector's
-    M. While standing back `adaptation` holds the model, `predictor` the state of its predictor.
+    `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
+    K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation` holds the model, `predictor` the state of its predictor.
     """
 
     name: str = _IN_USE
     adaptation: AdaptationState | None = None
     predictor: PredictorState | None = None
     pending: tuple[Issued, ...] = ()
-    judged: tuple[Judged, ...] = ()
-    bands: tuple[tuple[float, Array], ...] = ()
+    judged: Array = field(default_factory=lambda: _NONE_JUDGED)
+    bands: Array = field(default_factory=lambda: _NO_BANDS)
     evidence: dict[tuple[int, int, int], float] = field(default_factory=dict)
 
     @property
@@ -196,8 +204,9 @@ class Watch:
         median = free.median_C[at]
         below, above = median - free.quantile_C(0.1)[at], free.quantile_C(0.9)[at] - median
         new = Issued(now, operator, context.forced_K, context.features[: self.leads[-1]], median, below, above)
-        bands = [*track.bands, (now, 0.5 * (below + above))]
-        kept = tuple(item for item in bands if now - item[0] <= _USUAL_DAYS * DAY_S)
+        band = np.concatenate([[now], 0.5 * (below + above)])[None]
+        bands = np.concatenate([track.bands, band]) if len(track.bands) else band
+        kept = bands[now - bands[:, 0] <= _USUAL_DAYS * DAY_S]
         return replace(track, pending=(*track.pending, new), bands=kept)
 
     def judged(
@@ -246,7 +255,7 @@ class Watch:
 
     def _came_due(self, track: Track, history: Record, levels: Array) -> Track:
         """The track after judging every pending prediction whose lead has passed; `levels` (n,) were applied."""
-        now, pending, found = float(history.time_s[-1]), [], list(track.judged)
+        now, pending, found = float(history.time_s[-1]), [], list[Judged]()
         evidence = dict(track.evidence)
         for item in track.pending:
             passed = round((now - item.time_s) / self.step_s)
@@ -265,7 +274,8 @@ class Watch:
                     evidence[lead, phase, side] = (M + 1.0) * e_value(side * outcome.error_K / outcome.promise_K)
             if item.judged < len(self.leads):
                 pending.append(item)
-        kept = tuple(item for item in found if now - item.time_s <= _KEPT_H * HOUR_S)
+        judged = np.concatenate([track.judged, np.array(found)]) if found else track.judged
+        kept = judged[now - judged[:, 0] <= _KEPT_H * HOUR_S]
         return replace(track, pending=tuple(pending), judged=kept, evidence=evidence)
 
     def _outcome(self, item: Issued, lead: int, history: Record, levels: Array, track: Track) -> Judged | None:
@@ -281,7 +291,7 @@ class Watch:
         forced, idle = forced_rollout(item.operator, item.forced_K, runs, item.features[:n])[:, -1].sum(axis=-1)
         error = T_zone - item.median_C[lead] - float(forced)
         band = float(item.above_K[lead] if error > 0 else item.below_K[lead])
-        usual = float(np.median([bands[lead] for time_s, bands in track.bands if time_s <= item.time_s]))
+        usual = float(np.median(track.bands[track.bands[:, 0] <= item.time_s, 1 + lead]))
         effect = float(forced - idle)
         gain = _NORMAL_90 * self._gain_sd[lead] * effect
         promise = math.hypot(min(band, self.config.widest * usual), gain, self._least_K[lead])
@@ -292,12 +302,12 @@ class Watch:
         against, lead, side = track.worst
         if against < self.threshold:
             return ""
-        last = [item for item in track.judged if item.lead == lead][-6:]
+        last = Judged.of(track.judged[track.judged[:, 1] == lead][-6:])
         hours = self.leads[lead] * self.step_s / HOUR_S
         return (
             f"the zone is {'warmer' if side > 0 else 'colder'} than predicted {hours:g} h ahead: by "
-            f"{np.mean([item.error_K for item in last]):+.2f} K in the last {len(last)} predictions, where "
-            f"±{np.mean([item.promise_K for item in last]):.2f} K was promised"
+            f"{last.error_K.mean():+.2f} K in the last {last.error_K.size} predictions, where "
+            f"±{last.promise_K.mean():.2f} K was promised"
         )
 
     def _less_effect(self, state: WatchState, now: float) -> str:
@@ -306,11 +316,11 @@ class Watch:
         if round(now / self.step_s) % every:
             return ""
         since = max(now - watch_effect.WINDOW_H * HOUR_S, state.returned_s) + 1.0
-        last = [item for item in state.tracks[0].judged if item.lead == 0 and item.time_s > since]
-        if len(last) < _JUDGED * watch_effect.WINDOW_H * HOUR_S / (self.every * self.step_s):
+        judged = state.tracks[0].judged
+        last = Judged.of(judged[(judged[:, 1] == 0) & (judged[:, 0] > since)])
+        if last.error_K.size < _JUDGED * watch_effect.WINDOW_H * HOUR_S / (self.every * self.step_s):
             return ""
-        error, effect, promise = np.array([(item.error_K, item.effect_K, item.promise_K) for item in last]).T
-        return watch_effect.effect_fault(error, effect, promise, self._share)
+        return watch_effect.effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
 
     def _direct_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
         """What levels and meters say against the machine, and the state with the ratio of this hour."""
@@ -346,13 +356,13 @@ class Watch:
         """
         hours = (float(history.time_s[-1]) - state.since_s) / HOUR_S
         used = state.tracks[0]
-        last = [item for item in used.judged if item.lead == len(self.leads) - 1]
-        last = [item for item in last if item.time_s > state.since_s - _ADAPT_EVERY_H * HOUR_S]
+        recent = used.judged[:, 0] > state.since_s - _ADAPT_EVERY_H * HOUR_S
+        last = Judged.of(used.judged[recent & (used.judged[:, 1] == len(self.leads) - 1)])
         whole = hours > 0 and abs(hours % _ADAPT_EVERY_H) * HOUR_S < 0.5 * self.step_s
-        if not whole or len(last) < _ADAPT_EVERY_H or used.adaptation is None:
+        if not whole or last.error_K.size < _ADAPT_EVERY_H or used.adaptation is None:
             return state
-        error, effect, promise = np.array([(item.error_K, item.effect_K, item.promise_K) for item in last]).T
-        prior = float(np.mean(promise**2)) / _GAIN_PRIOR_SD**2
+        error, effect = last.error_K, last.effect_K
+        prior = float(np.mean(last.promise_K**2)) / _GAIN_PRIOR_SD**2
         low, high = _SCALES.gain_bounds
         gain = float(np.clip(1.0 + effect @ error / (effect @ effect + prior), low, high))
         heat = heat_ratio(history.last(round(hours * HOUR_S / self.step_s)), self._model.operator.heat_input)
@@ -375,7 +385,9 @@ class Watch:
         if holding:
             best = min(holding, key=lambda track: self._size(track, now))
             news = f"predictions of {best.name} were as promised for {self.config.return_h:g} h: control returns"
-        elif now - state.since_s >= 2 * wait_s and not any(self._recent(track, now) for track in state.tracks):
+        elif now - state.since_s >= 2 * wait_s and not any(
+            self._recent(track, now).lead.size for track in state.tracks
+        ):
             best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
         else:
             return state
@@ -383,19 +395,24 @@ class Watch:
         # The machine as it is now is the new reference of its meters.
         return replace(state, tracks=(used,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
 
-    def _recent(self, track: Track, now: float) -> list[Judged]:
-        return [item for item in track.judged if now - item.time_s < self.config.return_h * HOUR_S - 1.0]
+    def _recent(self, track: Track, now: float) -> Judged:
+        return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])
+
+    def _any_recent(self, track: Track, now: float) -> bool:
+        return self._recent(track, now).lead.size > 0
 
     def _size(self, track: Track, now: float) -> float:
         """Mean error over promise of the last hours."""
-        return float(np.mean([abs(item.error_K) / item.promise_K for item in self._recent(track, now)]))
+        recent = self._recent(track, now)
+        return float(np.mean(np.abs(recent.error_K) / recent.promise_K))
 
     def _holds(self, track: Track, now: float) -> bool:
         """Whether the predictions of the last `return_h` hours were as promised, at every lead."""
         expected = self.config.return_h * HOUR_S / (self.every * self.step_s)
         for lead in range(len(self.leads)):
-            inside = [abs(i.error_K) <= i.promise_K for i in self._recent(track, now) if i.lead == lead]
-            if len(inside) < _JUDGED * expected or np.mean(inside) < _INSIDE:
+            recent = self._recent(track, now)
+            inside = (np.abs(recent.error_K) <= recent.promise_K)[recent.lead == lead]
+            if inside.size < _JUDGED * expected or np.mean(inside) < _INSIDE:
                 return False
         return True
 

@@ -207,7 +207,7 @@ def test_a_missing_effect_is_told_from_cold_that_has_another_cause():
 def test_predictions_from_before_a_return_do_not_count_against_the_effect():
     watch = Watch(WatchConfig(), simple_model().only, 48, lambda record: record.u)
     now = 20 * DAY_S
-    judged = tuple(Judged(now - h * HOUR_S, 0, -0.2, 0.1, 0.4) for h in range(24))
+    judged = np.array([Judged(now - h * HOUR_S, 0, -0.2, 0.1, 0.4) for h in range(24)])
     state = WatchState(tracks=(Track(judged=judged),))
     assert "less effect" in watch._less_effect(state, now)
     assert watch._less_effect(state, now + HOUR_S) == "", "every 6 h"
