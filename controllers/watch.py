@@ -127,7 +127,8 @@ class Track:
     """A model under judgement: predictions pending and judged, and the evidence against it.
 
     `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
-    K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation` holds the model, `predictor` the state of its predictor.
+    K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation`
+    holds the model, `predictor` the state of its predictor.
     """
 
     name: str = _IN_USE
