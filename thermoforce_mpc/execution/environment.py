@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from thermoforce_mpc.execution.keys import source_fingerprint
 from thermoforce_mpc.version import VERSION
 
-_PACKAGES = ("casadi", "numpy", "torch")
+_PACKAGES = ("casadi", "distributed", "numpy", "torch")
 
 
 @functools.cache

@@ -75,7 +75,7 @@ def run_factual_bench(
     }
     goals = tables.targets(scores, protocol)
     seconds = time.perf_counter() - began
-    width = engine.width
+    width = max(1, engine.width)
     work = float(np.mean([s.about["seconds"] for s in scores])) * _ROOMS / width
     goals.append(Target(f"seconds for {_ROOMS} homes on {width} processes", work, _MOST_S))
     result = bench_result("factual", [row for rows in found.values() for row in rows], goals)
