@@ -35,6 +35,10 @@ def dask_cluster():
 
 @pytest.fixture
 def engine(dask_cluster):
+    from distributed import Client
+
+    with Client(dask_cluster, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)  # a test before may have killed one
     with DaskEngine(dask_cluster) as made:
         yield made
 

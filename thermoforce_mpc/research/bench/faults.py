@@ -72,7 +72,8 @@ class _Recorded:
         """See `Controller.plan`."""
         plan = self._controller.plan(observation, state)
         assert isinstance(plan.state, MPCState)
-        self.judged |= {(item.time_s, item.lead): item for item in plan.state.watch[0].tracks[0].judged}
+        items = (Judged(*row) for row in plan.state.watch[0].tracks[0].judged)
+        self.judged |= {(item.time_s, item.lead): item for item in items}
         return plan
 
     def error_K(self, from_s: float, to_s: float) -> float:
