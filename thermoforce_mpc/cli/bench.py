@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
@@ -14,6 +14,9 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
 from thermoforce_mpc.simulation.run_folder import write_json
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.research.bench.fleet import Part
 
 
 @click.group(short_help="Run benchmarks and compare the results with their targets.")
@@ -122,6 +125,22 @@ def buildings_command(
     with engine(_progress) as where:
         result = run_buildings_bench(houses=houses, seed=seed, engine=where, quick=quick, out=out, progress=_progress)
     show(result, json_file)
+
+
+@command.command("fleet")
+@click.option(
+    "--only",
+    multiple=True,
+    type=click.Choice(["identify", "plan", "coordinate", "campaign"]),
+    help="Measure this part alone; repeatable.",
+)
+@_QUICK
+@_JSON
+def fleet_command(only: tuple[Part, ...], quick: bool, json_file: Path | None) -> None:
+    """What many buildings cost to identify, to plan for, to coordinate under a limit and to simulate, on two cores."""
+    from thermoforce_mpc.research.bench.fleet import PARTS, run_fleet_bench
+
+    show(run_fleet_bench(only or PARTS, quick=quick, progress=_progress), json_file)
 
 
 @command.command("zones")

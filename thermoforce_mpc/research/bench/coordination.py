@@ -21,6 +21,7 @@ SILENT = 0.05
 # Houses up to which the joint optimum is computed.
 _JOINT = 10
 _JOINT_TOLERANCE = 1e-6
+_TOLD_EVERY = 20
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,12 @@ def coordinated(
     shared = SharedPower(np.full(nothing.size, LIMIT * free_kW.max()))
     some: list[Member] = [*members[: houses - silent], *(_Silent(member) for member in members[houses - silent :])]
     began = time.perf_counter()
-    found = coordinate(some, shared, on_iteration=lambda n, over: progress(f"{houses} houses, iteration {n}"))
+
+    def told(iteration: int, over: float) -> None:
+        if iteration % _TOLD_EVERY == 0:
+            progress(f"{houses} houses, iteration {iteration}, {100 * over:.2g} % over the limit")
+
+    found = coordinate(some, shared, on_iteration=told)
     seconds = time.perf_counter() - began
     above = float("nan")
     if houses <= _JOINT and not silent:
