@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares
+from thermoforce_mpc.identification.bounded import BoundedLeastSquares, FreeFirst
 from thermoforce_mpc.identification.disturbance import Disturbance
 from thermoforce_mpc.identification.likelihood import residuals
 from thermoforce_mpc.identification.reduction import Reduction, whitened_rows
@@ -110,7 +110,7 @@ def test_bounded_least_squares_agree_with_scipys():
         positive[0] = True
         low = np.where(positive, 0.0, -np.inf)
         expected = lsq_linear(system[:, :-1], system[:, -1], bounds=(low, np.inf), method="bvls", tol=1e-14)
-        found = BoundedLeastSquares(system, positive)
+        found = BoundedLeastSquares(system, FreeFirst(positive))
         np.testing.assert_allclose(found.values, expected.x, atol=1e-7)
         assert found.squares == pytest.approx(2.0 * expected.cost, rel=1e-9)
         normal = system[:, :-1].T @ system[:, :-1]

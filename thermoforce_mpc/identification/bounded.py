@@ -24,21 +24,29 @@ def _upper(n: int, m: int) -> NDArray[np.bool_]:
     return np.triu(np.ones((n, m), dtype=bool))
 
 
+class FreeFirst:
+    """Order of variables (p,) in which those without a bound come first; `positive` (p,): which are not negative."""
+
+    def __init__(self, positive: NDArray[np.bool_]) -> None:
+        self.order = np.concatenate([np.flatnonzero(~positive), np.flatnonzero(positive)])
+        self.n_free = int(positive.size - np.count_nonzero(positive))
+        self.columns = np.append(self.order, positive.size)
+
+
 class BoundedLeastSquares:
-    """Least |A (x, −1)|² over x (p,), not negative where `positive`.
+    """Least |A (x, −1)|² over x (p,), of which some, at least one, are not negative.
 
     Variables without a bound come first in a QR factorisation, so that the bounded ones alone are those of the trailing
     triangle, which is solved by active sets (Lawson and Hanson 1974, chapter 23).
 
     Args:
         system: A (n, p + 1), the target in its last column; the others have full rank, n > p.
-        positive: (p,).
+        variables: their order.
     """
 
-    def __init__(self, system: Array, positive: NDArray[np.bool_]) -> None:
-        self._order = np.concatenate([np.flatnonzero(~positive), np.flatnonzero(positive)])
-        self._free = free = int(positive.size - np.count_nonzero(positive))
-        self._R = triangle(system[:, [*self._order, -1]])
+    def __init__(self, system: Array, variables: FreeFirst) -> None:
+        self._variables, free = variables, variables.n_free
+        self._R = triangle(system[:, variables.columns])
         self._bounded, misfit = nnls(self._R[free:-1, free:-1], self._R[free:-1, -1])
         self.squares = float(self._R[-1, -1] ** 2 + misfit**2)
         """Least sum of squares."""
@@ -46,14 +54,14 @@ class BoundedLeastSquares:
     @property
     def values(self) -> Array:
         """The minimiser (p,)."""
-        free, R = self._free, self._R
-        values = np.empty(self._order.size)
-        values[self._order[free:]] = self._bounded
+        free, order, R = self._variables.n_free, self._variables.order, self._R
+        values = np.empty(order.size)
+        values[order[free:]] = self._bounded
         if free:
-            values[self._order[:free]] = dtrtrs(R[:free, :free], R[:free, -1] - R[:free, free:-1] @ self._bounded)[0]
+            values[order[:free]] = dtrtrs(R[:free, :free], R[:free, -1] - R[:free, free:-1] @ self._bounded)[0]
         return values
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the design's normal equations."""
-        return 2.0 * float(np.log(np.abs(np.diagonal(self._R)[: self._order.size])).sum())
+        return 2.0 * float(np.log(np.abs(np.diagonal(self._R)[:-1])).sum())

@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares
+from thermoforce_mpc.identification.bounded import BoundedLeastSquares, FreeFirst
 from thermoforce_mpc.identification.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.modes import ModePriors, poles
@@ -149,12 +148,11 @@ def _found(data: Reduction, priors: ModePriors, config: IdentificationConfig) ->
 
 def _search(data: Reduction, scale: float, known: _Priors, priors: ModePriors, start: Array) -> Array:
     """Return the maximum a posteriori ln(τ/h) (r,), searched from `start` (r,), at `scale` times the disturbances."""
-    log_bounds = np.log(priors.bounds_h())
+    low, high = np.log(priors.bounds_h()).T
 
     def objective(log_tau: Array) -> float:
-        outside = np.maximum(log_bounds[:, 0] - log_tau, 0.0) + np.maximum(log_tau - log_bounds[:, 1], 0.0)
-        if outside.any():
-            return _OUTSIDE * (1.0 + float(outside.sum()))
+        if (log_tau < low).any() or (log_tau > high).any():
+            return _OUTSIDE * (1.0 + float((np.maximum(low - log_tau, 0.0) + np.maximum(log_tau - high, 0.0)).sum()))
         away = (log_tau - priors.log_tau) / priors.log_tau_sd
         return 0.5 * _bounded(data, scale, log_tau, known).squares + 0.5 * float(away @ away)
 
@@ -167,7 +165,7 @@ def _search(data: Reduction, scale: float, known: _Priors, priors: ModePriors, s
             "maxfev": _MAX_EVALUATIONS * priors.order,
             "xatol": 0.01,
             "fatol": 0.01,
-            "initial_simplex": np.clip(simplex, log_bounds[:, 0] + 1e-6, log_bounds[:, 1] - 1e-6),
+            "initial_simplex": np.clip(simplex, low + 1e-6, high - 1e-6),
         },
     )
     return np.asarray(found.x)
@@ -181,37 +179,38 @@ def _residual_scale(data: Reduction, log_tau: Array, values: Array) -> float:
 
 def _bounded(data: Reduction, scale: float, log_tau: Array, known: _Priors) -> BoundedLeastSquares:
     """Solve the Gaussian regression for given time constants, with `scale` times the disturbances."""
-    return BoundedLeastSquares(np.concatenate([data.rows(log_tau, scale), known.rows(log_tau)]), known.positive)
+    return BoundedLeastSquares(np.concatenate([data.rows(log_tau, scale), known.rows(log_tau)]), known.variables)
 
 
 def system(
     regressions: Sequence[RegressionData], log_tau: Array, priors: ModePriors, sign: int
-) -> tuple[Array, NDArray[np.bool_], int]:
-    """Return the whitened regression for given time constants: rows, which values are not negative, data rows.
+) -> tuple[Array, FreeFirst, int]:
+    """Return the whitened regression for given time constants: rows, order of its variables, number of data rows.
 
     Rows (n, p + 1) are those of `whitened_rows` and then the priors, the target in the last column.
     """
     known = _Priors(regressions, priors)
     rows = np.concatenate([*whitened_rows(regressions, log_tau, sign), known.rows(log_tau)])
-    return rows, known.positive, rows.shape[0] - known.positive.size
+    return rows, known.variables, rows.shape[0] - known.variables.order.size
 
 
 class _Priors:
-    """Priors of the columns of `system`; `positive` (p,): which values are not negative."""
+    """Priors of the columns of `system`, and the order of its variables."""
 
     def __init__(self, regressions: Sequence[RegressionData], priors: ModePriors) -> None:
         self._priors, self._first = priors, regressions[0]
         n_runs, log_tau = sum(not regression.is_pair for regression in regressions), priors.log_tau
         mean, sd = self._acting(log_tau)
         self._n_acting = mean.size
-        self.positive = np.ones(mean.size, dtype=bool)
+        positive = np.ones(mean.size, dtype=bool)
         if n_runs:
             q = free_time_constants(log_tau).size
             free_mean, free_sd, low = free_prior(q)
             starts = np.tile(start_sd(q + 1), n_runs)
             mean = np.concatenate([mean, free_mean, np.zeros(starts.size)])
             sd = np.concatenate([sd, free_sd, starts])
-            self.positive = np.concatenate([self.positive, np.isfinite(low), np.zeros(starts.size, dtype=bool)])
+            positive = np.concatenate([positive, np.isfinite(low), np.zeros(starts.size, dtype=bool)])
+        self.variables = FreeFirst(positive)
         self._rows = np.concatenate([np.diag(1.0 / sd), (mean / sd)[:, None]], axis=1)
 
     def rows(self, log_tau: Array) -> Array:

@@ -97,9 +97,9 @@ def estimate(
     k, log_tau = shape.mean, fit.log_tau
     for _ in range(_ROUNDS):
         driven, slopes = ([_driven(e, f, k) for e in used] for f in (shape.drive, shape.slope))
-        whole, positive, rows = system(driven, log_tau, priors, sign)
+        whole, variables, rows = system(driven, log_tau, priors, sign)
         design, target = whole[:, :-1], whole[:, -1]
-        values = BoundedLeastSquares(whole, positive).values
+        values = BoundedLeastSquares(whole, variables).values
         by_k = np.zeros(target.size)
         by_k[:rows] = np.concatenate(
             [e.disturbance.whitened(forced_columns(e, log_tau, sign) @ values[:r]) for e in slopes]

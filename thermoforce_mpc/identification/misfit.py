@@ -89,6 +89,7 @@ class Misfit:
             train, judged = ((L[part], target[part]) for part in (e.split.train, e.split.judged))
             self._parts.append(_Rows(tuple(steps), e.regression.rows, train, judged))
         self._n = sum(e.split.train.size for e in data)
+        self._is_rate = np.isin(np.arange(start.order), (0, start.order - 1))
         mean, sd = priors.gains_at(priors.log_tau)
         if priors.order > 1:
             # The prior of the slowest mode is on its rate G/τ, independent of its time constant.
@@ -158,9 +159,8 @@ class Misfit:
         r, a, s, step_h = self._r, modes.a, modes.s, self._start.step_s / HOUR_S
         rate, rate_by_a = s * modes.w / step_h, s * modes.dw / step_h
         steady, steady_by_a = s / (1.0 - a), s / (1.0 - a) ** 2
-        is_rate = np.isin(np.arange(r), (0, r - 1))
         value, by_a, by_s = (
-            np.where(is_rate, *both)
+            np.where(self._is_rate, *both)
             for both in ((rate, steady), (rate_by_a, steady_by_a), (modes.w / step_h, 1.0 / (1.0 - a)))
         )
         away = (np.concatenate([value, np.log(-step_h / np.log(a))]) - self._mean) / self._sd

@@ -125,8 +125,8 @@ def _log_evidence(
 
 def _solved(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:
     """Log evidence of the linear part at the prior time constants (Laplace), and RMS of its whitened residual."""
-    whole, positive, rows = system(regressions, priors.log_tau, priors, sign)
-    found = BoundedLeastSquares(whole, positive)
+    whole, variables, rows = system(regressions, priors.log_tau, priors, sign)
+    found = BoundedLeastSquares(whole, variables)
     log_evidence = -0.5 * (found.squares + found.log_determinant)
     log_evidence -= float(np.log(priors.gains_at(priors.log_tau)[1]).sum())
     residual = whole[:rows, :-1] @ found.values - whole[:rows, -1]

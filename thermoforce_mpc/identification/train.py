@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -67,25 +66,15 @@ class TrainingResult:
         return self.improvement_in_standard_errors > _SIGNIFICANT and self.score < _RELEVANT * self.linear_score
 
 
-class _Loss(torch.autograd.Function):
-    """A function of one vector that returns its gradient too, for torch's optimisers."""
+def evaluation(parameters: Tensor, misfit: Misfit) -> Callable[[], Tensor]:
+    """`misfit` at `parameters` (P,) for `minimise`."""
 
-    @staticmethod
-    def forward(ctx: Any, parameters: Tensor, function: Callable[[Array], tuple[float, Array]]) -> Tensor:
-        """The value; `function` gives value and gradient (P,)."""
-        value, gradient = function(parameters.detach().numpy())
-        ctx.gradient = torch.from_numpy(gradient)
+    def evaluate() -> Tensor:
+        value, gradient = misfit(parameters.detach().numpy())
+        parameters.grad = torch.from_numpy(gradient)
         return torch.tensor(value, dtype=torch.float64)
 
-    @staticmethod
-    def backward(ctx: Any, outer: Tensor) -> tuple[Tensor, None]:
-        """The gradient times that of what follows."""
-        return outer * ctx.gradient, None
-
-
-def loss_of(parameters: Tensor, misfit: Misfit) -> Tensor:
-    """Value of `misfit` at `parameters` (P,) as a tensor that has its gradient."""
-    return torch.as_tensor(_Loss.apply(parameters, misfit))
+    return evaluate
 
 
 def train(
@@ -104,20 +93,21 @@ def train(
     misfit = Misfit(start, regressions, priors, modulation_sd)
     parameters = torch.nn.Parameter(parameters_to_vector(operator.parameters()).detach())
     linear = misfit.judged(parameters.detach().numpy())
-    losses = minimise(lambda: loss_of(parameters, misfit), [parameters], config)
+    losses = minimise(evaluation(parameters, misfit), [parameters], config)
     judged = misfit.judged(parameters.detach().numpy())
     vector_to_parameters(parameters.detach(), operator.parameters())
     return TrainingResult(operator.numpy(), linear, judged, np.array(losses))
 
 
-def minimise(loss: Callable[[], Tensor], parameters: list[Tensor], config: IdentificationConfig) -> list[float]:
-    """Minimise with the configured optimiser; return the loss of each epoch (evaluation of loss and gradient)."""
+def minimise(evaluate: Callable[[], Tensor], parameters: list[Tensor], config: IdentificationConfig) -> list[float]:
+    """Minimise with the configured optimiser; return the loss of each epoch (evaluation of loss and gradient).
+
+    `evaluate` returns the loss and sets the gradients of `parameters`.
+    """
     losses: list[float] = []
 
     def closure() -> Tensor:
-        optimiser.zero_grad()
-        value = loss()
-        value.backward()
+        value = evaluate()
         losses.append(float(value.detach()))
         return value
 

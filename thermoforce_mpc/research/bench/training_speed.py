@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.likelihood import Residuals, Split
 from thermoforce_mpc.identification.misfit import Misfit, TrainingData
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData
-from thermoforce_mpc.identification.train import loss_of, minimise
+from thermoforce_mpc.identification.train import evaluation, minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator import OperatorParameters
@@ -112,14 +112,22 @@ def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> 
     plain = task.start()
     config = IdentificationConfig(optimiser="adam", epochs=epochs)
     began = perf_counter()
-    aim = min(minimise(lambda: task.loop(plain), list(plain.parameters()), config))
+
+    def by_loop() -> Tensor:
+        plain.zero_grad()
+        found = task.loop(plain)
+        found.backward()
+        return found
+
+    aim = min(minimise(by_loop, list(plain.parameters()), config))
     plain_s = perf_counter() - began
 
     def train() -> None:
         parameters = torch.nn.Parameter(_vector(task.start()))
+        evaluate = evaluation(parameters, task.misfit)
 
         def value() -> Tensor:
-            found = loss_of(parameters, task.misfit)
+            found = evaluate()
             if float(found.detach()) <= aim:
                 raise _Reached
             return found
