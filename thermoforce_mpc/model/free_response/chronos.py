@@ -112,7 +112,10 @@ class ChronosFreeResponse:
 
     def forecasting(self, tasks: Sequence[Task]) -> Asking[list[FreeForecast]]:
         """`forecast_many` as a computation: it asks the backbone for the quantiles of all its contexts."""
-        inputs = [self._input_of(*task) for task in tasks]
+        inputs: list[list[Resolution] | FreeForecast] = []
+        for i, task in enumerate(tasks):
+            again = self._again(inputs[-1], tasks[i - 1], task) if i else None
+            inputs.append(again or self._input_of(*task))
         contexts = [one.context for resolutions in inputs if isinstance(resolutions, list) for one in resolutions]
         found: Iterator[Array] = iter(())
         if contexts:
@@ -140,6 +143,14 @@ class ChronosFreeResponse:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
         why = self._too_little(free, boundary.step_s)
         return self._persistence(free, history, boundary, why) if why else self._resolutions_of(free, history, boundary)
+
+    def _again(self, before: list[Resolution] | FreeForecast, last: Task, task: Task) -> list[Resolution] | None:
+        """The input of a task that has another series than the `last` one, but all else; None where it has not."""
+        if isinstance(before, FreeForecast) or task[1] is not last[1] or task[2] is not last[2]:
+            return None
+        if not np.array_equal(np.isfinite(task[0]), np.isfinite(last[0])):
+            return None
+        return [resolution.of(task[0]) for resolution in before]
 
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""

@@ -166,6 +166,7 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
     """Return the simulated response per unit of every parameter (n + N + 1, p), which are ≥ 0, ridge weights (p,)."""
     poles = np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H)
     hour_angle = 2 * np.pi * time_s / DAY_S
+    cosine, sine = np.cos(hour_angle), np.sin(hour_angle)
     drives = np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1)
     mean = 0.5 * (drives[:-1] + drives[1:])
     first = drives[0] * np.array([1.0, 0.0])
@@ -173,7 +174,7 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
     states[0] = first
     for mode, pole in enumerate(poles):
         states[1:, mode] = lfilter([1.0 - pole], [1.0, -pole], mean, axis=0, zi=pole * first[None])[0]
-    waves = [f(k * hour_angle) for k in (1, 2) for f in (np.cos, np.sin)]
+    waves = [cosine, sine, 2 * cosine**2 - 1, 2 * sine * cosine]  # once and twice a day
     start = np.exp(np.arange(time_s.size)[:, None] * (-step_s / HOUR_S / TIME_CONSTANTS_H))
     columns = np.concatenate(
         [states[:, :, 0], states[:, :, 1], np.stack([np.ones(time_s.size), *waves], axis=1), start], axis=1

@@ -8,7 +8,7 @@ better than most single ones. Quantiles are averaged level by level (Lichtendahl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,11 @@ class Resolution:
     stride: int
     n_steps: int
     now_C: float
+
+    def of(self, free_C: Array) -> Resolution:
+        """The same instants and weather of another series (k,), °C, with values where this one's has them."""
+        series = _every(free_C, self.stride, self.context.free_C.size)
+        return replace(self, context=replace(self.context, free_C=series), now_C=_now_C(free_C))
 
     def at_own_step(self, quantiles_C: Array) -> Array:
         """Return quantiles (levels, ahead) at the series' own steps, (levels, n_steps), NaN beyond their reach.
@@ -89,12 +94,20 @@ def _at_resolution(
     free_C: Array, past_weather: Array, ahead_weather: Array, *, stride: int, longest: int, ahead: int
 ) -> Resolution:
     """Return the resolution of the last `longest` of every `stride`-th value up to now, and `ahead` steps ahead."""
-    series = free_C[::-1][::stride][::-1][-longest:]
+    series = _every(free_C, stride, longest)
     # Weather of a coarse step is its mean, since irradiance at one instant does not represent an hour.
     past = _block_means(past_weather[-series.size * stride :], stride, pad_before=True)
     coming = _block_means(ahead_weather[:ahead], stride, pad_before=False)
-    now_C = float(free_C[np.isfinite(free_C)][-1])
-    return Resolution(Context(series, past, coming), stride, len(ahead_weather), now_C)
+    return Resolution(Context(series, past, coming), stride, len(ahead_weather), _now_C(free_C))
+
+
+def _every(free_C: Array, stride: int, longest: int) -> Array:
+    return free_C[::-1][::stride][::-1][-longest:]
+
+
+def _now_C(free_C: Array) -> float:
+    """The last value that is known."""
+    return float(free_C[np.isfinite(free_C)][-1])
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 # Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
-_AT_ONCE = 64
+_AT_ONCE = 48
 # Contexts of one length below which they join a batch of longer ones.
 _FEW = 16
 
