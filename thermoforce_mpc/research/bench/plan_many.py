@@ -11,14 +11,12 @@ import multiprocessing
 import os
 import statistics
 import time
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from controllers.many import Planned
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.portfolio import Portfolio
@@ -91,7 +89,11 @@ def measure_plan_many(
     Not measured, since it comes once a day for each building: trials by which the forecast's weights are renewed.
     """
     days = [situations for index in range(houses) if (situations := _day_of(index, progress))]
-    return [_measured(_buildings(days, count), workers, progress) for count in counts]
+    results = []
+    for count in counts:
+        results.append(measure(_buildings(days, count), workers))
+        progress(in_words(results[-1]))
+    return results
 
 
 def _day_of(index: int, progress: Callable[[str], None]) -> list[Situation]:
@@ -149,13 +151,15 @@ def _stronger(operator: BuildingOperator, factor: float) -> BuildingOperator:
     return operator.map(lambda pair: replace(pair, gains=factor * pair.gains))
 
 
-def _measured(buildings: dict[str, Situation], workers: int, progress: Callable[[str], None]) -> ManyPlans:
+def measure(buildings: Mapping[str, Situation], workers: int) -> ManyPlans:
+    """Plan for buildings at all their instants, in so many processes."""
     single_ms = _single_ms(list(buildings.values())[:20])
     states: dict[str, object] = {name: one.state for name, one in buildings.items()}
-    seconds, planned, cpu_s = [], list[Planned](), 0.0
+    seconds, cpu_s = [], 0.0
+    costs, reasons = list[Mapping[str, float]](), list[str]()
     configs = {name: one.config for name, one in buildings.items()}
     with Portfolio({name: one.model for name, one in buildings.items()}, configs, workers=workers) as portfolio:
-        for k in range(_INSTANTS):
+        for k in range(len(next(iter(buildings.values())).observations)):
             if k == 1:
                 cpu_s = _cpu_s()
             observations = {name: one.observations[k] for name, one in buildings.items()}
@@ -163,25 +167,24 @@ def _measured(buildings: dict[str, Situation], workers: int, progress: Callable[
             found = portfolio.plan(observations, states)
             seconds.append(time.perf_counter() - began)
             states = {name: one.state for name, one in found.items()}
-            planned += found.values() if k else []
+            costs += [one.seconds for one in found.values()] if k else []
+            reasons += [one.reason for one in found.values()] if k else []
         cpu_s = _cpu_s() - cpu_s
         here_MB, *of_workers = (_peak_MB(process) for process in _processes())
-    result = ManyPlans(
+    return ManyPlans(
         buildings=len(buildings),
         workers=workers,
         per_second=len(buildings) / statistics.median(seconds[1:]),
         first_s=seconds[0],
-        cpu_ms=1000.0 * cpu_s / len(planned),
-        plan_ms=_mean_ms(planned, "all"),
-        forecast_ms=_mean_ms(planned, "forecast"),
-        solve_ms=_mean_ms(planned, "solve"),
+        cpu_ms=1000.0 * cpu_s / len(costs),
+        plan_ms=_mean_ms(costs, "all"),
+        forecast_ms=_mean_ms(costs, "forecast"),
+        solve_ms=_mean_ms(costs, "solve"),
         single_ms=single_ms,
         peak_MB=here_MB + sum(of_workers),
         worker_MB=sum(of_workers),
-        solved=Counter(not one.reason for one in planned)[True] / len(planned),
+        solved=reasons.count("") / len(reasons),
     )
-    progress(in_words(result))
-    return result
 
 
 def in_words(result: ManyPlans) -> str:
@@ -211,8 +214,8 @@ def _single_ms(situations: Sequence[Situation]) -> float:
     return 1000.0 * statistics.median(seconds)
 
 
-def _mean_ms(planned: Sequence[Planned], part: str) -> float:
-    return 1000.0 * statistics.fmean(one.seconds.get(part, 0.0) for one in planned)
+def _mean_ms(costs: Sequence[Mapping[str, float]], part: str) -> float:
+    return 1000.0 * statistics.fmean(seconds.get(part, 0.0) for seconds in costs)
 
 
 def _processes() -> list[str]:
