@@ -1,10 +1,12 @@
 """Registry of controllers by name. A new controller needs one file and one entry here.
 
-Other distributions announce an `Entry` in the group `thermoforce_mpc.controllers`, see docs/how-to/plugins.md.
+Other distributions announce a class, a function or an `Entry` in the group `thermoforce_mpc.controllers`, see
+docs/how-to/plugins.md.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -14,9 +16,10 @@ from controllers.native import NativeConfig, NativeController
 from controllers.pi import PIConfig, PIController
 from controllers.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.registry import Registry, instance_of
+from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel, merge, validate
+from thermoforce_mpc.scenario.signatures import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
@@ -178,7 +181,33 @@ _OWN: dict[str, Entry] = {
     ),
 }
 
-REGISTRY = Registry("controller", "controllers", _OWN, ControllerConfigError, instance_of(Entry))
+
+def _plugin(name: str, found: Entry | Callable[..., Controller]) -> Entry:
+    """A plugin's entry, or that of a class or function whose parameters are its options."""
+    if isinstance(found, Entry):
+        return found
+    needs_model = "model" in inspect.signature(found).parameters
+
+    def build(name: str, options: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
+        def made(model: ThermalModel | None, config: Any, *, name: str) -> Controller:
+            controller: Controller = called(found, config, {"testcase": testcase, "model": model})
+            return controller
+
+        return _on_model(made, name, options, testcase, model) if needs_model else made(None, options, name=name)
+
+    return Entry(first_line(found) or name, needs_model, lambda: options_model(found, _HANDED), build)
+
+
+# What a plugin's class or function is handed, where it has a parameter of the name.
+_HANDED = ("testcase", "model")
+REGISTRY: Registry[Entry] = Registry(
+    "controller",
+    "controllers",
+    _OWN,
+    ControllerConfigError,
+    lambda found: "" if isinstance(found, Entry) else unfit(found, _HANDED),
+    _plugin,
+)
 
 
 def find_entry(name: str) -> Entry:

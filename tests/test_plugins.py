@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from controllers.errors import ControllerConfigError
-from controllers.registry import REGISTRY, Entry
+from controllers.registry import REGISTRY, Entry, build_controller
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.registry import check_plant
-from thermoforce_mpc.registry import Registry, builder, instance_of
+from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.variants import Variant
@@ -36,7 +36,7 @@ def distribution(where: Path, name: str, module: str, group: str = "controllers"
 @pytest.fixture
 def registry() -> Registry[Entry]:
     """The registry of controllers as a new process would have it."""
-    return Registry("controller", "controllers", REGISTRY.own, ControllerConfigError, instance_of(Entry))
+    return Registry("controller", "controllers", REGISTRY.own, ControllerConfigError, REGISTRY._wrong, REGISTRY._made)
 
 
 GOOD = """
@@ -64,7 +64,13 @@ def test_a_plugin_is_found_by_name_and_imported_when_it_is_named(tmp_path, monke
         ("raise SystemExit(3)", "X", r"cannot be imported \(SystemExit"),
         ("def broken(:", "X", r"cannot be imported \(SyntaxError"),
         ("Y = 1", "X", r"cannot be imported \(AttributeError"),
-        ("X = 1", "X", "cannot be used: it is a int, not a Entry"),
+        (
+            "class X:\n    def __init__(self, house): ...",
+            "X",
+            "cannot be used: its parameters house have no default; with",
+        ),
+        ("def X(gain: 'NoSuchType' = 1): ...", "X", "cannot be used: its options cannot be checked: .*NoSuchType"),
+        ("X = 1", "X", "cannot be used: it is a int, not a function or class"),
     ],
 )
 def test_one_that_fails_is_named_with_its_distribution_and_fails_alone(
@@ -116,6 +122,30 @@ def test_names_that_clash(tmp_path, monkeypatch, registry):
     assert len(problems) == 2
 
 
+SIMPLE = """
+from thermoforce_mpc.data import Block, Plan, PlanStatus
+class Hold:
+    "Holds a level"
+    name, step_s, horizon_s = "hold", 900.0, 900.0
+    def __init__(self, testcase: "OnlyForTypeChecking", level=0.5, why: str = ""):
+        self.testcase, self.level, self.why = testcase, level, why
+"""
+
+
+def test_a_class_is_enough_its_parameters_are_the_options(tmp_path, monkeypatch, registry):
+    distribution(tmp_path, "hold-house", SIMPLE, hold="hold_house:Hold")
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = registry.find("hold")
+    assert (entry.summary, entry.needs_model) == ("Holds a level", False)
+    monkeypatch.setattr("controllers.registry.REGISTRY", registry)
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    built = build_controller("hold", {"level": 0.25}, testcase)
+    assert (built.testcase, built.level, built.why) == (testcase, 0.25, "")
+    for wrong, words in (({"level": "much"}, "level"), ({"levle": 1.0}, "did you mean 'level'"), ({"why": 3}, "why")):
+        with pytest.raises(ConfigError, match=words):
+            build_controller("hold", wrong, testcase)
+
+
 def test_a_free_response_has_defaults_for_all_its_options(tmp_path, monkeypatch):
     distribution(tmp_path, "odd-forecast", "def X(step, spread_K=1.0): ...", "free_responses", odd="odd_forecast:X")
     monkeypatch.syspath_prepend(tmp_path)
@@ -165,6 +195,18 @@ checked = validate_scenario(load_scenario(None, {"testcase": "north_house", "con
     "options": {"free_response": {"name": "yesterday", "options": {"spread_K": 2.0}}}}}))
 import numpy as np
 import thermoforce_mpc as tf
+from thermoforce_mpc.connections.registry import build_connection
+import simulated_building as sim
+from live_gateway import served
+from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.measurements.mapping import MeasurementMap
+from test_live import mpc
+house = sim.SimulatedBuilding()
+house.measurements().to_csv("house.csv", index=False)
+house.forecast().to_csv("tomorrow.csv")
+with served(house) as url:
+    gateway = build_connection("gateway", {"url": url})
+    control(LiveBuilding(gateway, MeasurementMap.model_validate(sim.RULES), 3600.0), mpc(), clock=house, steps=3)
 done = tf.run("north_house", controller="night_setback", baselines=["native"], period="cold_week", days=1,
               progress=False)
 from contextlib import closing
@@ -176,13 +218,15 @@ with closing(build_plant(done.scenario.plant, checked, 1)) as plant:
     forecast = build_free_response("yesterday", spread_K=2.0).forecast(past.T_zone_C[0], past, ahead)
 json.dump({"kpis": done.kpis, "levels": sorted(set(done.to_dataframe()["u_applied"])), "kind": done.plant.kind,
            "median": list(forecast.median_C), "measured": list(past.T_zone_C[0][-24:]),
+           "set": [one[1]["actuator"] for one in house.written],
            "width": float(np.ptp(forecast.quantiles_C[:, 0]))}, sys.stdout)
 """
 
 
 @pytest.mark.slow
 def test_the_example_package_runs(example, tmp_path):
-    environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{example}"}
+    paths = (ROOT, example, ROOT / "tests", ROOT / "tests" / "support")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
@@ -194,12 +238,15 @@ def test_the_example_package_runs(example, tmp_path):
     assert found["kpis"]["night_setback"]["ener_tot"] != found["kpis"]["native"]["ener_tot"]
     assert found["median"] == found["measured"]
     assert found["width"] == 4.0
+    assert found["set"][-1] is None
+    assert any(level is not None for level in found["set"])
 
 
 LISTS = """
 from click.testing import CliRunner
 from thermoforce_mpc.cli import cli
-for words in (["controllers"], ["plants"], ["free-responses"], ["testcases"], ["controllers", "night_setback"]):
+for words in (["controllers"], ["plants"], ["free-responses"], ["connections"], ["testcases"],
+              ["controllers", "night_setback"], ["connections", "gateway"]):
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     print(done.output)
@@ -215,8 +262,11 @@ def test_the_command_line_lists_plugins_with_their_origin(example, tmp_path):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, example, broken)))}
     done = subprocess.run([sys.executable, "-c", LISTS], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    for name, what in (("night_setback", "CONTROLLER"), ("north_house", "PLANT"), ("yesterday", "Yesterday")):
+    for name, what in (
+        ("night_setback", "NightSetback"), ("north_house", "plant"), ("yesterday", "Yesterday"), ("gateway", "Gateway"),
+    ):  # fmt: skip
         assert name in done.stdout
         assert f"from tf-mpc-example 0.1 (tf_mpc_example:{what})" in done.stdout
     assert "controller.options.night_C  (default 19.0)" in done.stdout
+    assert "connection.url  (default 'http://127.0.0.1:8123/levels')" in done.stdout
     assert done.stdout.count("controller 'worse' of bad-house 1.2 (bad_house:X) cannot be imported") == 2

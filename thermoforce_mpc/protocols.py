@@ -1,12 +1,12 @@
-"""Structural protocols between packages: `Plant`, `FreeResponse` and its kinds, and `Controller`.
+"""Structural protocols between packages: `Plant`, `FreeResponse` and its kinds, `Controller` and `Connection`.
 
-Each free response and each controller is one file, listed in one registry.
+Each free response, controller and connection is one file, listed in one registry.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from thermoforce_mpc.asking import Asking
 from thermoforce_mpc.data import (
@@ -22,6 +22,11 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pandas as pd
 
 
 @runtime_checkable
@@ -159,4 +164,31 @@ class Controller(Protocol):
         A failed solve does not raise: the plan's status gives the fallback level used and the reason. `state` is the
         `Plan.state` of the last plan of this run, None at its start. Same observation and state, same plan.
         """
+        ...
+
+
+@runtime_checkable
+class Connection(Protocol):
+    """A real building, as `tf-mpc control` sees it; any exception means that it cannot be reached at present."""
+
+    def measurements(self) -> pd.DataFrame | str | Path:
+        """What was measured lately, a row per time, up to now or nearly so: a day at least, better four weeks.
+
+        A table or the file with it; columns, units and clock are those of the building's map (docs/reference/map.md).
+        """
+        ...
+
+    def forecast(self) -> pd.DataFrame | str | Path:
+        """Weather, and prices and bounds where the map has them as columns, from now or before, a day or two ahead."""
+        ...
+
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """Set the level of each actuator, in [0, 1], by its name in the map; None gives it back to its own control.
+
+        `seconds`: how long this holds. Where nothing else was written by then, the building should take over itself.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release what was opened; safe to call twice. The actuators were given back before."""
         ...

@@ -17,7 +17,7 @@ from functools import cached_property
 from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from thermoforce_mpc.errors import InputError, suggestion
 
@@ -46,7 +46,8 @@ class Registry(Generic[T]):
         group: the last part of the entry points' group, `thermoforce_mpc.<group>`.
         own: those of this package.
         error: raised by `find`.
-        wrong: says what is wrong with what a plugin gives, or nothing; see `instance_of`.
+        wrong: says what is wrong with what a plugin gives, or nothing; see `builder`.
+        made: makes what is registered from what a plugin gives, from its name and the object; by default the object.
     """
 
     def __init__(
@@ -56,9 +57,10 @@ class Registry(Generic[T]):
         own: Mapping[str, T],
         error: type[InputError],
         wrong: Callable[[object], str],
+        made: Callable[[str, Any], T] = lambda name, found: found,
     ) -> None:
         self.kind, self.group, self.own = kind, f"{PREFIX}.{group}", dict(own)
-        self._error, self._wrong = error, wrong
+        self._error, self._wrong, self._made = error, wrong, made
         self._loaded: dict[str, T] = {}
 
     @property
@@ -120,7 +122,7 @@ class Registry(Generic[T]):
         wrong = self._wrong(found)
         if wrong:
             raise self._error(f"{where} cannot be used: {wrong}")
-        return found
+        return self._made(plugin.name, found)
 
 
 def announced(group: str) -> dict[str, list[EntryPoint]]:
@@ -193,13 +195,6 @@ def known_name(kind: str, group: str, *own: str) -> Callable[[str], str]:
         return name
 
     return checked
-
-
-def instance_of(expected: type) -> Callable[[object], str]:
-    """The check that a plugin gives an `expected`."""
-    return lambda found: (
-        "" if isinstance(found, expected) else f"it is a {type(found).__name__}, not a {expected.__name__}"
-    )
 
 
 def builder(found: object) -> str:

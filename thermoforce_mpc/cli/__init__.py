@@ -28,6 +28,7 @@ _COMMANDS = {
     ),
     "data": ("thermoforce_mpc.cli.data", "Check measurements of your own building; plan a probing by hand."),
     "plan": ("thermoforce_mpc.cli.plan", "Plan the next hours from recent measurements and a forecast in files."),
+    "control": ("thermoforce_mpc.cli.control", "Control a real building through a connection, in real time."),
     "forecast": ("thermoforce_mpc.cli.forecast", "Forecast the temperature of your own building, with its band."),
     "counterfactual": (
         "thermoforce_mpc.cli.counterfactual",
@@ -46,6 +47,7 @@ _COMMANDS = {
     "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
     "train": ("thermoforce_mpc.cli.train", "Train the policy of the controller dpc through a saved model."),
     "plants": ("thermoforce_mpc.cli.plants", "List plants and their options."),
+    "connections": ("thermoforce_mpc.cli.connections", "List connections to real buildings and their options."),
     "free-responses": ("thermoforce_mpc.cli.free_responses", "List forecasters of the free response, and backbones."),
     "chaos": ("thermoforce_mpc.cli.chaos", "Run controllers with everything around them failing on purpose."),
     "doctor": (

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import click
 
-from thermoforce_mpc.cli.listing import first_line, show_names
+from thermoforce_mpc.cli.listing import show_names
 from thermoforce_mpc.model.free_response.backbones import loading
 from thermoforce_mpc.model.free_response.registry import REGISTRY, options_of
+from thermoforce_mpc.scenario.signatures import first_line
 
 
 @click.command(name="free-responses", short_help="List forecasters of the free response and their options.")

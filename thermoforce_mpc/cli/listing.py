@@ -34,8 +34,3 @@ def show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: st
         value = defaults.get(key, default)
         shown = "required" if value is PydanticUndefined else f"default {value!r}"
         click.echo(f"  {prefix}{key}  ({shown})\n      {field.description or ''}")
-
-
-def first_line(build: Callable[..., Any]) -> str:
-    """First line of the docstring of a function or class."""
-    return (getattr(getattr(build, "func", build), "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")

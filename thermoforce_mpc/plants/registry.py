@@ -1,6 +1,7 @@
 """Registry of plants by name: which one implements a scenario's building. A new plant needs one entry here.
 
-Other distributions announce a `PlantEntry` in the group `thermoforce_mpc.plants`, see docs/how-to/plugins.md.
+Other distributions announce a class, a function or a `PlantEntry` in the group `thermoforce_mpc.plants`, see
+docs/how-to/plugins.md.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.registry import Registry, instance_of
+from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.scenario import PlantSpec
 from thermoforce_mpc.scenario.settings import StrictModel, validate
+from thermoforce_mpc.scenario.signatures import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:
@@ -198,4 +200,27 @@ _OWN = {
     "boptest": PlantEntry("a BOPTEST service (--url)", boptest_plant, takes=frozenset({UNCERTAINTY})),
     "fmu": PlantEntry("a test case's FMU (--fmu), extra [fmu]", _fmu, takes=frozenset({UNCERTAINTY})),
 }
-REGISTRY = Registry("plant", "plants", _OWN, ConfigError, instance_of(PlantEntry))
+
+
+def _plugin(name: str, found: PlantEntry | Callable[..., Plant]) -> PlantEntry:
+    """A plugin's entry, or that of a class or function whose parameters are its options."""
+    if isinstance(found, PlantEntry):
+        return found
+
+    def build(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+        plant: Plant = called(found, options, {"testcase": testcase, "seed": seed})
+        return plant
+
+    return PlantEntry(first_line(found) or name, build, lambda: options_model(found, _HANDED))
+
+
+# What a plugin's class or function is handed, where it has a parameter of the name.
+_HANDED = ("testcase", "seed")
+REGISTRY: Registry[PlantEntry] = Registry(
+    "plant",
+    "plants",
+    _OWN,
+    ConfigError,
+    lambda found: "" if isinstance(found, PlantEntry) else unfit(found, _HANDED),
+    _plugin,
+)

@@ -124,12 +124,13 @@ def _packages() -> Finding:
 def _plugins() -> Finding:
     """Everything that other distributions announce, imported."""
     from controllers.registry import REGISTRY as controllers
+    from thermoforce_mpc.connections.registry import REGISTRY as connections
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as backbones
     from thermoforce_mpc.model.free_response.registry import REGISTRY as free_responses
     from thermoforce_mpc.plants.registry import REGISTRY as plants
     from thermoforce_mpc.scenario.scenario import MADE_TESTCASES as testcases
 
-    registries: tuple[Registry[Any], ...] = (controllers, plants, free_responses, backbones, testcases)
+    registries: tuple[Registry[Any], ...] = (controllers, plants, free_responses, backbones, connections, testcases)
     found = [(registry.kind, one) for registry in registries for one in registry.listing() if one.origin != OWN]
     wrong = [f"{kind} '{one.name}' of {one.origin}: {one.problem}" for kind, one in found if one.problem]
     if wrong:

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, HOUR_S, Boundary, Record
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
-from thermoforce_mpc.protocols import Plant
 
 _LOG = logging.getLogger(__name__)
 
 OUTAGE_H = 48.0
 """Time without a forecast after which a run ends, h."""
+
+
+class Forecaster(Protocol):
+    """What gives forecasts: a plant, or a building."""
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        ...
 
 
 class Forecasts:
@@ -30,7 +37,7 @@ class Forecasts:
         outage_h: time without a forecast after which `NoForecast` ends the run, h.
     """
 
-    def __init__(self, plant: Plant, horizon_s: float, step_s: float, outage_h: float = OUTAGE_H) -> None:
+    def __init__(self, plant: Forecaster, horizon_s: float, step_s: float, outage_h: float = OUTAGE_H) -> None:
         self._plant, self._step_s, self._outage_h = plant, step_s, outage_h
         self._horizon_s, self._n_steps = horizon_s, round(horizon_s / step_s)
         self._last: Boundary | None = None

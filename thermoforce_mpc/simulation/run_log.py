@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from thermoforce_mpc.data import Plan
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.simulation.closed_loop import StepRecord
 
@@ -80,13 +81,27 @@ def logging_to(folder: Path, say: Callable[[str], None] = lambda text: None) -> 
 
 def log_step(controller: str, step: StepRecord) -> None:
     """Log one step: what acted, and why."""
+    levels = [sample.u_applied for sample in step.samples]
+    log_decision(controller, step.index, step.time_s, step.plan, levels, step.refused, step.notes)
+
+
+def log_decision(
+    controller: str,
+    index: int,
+    time_s: float,
+    plan: Plan,
+    levels: Sequence[Sequence[float | None]],
+    refused: str,
+    notes: Sequence[str],
+) -> None:
+    """Log what was decided at `time_s`: the levels of each block, and why."""
     fields = {
         "controller": controller,
-        "step": step.index,
-        "time_s": step.time_s,
-        "status": step.plan.status.value,
-        "u": [list(sample.u_applied) for sample in step.samples],
-        "refused": step.refused,
-        "notes": list(step.notes),
+        "step": index,
+        "time_s": time_s,
+        "status": plan.status.value,
+        "u": [list(block) for block in levels],
+        "refused": refused,
+        "notes": list(notes),
     }
-    _STEPS.info("%s", step.plan.why, extra={"fields": fields})
+    _STEPS.info("%s", plan.why, extra={"fields": fields})

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.registry import Registry, builder
+from thermoforce_mpc.registry import Registry
+from thermoforce_mpc.scenario.signatures import unfit
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
@@ -75,20 +76,9 @@ _OWN: dict[str, Callable[..., FreeResponse]] = {
     "persistence": _persistence,
 }
 
-
-def _wrong(found: object) -> str:
-    """What is wrong with a plugin's function or class: every parameter is an option, and options have defaults."""
-    if not callable(found):
-        return builder(found)
-    try:
-        parameters = inspect.signature(found).parameters.values()
-    except ValueError as error:
-        return str(error)
-    bare = [one.name for one in parameters if one.name != "rc" and one.default is inspect.Parameter.empty]
-    return f"its parameters {', '.join(bare)} have no default" if bare else ""
-
-
-REGISTRY: Registry[Callable[..., FreeResponse]] = Registry("free response", "free_responses", _OWN, ConfigError, _wrong)
+REGISTRY: Registry[Callable[..., FreeResponse]] = Registry(
+    "free response", "free_responses", _OWN, ConfigError, lambda found: unfit(found, ("rc",))
+)
 
 
 def own_options() -> dict[str, dict[str, Any]]:

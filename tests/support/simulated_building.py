@@ -1,0 +1,65 @@
+"""A simulated house behind a `Connection`, with a clock of its own: waiting lets it live, a row a minute."""
+
+from __future__ import annotations
+
+import pandas as pd
+from simple_house import SimpleHouse
+
+from thermoforce_mpc.data import DAY_S, HOUR_S
+
+START = pd.Timestamp("2025-01-12", tz="UTC")
+RULES = {
+    "time": {"zone": "UTC"},
+    "step": "1h",
+    "outdoor": "out",
+    "sun": "sun",
+    "zones": {"zone": {"temperature": "T", "lower": "low", "upper": "high", "floor_area_m2": 100.0}},
+    "actuators": {"actuator": {"level": "u"}},
+    "machines": {"machine": {"power": "P", "price": 0.25}},
+}
+
+
+class SimulatedBuilding:
+    """`Connection` and `Clock`. `failing` is asked before every answer and raises what it likes."""
+
+    def __init__(self, failing=lambda what, now: None) -> None:
+        self.house, self.failing = SimpleHouse(), failing
+        self.house.reset(0.0, 0.0)
+        self.at, self.level, self.rows, self.written, self.closed = START, None, [], [], False
+        self.at -= pd.Timedelta(days=3)
+        self.house.now_s = (self.at - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
+        self.wait_until(START)
+        self.begun = len(self.rows)
+
+    def now(self) -> pd.Timestamp:
+        return self.at
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        while (left_s := (at - self.at).total_seconds()) > 1e-6:
+            part_s = min(60.0, left_s)
+            row = {"time": self.at, "T": self.house.T, "out": self.house._measure().T_out_C, "sun": 0.0}
+            done = self.house._advance(self.level, part_s)
+            self.rows.append(row | {"u": done.u[0], "P": done.power_W[0], "low": 20.0, "high": 24.0})
+            self.at += pd.Timedelta(seconds=part_s)
+
+    def measurements(self) -> pd.DataFrame:
+        self.failing("measurements", self.at)
+        return pd.DataFrame([*self.rows[-4 * 1440 :], self._present()])
+
+    def _present(self):
+        return {"time": self.at, "T": self.house.T, "out": self.house._measure().T_out_C, "sun": 0.0}
+
+    def forecast(self) -> pd.DataFrame:
+        self.failing("forecast", self.at)
+        begin = self.at.floor("1h")
+        b = self.house.forecast(DAY_S, HOUR_S)
+        index = pd.date_range(begin, periods=b.n_steps + 1, freq="1h", name="time")
+        return pd.DataFrame({"out": b.T_out_C, "sun": 0.0, "low": 20.0, "high": 24.0}, index=index)
+
+    def write(self, levels, seconds) -> None:
+        self.failing("write", self.at)
+        self.written.append((self.at, dict(levels), seconds))
+        (self.level,) = levels.values()
+
+    def close(self) -> None:
+        self.closed = True

@@ -1,0 +1,208 @@
+"""A controller at a real building: it heats by what the tables say, and whatever fails gives the building back."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+from simple_house import simple_model
+from simulated_building import RULES, START, SimulatedBuilding
+
+from controllers.mpc import ThermoForceMPC
+from controllers.mpc_config import MPCConfig
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.measurements.mapping import MeasurementMap
+
+HOUR = pd.Timedelta("1h")
+
+
+def mpc(**options):
+    base = {"step_s": 3600.0, "horizon_h": 12.0, "free_response": {"name": "rc"}, "gate": {"enabled": False}}
+    base |= {"free_response": {"name": "persistence"}, "guard": {"enabled": False}, "watch": {"enabled": False}}
+    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(base | options))
+
+
+def controlled(house, steps, rules=RULES, **settings):
+    told = []
+    building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
+    control(building, mpc(), clock=house, steps=steps, told=told.append, **settings)
+    return told
+
+
+def test_the_building_is_kept_warm_and_given_back():
+    house = SimulatedBuilding()
+    told = controlled(house, 48)
+    assert [decision.plan.status for decision in told] == ["solved"] * 48
+    assert [decision.instant for decision in told] == list(pd.date_range(START, periods=48, freq="1h"))
+    T = np.array([row["T"] for row in house.rows[house.begun :]])
+    assert T.min() > 19.5
+    assert T.max() < 24.0
+    _, levels, seconds = house.written[-1]
+    assert levels == {"actuator": None}
+    assert seconds == 0.0
+    for _, levels, seconds in house.written[:-1]:
+        assert 0.0 <= levels["actuator"] <= 1.0
+        assert 0.0 < seconds <= 3600.0
+
+
+def when(what, first_h, last_h, error):
+    """Raise `error` when asked for `what` between two hours of the run."""
+
+    def failing(asked, now):
+        if asked == what and first_h * HOUR <= now - START < last_h * HOUR:
+            raise error
+
+    return failing
+
+
+def test_readings_that_cannot_be_had_give_the_building_back_until_there_are_some(caplog):
+    house = SimulatedBuilding(when("measurements", 3, 6, OSError("gateway is down")))
+    told = controlled(house, 10)
+    assert [decision.plan.status for decision in told] == ["solved"] * 3 + ["native"] * 3 + ["solved"] * 4
+    assert "gateway is down" in told[3].plan.why
+    assert [levels["actuator"] for at, levels, _ in house.written if 3 * HOUR <= at - START < 6 * HOUR] == [None] * 3
+    assert "no decision" in caplog.text
+
+
+def test_the_last_forecast_stands_in_for_one_that_is_missing():
+    house = SimulatedBuilding(when("forecast", 3, 5, TimeoutError("weather service")))
+    told = controlled(house, 7)
+    assert [decision.plan.status for decision in told] == ["solved"] * 3 + ["bridged"] * 2 + ["solved"] * 2
+    assert any("weather service" in note or "no forecast" in note for note in told[3].notes)
+    assert not told[6].notes
+
+
+def test_levels_that_are_not_taken_are_set_again_in_the_next_step(caplog):
+    house = SimulatedBuilding(when("write", 1, 3, ConnectionError("bus")))
+    controlled(house, 5)
+    assert "were not taken (ConnectionError: bus)" in caplog.text
+    assert next(at - START for at, _, _ in house.written if at - START >= 1 * HOUR) >= 3 * HOUR
+    assert house.level is None
+
+
+def test_a_silent_logger_is_bridged_by_the_model_for_a_while():
+    house = SimulatedBuilding()
+    live = house.measurements
+    house.measurements = lambda: live()[lambda table: table["time"] < START + 3 * HOUR]
+    told = [decision.plan.status for decision in controlled(house, 20)]
+    assert told[:5] == ["solved"] * 3 + ["bridged"] * 2
+    assert told[-1] in ("thermostat", "native")
+
+
+def test_a_logger_that_was_silent_for_a_day_says_nothing_of_now():
+    house = SimulatedBuilding()
+    live = house.measurements
+    house.measurements = lambda: live()[lambda table: table["time"] < START]
+    told = controlled(house, 27)
+    assert told[-1].plan.status == "native"
+    assert "does the logger run" in told[-1].plan.why
+
+
+def test_what_is_wrong_at_the_start_is_raised_and_nothing_is_set():
+    house = SimulatedBuilding(when("measurements", 0, 1, OSError("no route to host")))
+    with pytest.raises(PlantError, match=r"gives no measurements \(OSError: no route to host\)"):
+        controlled(house, 3)
+    house = SimulatedBuilding()
+    live = house.measurements
+    house.measurements = lambda: live().assign(time=lambda table: table["time"].dt.tz_localize(None))
+    with pytest.raises(ConfigError, match=r"time\.zone"):
+        controlled(house, 3, {**RULES, "time": {}})
+    assert not house.written
+
+
+def test_an_interrupted_run_gives_the_building_back():
+    house = SimulatedBuilding()
+    wait = house.wait_until
+
+    def interrupted(at):
+        wait(at)
+        if house.at > START + 2 * HOUR:
+            raise KeyboardInterrupt
+
+    house.wait_until = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        controlled(house, 24)
+    assert house.level is None
+    assert house.written[-1][1:] == ({"actuator": None}, 0.0)
+
+
+def test_a_building_that_does_not_take_its_levels_back_is_told_of():
+    house = SimulatedBuilding(when("write", 2, 99, OSError("bus")))
+    with pytest.raises(PlantError, match="actuator in 5 attempts"):
+        controlled(house, 3)
+
+
+def test_a_dry_run_sets_nothing():
+    house = SimulatedBuilding()
+    (decision,) = controlled(house, 1, dry=True)
+    assert decision.plan.status == "solved"
+    assert not house.written
+
+
+def test_over_the_new_year_time_goes_on():
+    """A table of the last days begins in the old year, then in the new one; the clock of the plans does not jump."""
+    house = SimulatedBuilding()
+    shift = pd.Timestamp("2024-12-31 20:00", tz="UTC") - START
+    live, ahead, now, wait = house.measurements, house.forecast, house.now, house.wait_until
+    house.now = lambda: now() + shift
+    house.wait_until = lambda at: wait(at - shift)
+    house.measurements = lambda: (
+        live()
+        .assign(time=lambda t: t["time"] + shift)
+        .tail(1200 if house.now() < pd.Timestamp("2025-01-01 06:00", tz="UTC") else 300)
+    )
+    house.forecast = lambda: ahead().shift(freq=shift)
+    told = controlled(house, 12)
+    assert {decision.plan.status for decision in told} == {"solved"}
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """The files of the connection `files`, up to this hour, and a model."""
+    house = SimulatedBuilding()
+    shift = pd.Timestamp.now("UTC").floor("1h") - START
+    house.measurements().assign(time=lambda table: table["time"] + shift).to_csv(tmp_path / "house.csv", index=False)
+    house.forecast().shift(freq=shift).to_csv(tmp_path / "tomorrow.csv")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(RULES))
+    other = {**RULES, "zones": {"hall": RULES["zones"]["zone"]}}
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
+    simple_model().save(tmp_path / "model")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+OPTIONS = [
+    "--set", "controller.step_s=3600", "--set", "controller.horizon_h=12",
+    "--set", "controller.free_response.name=persistence", "--set", "controller.gate.enabled=false",
+]  # fmt: skip
+
+
+def test_a_dry_run_on_files_says_what_it_would_set(files):
+    done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", "--dry-run", *OPTIONS])
+    assert done.exit_code == 0, done.output + str(done.exception)
+    assert re.search(r"actuator \d+ % for [\d.]+ min", done.output)
+    assert not (files / "levels.json").exists()
+    steps = [json.loads(line) for line in (files / "control" / "log.jsonl").read_text().splitlines()]
+    assert [step["status"] for step in steps if "status" in step] == ["solved"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "controler.step_s=3600"], "write connection.KEY=VALUE or controller.KEY=VALUE"),
+        (["--connection", "fils"], "unknown connection 'fils', did you mean 'files'"),
+        (["--set", "connection.levles=x.json"], "did you mean 'levels'"),
+        (["--set", "connection.measurements=none.csv"], "none.csv: no such file"),
+        (["--map", "other.yaml"], "another building?"),
+    ],
+)
+def test_wrong_words_are_named(files, words, message):
+    done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", "--dry-run", *OPTIONS, *words])
+    assert message in str(done.exception)

@@ -1,0 +1,1 @@
+"""Ways to read and set a real building."""

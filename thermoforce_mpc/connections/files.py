@@ -1,0 +1,49 @@
+"""Connection by files that something else writes and reads, such as a gateway or a scheduled job."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from thermoforce_mpc.files import write_whole
+
+
+class FilesConnection:
+    """Tables of measurements and forecast in CSV or Parquet files, levels in a JSON file"""
+
+    def __init__(
+        self, measurements: str = "house.csv", forecast: str = "tomorrow.csv", levels: Path = Path("levels.json")
+    ) -> None:
+        """Keep the names of the files.
+
+        Args:
+            measurements: recent measurements, which something appends to; or a pattern, such as `data/*.csv`.
+            forecast: weather, prices and bounds.
+            levels: what is to be set, `{"levels": {"heat_pump": 1.0}, "from": …, "until": …}`, times in UTC; never
+                half-written. A level null, or an `until` that has passed: the building's own control.
+        """
+        self._measurements, self._forecast, self._levels = measurements, forecast, levels
+
+    def measurements(self) -> str:
+        """See `Connection.measurements`."""
+        return self._measurements
+
+    def forecast(self) -> str:
+        """See `Connection.forecast`."""
+        return self._forecast
+
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """See `Connection.write`; raises `StorageError`."""
+        now = datetime.now(UTC)
+        until = now + timedelta(seconds=seconds)
+        said = {"levels": dict(levels), "from": _text(now), "until": _text(until)}
+        write_whole(self._levels, json.dumps(said, ensure_ascii=False) + "\n")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _text(at: datetime) -> str:
+    return at.isoformat(timespec="seconds")

@@ -1,0 +1,38 @@
+"""Registry of connections by name. A new connection needs one file and one entry here.
+
+Each name stands for a function or class whose parameters are the connection's options, all with defaults, and that
+returns a `Connection`. Other distributions announce theirs in the group `thermoforce_mpc.connections`, see
+docs/how-to/connection.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from thermoforce_mpc.connections.files import FilesConnection
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.protocols import Connection
+from thermoforce_mpc.registry import Registry
+from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.scenario.signatures import called, options_model, unfit
+
+REGISTRY: Registry[Callable[..., Connection]] = Registry(
+    "connection", "connections", {"files": FilesConnection}, ConfigError, lambda found: unfit(found, ())
+)
+
+
+def build_connection(name: str, options: Mapping[str, Any]) -> Connection:
+    """Build a connection by name.
+
+    Raises:
+        ConfigError: unknown name or option, or one with a wrong value; names the key.
+    """
+    make = REGISTRY.find(name)
+    config = validate(options_model(make, ()), options, f"options of connection '{name}'")
+    connection = called(make, config, {})
+    lacking = [one for one in ("measurements", "forecast", "write", "close") if not hasattr(connection, one)]
+    if lacking:
+        raise ConfigError(f"connection '{name}': has no {', '.join(lacking)}; see thermoforce_mpc.protocols.Connection")
+    checked: Connection = connection
+    return checked

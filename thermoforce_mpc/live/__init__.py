@@ -1,0 +1,6 @@
+"""Control of a real building through a connection, step by step in real time."""
+
+from thermoforce_mpc.live.building import LiveBuilding
+from thermoforce_mpc.live.control import Clock, Decision, WallClock, control
+
+__all__ = ["Clock", "Decision", "LiveBuilding", "WallClock", "control"]

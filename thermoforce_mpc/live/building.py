@@ -1,0 +1,137 @@
+"""A real building at the instants of control steps: its record until then, and the forecast from then on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Record
+from thermoforce_mpc.errors import ConfigError, DataError, InputError, NoForecast, PlantError
+from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.measurements.load import Measurements, read_measurements
+from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.protocols import Connection
+
+# What controllers look back at, and how old the latest reading may be for the record to say anything of now, days.
+_BACK_DAYS, _OLDEST_DAYS = 28.0, 1.0
+
+
+@dataclass(frozen=True)
+class Applied:
+    """Levels (A,) that were set from `start_s` for `duration_s`, s; None where the building's own control acted."""
+
+    start_s: float
+    duration_s: float
+    u: tuple[float | None, ...]
+
+
+class LiveBuilding:
+    """Reads a building through its connection, by its map; times are those of `Record`, from the first record's year.
+
+    Raises `PlantError` where the connection fails, and `DataError` where its tables cannot be used.
+    """
+
+    def __init__(self, connection: Connection, rules: MeasurementMap, step_s: float) -> None:
+        self.connection, self._rules, self._step_s = connection, rules, step_s
+        self._origin: pd.Timestamp | None = None
+        self._measured: Measurements | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the actuators that are set."""
+        return self._rules.names.actuators if self._measured is None else self._measured.record.names.actuators
+
+    @property
+    def lowest(self) -> tuple[float, ...]:
+        """Lowest level of each actuator (A,); known after the first record."""
+        assert self._measured is not None
+        return self._measured.layout.lowest
+
+    def instant(self, now: pd.Timestamp) -> pd.Timestamp:
+        """The last instant at which a step begins, at or before `now`: whole steps from the new year of the zone."""
+        local = now.tz_convert(self._rules.time.zone or "UTC")
+        new_year = pd.Timestamp(year=local.year, month=1, day=1, tz=local.tz)
+        steps = math.floor(((local - new_year).total_seconds() + 1e-3) / self._step_s)
+        return new_year + pd.Timedelta(seconds=steps * self._step_s)
+
+    def time_s(self, at: pd.Timestamp) -> float:
+        """`at` in seconds, as the record has it; known after the first record."""
+        assert self._origin is not None
+        return float((at - self._origin).total_seconds())
+
+    def record(self, instant: pd.Timestamp, applied: Sequence[Applied] = ()) -> Record:
+        """What was measured until `instant`; steps without readings are NaN, but for levels that were `applied`.
+
+        Raises:
+            ConfigError: the table has no time zone.
+            DataError: it cannot be used, or ends more than a day before.
+            PlantError: the connection failed.
+        """
+        table = self._asked("measurements")
+        measured = read_measurements(table, self._rules, step_s=self._step_s).served()
+        record = measured.record
+        if record.origin.tz is None:
+            raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
+        self._origin = self._origin if self._origin is not None else record.origin
+        shift_s = (record.origin - self._origin).total_seconds()
+        record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
+        record = _until(record, self.time_s(instant))
+        record = replace(record, u=_with_applied(record, applied)).last(round(_BACK_DAYS * DAY_S / self._step_s))
+        self._measured = replace(measured, record=record)
+        return record
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """The forecast from the last `record` on; see `Plant.forecast`."""
+        assert self._measured is not None
+        try:
+            return read_forecast(self._asked("forecast"), self._measured).head(round(horizon_s / interval_s))
+        except (InputError, PlantError) as error:
+            raise NoForecast(str(error)) from error
+
+    def _asked(self, what: str) -> Any:
+        try:
+            return getattr(self.connection, what)()
+        except Exception as error:  # somebody's connection may raise anything
+            raise PlantError(f"the connection gives no {what} ({type(error).__name__}: {error})") from error
+
+
+def _until(record: Record, now_s: float) -> Record:
+    """`record` cut at `now_s`, or lengthened to it by steps that were not measured."""
+    step_s = record.step_s
+    missing = round((now_s - float(record.time_s[-1])) / step_s)
+    if missing <= 0:
+        if record.n_steps + missing < 1:
+            raise DataError(f"the measurements begin at {record.stamps()[0]}, after now: is the zone of the map right?")
+        return record.slice(0, record.n_steps + missing)
+    if missing * step_s > _OLDEST_DAYS * DAY_S:
+        raise DataError(
+            f"the measurements end at {record.stamps()[-1]}, {missing * step_s / 3600:.1f} h ago: does the logger run?"
+        )
+
+    def longer(values: Array) -> Array:
+        return np.concatenate([values, np.full((*values.shape[:-1], missing), np.nan)], axis=-1)
+
+    values: dict[str, Any] = {name: longer(getattr(record, name)) for name in (*SAMPLED, *ACTING)}
+    values["time_s"] = np.append(record.time_s, record.time_s[-1] + step_s * np.arange(1, missing + 1))
+    return replace(record, **values)
+
+
+def _with_applied(record: Record, applied: Sequence[Applied]) -> Array:
+    """Levels (A, n) of `record`; where they were not measured, the mean of what was set over the whole step."""
+    u, step_s = np.array(record.u), record.step_s
+    total, known_s = np.zeros(u.shape), np.zeros(u.shape)
+    for one in applied:
+        begun = np.maximum(record.time_s[:-1], one.start_s)
+        shared_s = np.clip(np.minimum(record.time_s[1:], one.start_s + one.duration_s) - begun, 0.0, None)
+        for a, level in enumerate(one.u):
+            if level is not None:
+                total[a] += level * shared_s
+                known_s[a] += shared_s
+    whole = np.isnan(u) & (known_s > step_s - 1.0)
+    u[whole] = (total[whole] / known_s[whole]) if whole.any() else 0.0
+    return u

@@ -1,0 +1,212 @@
+"""The loop of a controller at a real building: read, plan, check, set the levels, wait; give it back at the end.
+
+Nothing but the controller's state is kept between two steps: each reads the record anew. A controller that was killed
+is started again and goes on from what was measured.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import pandas as pd
+
+from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.errors import DataError, PlantError, ThermoForceError
+from thermoforce_mpc.live.building import Applied, LiveBuilding
+from thermoforce_mpc.model.screening import limits_of, screened_history
+from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.simulation.closed_loop import checked_blocks
+from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.simulation.run_log import log_decision
+
+_LOG = logging.getLogger(__name__)
+# How often a building that does not take its levels back at the end is asked again, and how long between, s.
+_RELEASES, _PAUSE_S = 5, 2.0
+# Blocks remembered, for steps whose level was not measured.
+_REMEMBERED = 2000
+
+
+class Clock(Protocol):
+    """The time, in any zone."""
+
+    def now(self) -> pd.Timestamp:
+        """The time now."""
+        ...
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        """Return at `at`, at once where that is past."""
+        ...
+
+
+class WallClock:
+    """The time of this machine."""
+
+    def now(self) -> pd.Timestamp:
+        """See `Clock.now`."""
+        return pd.Timestamp.now("UTC")
+
+    def wait_until(self, at: pd.Timestamp) -> None:
+        """See `Clock.wait_until`; in short pieces, since a sleeping machine's clock jumps."""
+        while (left_s := (at - self.now()).total_seconds()) > 0:
+            time.sleep(min(left_s, 5.0))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was decided for the step from `instant` on: checked `blocks`, `plan`, why it was `refused`, `notes`."""
+
+    instant: pd.Timestamp
+    plan: Plan
+    blocks: tuple[Block, ...]
+    refused: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def control(
+    building: LiveBuilding,
+    controller: Controller,
+    *,
+    clock: Clock | None = None,
+    steps: int | None = None,
+    delay_s: float = 30.0,
+    dry: bool = False,
+    outage_h: float = OUTAGE_H,
+    told: Callable[[Decision], None] = lambda decision: None,
+) -> None:
+    """Control a building until interrupted.
+
+    Whatever fails after the first decision, readings, forecast or plan, gives the building back to its own control for
+    a step; the reason is in the log. What fails in the first one raises: nothing was set then.
+
+    Args:
+        building: the building.
+        controller: decides; its step is that of the building.
+        clock: the time; by default this machine's.
+        steps: how many decisions to make; None: no end.
+        delay_s: how long after the beginning of a step it is decided, s, so that its last reading is there.
+        dry: decide once and set nothing.
+        outage_h: how long the last forecast may stand in where there is none, h.
+        told: called with every decision, before it acts.
+
+    Raises:
+        InputError, PlantError: the first decision could not be made.
+        PlantError: the building did not take its levels back at the end.
+    """
+    _Loop(building, controller, clock or WallClock(), delay_s, dry, outage_h, told).run(steps)
+
+
+class _Loop:
+    """See `control`."""
+
+    def __init__(
+        self,
+        building: LiveBuilding,
+        controller: Controller,
+        clock: Clock,
+        delay_s: float,
+        dry: bool,
+        outage_h: float,
+        told: Callable[[Decision], None],
+    ) -> None:
+        self._building, self._controller, self._clock = building, controller, clock
+        self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
+        self._dry, self._told = dry, told
+        self._forecasts = Forecasts(building, controller.horizon_s, controller.step_s, outage_h)
+        self._allowed = limits_of(controller)
+        self._state: object = None
+        self._applied: list[Applied] = []
+        self._set = False
+
+    def run(self, steps: int | None) -> None:
+        """Decide and act, `steps` times."""
+        index = 0
+        instant = self._building.instant(self._clock.now())
+        try:
+            while steps is None or index < steps:
+                self._clock.wait_until(instant + self._delay)
+                decision = self._decision(instant) if index == 0 else self._safe_decision(instant)
+                levels = [block.u for block in decision.blocks]
+                time_s = self._building.time_s(instant)
+                log_decision(
+                    self._controller.name, index, time_s, decision.plan, levels, decision.refused, decision.notes
+                )
+                self._told(decision)
+                if self._dry:
+                    return
+                self._act(decision)
+                index += 1
+                # Steps that passed while this one was planned, or while the machine slept, are left out.
+                instant = max(instant + self._step, self._building.instant(self._clock.now() - self._delay))
+        finally:
+            self._release()
+
+    def _decision(self, instant: pd.Timestamp) -> Decision:
+        building, controller = self._building, self._controller
+        record, doubts = screened_history(building.record(instant, self._applied), self._allowed)
+        model = getattr(controller, "model", None)
+        if model is not None and model.names != record.names:
+            raise DataError(f"the model is of {model.names}, the map of {record.names}: another building?")
+        given, _, gaps = self._forecasts.now(record)
+        plan = controller.plan(Observation(record, given), self._state)
+        plan, self._state = replace(plan, state=None), plan.state
+        blocks, refused = checked_blocks(plan, controller.step_s, controller.step_s, building.lowest, record.names)
+        if any(band is not None for block in blocks for band in block.band_C):
+            refused = "refused room set-points, which a connection has none of: native control instead"
+            blocks = (Block.native(len(building.names), controller.step_s),)
+        return Decision(instant, plan, blocks, refused, (*doubts, *gaps))
+
+    def _safe_decision(self, instant: pd.Timestamp) -> Decision:
+        """The decision, or the building's own control where there is none."""
+        try:
+            return self._decision(instant)
+        except Exception as error:  # nobody is there to start it again: the next step may be better
+            known = isinstance(error, ThermoForceError)
+            _LOG.warning("no decision at %s: %s", instant, error, exc_info=None if known else error)
+            why = f"the building's own control: {error if known else f'{type(error).__name__}: {error}'}"
+            native = Block.native(len(self._building.names), self._controller.step_s)
+            return Decision(instant, Plan((native,), PlanStatus.NATIVE, why), (native,))
+
+    def _act(self, decision: Decision) -> None:
+        """Set the levels of each block at its time, until the step ends; what is past by then is left out."""
+        begin = decision.instant + self._delay
+        end = begin + self._step
+        for block in decision.blocks:
+            until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
+            if until > self._clock.now():
+                self._clock.wait_until(begin)
+                hold_s = (end - self._clock.now()).total_seconds()
+                taken = self._write(block.u, hold_s)
+                start_s = self._building.time_s(begin)
+                self._applied.append(Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u)))
+            begin = until
+        self._applied = self._applied[-_REMEMBERED:]
+        self._clock.wait_until(end)
+
+    def _write(self, u: Sequence[float | None], seconds: float) -> bool:
+        """Set levels; says whether they were taken."""
+        names = self._building.names
+        levels = {name: None if level is None else float(level) for name, level in zip(names, u, strict=True)}
+        try:
+            self._building.connection.write(levels, seconds)
+        except Exception as error:  # somebody's connection may raise anything
+            _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
+            return False
+        self._set = True
+        return True
+
+    def _release(self) -> None:
+        """Give everything back, if anything was set."""
+        if not self._set:
+            return
+        for _ in range(_RELEASES):
+            if self._write((None,) * len(self._building.names), 0.0):
+                return
+            self._clock.wait_until(self._clock.now() + pd.Timedelta(seconds=_PAUSE_S))
+        raise PlantError(
+            f"the building did not take back {', '.join(self._building.names)} in {_RELEASES} attempts: give them back "
+            "to its own control by hand"
+        )
