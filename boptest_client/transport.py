@@ -135,7 +135,7 @@ class Transport:
 
         def tell(state: tenacity.RetryCallState) -> None:
             error = state.outcome.exception() if state.outcome else None
-            _LOG.warning("%s; asking again for up to %.3g s", error, max(patience_s - state.idle_for, 0.0))
+            _LOG.warning("%s (asking again in %.2g s)", error, state.upcoming_sleep)
 
         retrying = tenacity.Retrying(
             retry=again,

@@ -19,6 +19,7 @@ _COMMANDS = {
     "init": ("thermoforce_mpc.cli.init", "Write a commented scenario to start from, and a test case or a map."),
     "run": ("thermoforce_mpc.cli.run", "Run a controller over a scored window and report KPIs."),
     "resume": ("thermoforce_mpc.cli.resume", "Go on with a run that was killed or interrupted."),
+    "report": ("thermoforce_mpc.cli.report", "Make the report of a run again, also of one that was cut off."),
     "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
     "sweep": ("thermoforce_mpc.cli.sweep", "Vary one controller option and plot cost against discomfort."),
     "fleet": ("thermoforce_mpc.cli.fleet", "Run many buildings under many windows, tariffs and controllers."),

@@ -226,7 +226,7 @@ def run_closed_loop(
             measurement, notes = screened(reported, allowed, history)
             parts.append((block.duration_s, with_level(measurement, block)))
             doubts += notes
-            samples.append(_sample(now_s, block, reported, boundary))
+            samples.append(sample_of(now_s, block, reported, boundary))
             ahead_s += reported.time_s - now_s - block.duration_s
             now_s = reported.time_s
         t3 = time.perf_counter()
@@ -322,7 +322,7 @@ def with_level(measurement: Measurement, block: Block) -> Measurement:
     return replace(measurement, u=np.where(np.isnan(measurement.u) & told, block.as_array(), measurement.u))
 
 
-def _sample(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:
+def sample_of(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:
     """Sample of one block, with the bounds and prices in force at its start (from the forecast)."""
     # Bounds are looked up at the latest forecast instant not after the block's start.
     index = int(max((boundary.time_s <= start_s + _CLOCK_TOLERANCE_S).sum() - 1, 0))

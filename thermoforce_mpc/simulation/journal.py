@@ -97,6 +97,11 @@ class Journal:
         """File of the present part."""
         self._file = _opened(self.path, self._size)
 
+    @property
+    def records(self) -> int:
+        """Number of records."""
+        return self._n
+
     def write(self, kind: str, content: Mapping[str, Any]) -> None:
         """Append one record.
 

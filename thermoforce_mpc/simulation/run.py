@@ -113,7 +113,8 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
 
     Raises:
         InputError: something given cannot be used, or another run has the folder; nothing is left behind.
-        PlantError: the plant or service failed; what had been recorded is in the run folder the message names.
+        PlantError: the plant or service failed; what had been recorded is in the run folder the message names. One that
+            was never reached leaves nothing behind.
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     testcase = validate_scenario(scenario)
@@ -152,6 +153,9 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         with closing(book.journal), logging_to(folder, display.say):
             done = _execute(scenario, display, records, book=book)
     except PlantError as error:
+        if book.holds_nothing:
+            book.discard()
+            raise
         write_partial(folder, records, str(error))
         raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
     except BaseException as error:

@@ -72,6 +72,11 @@ class RunBook:
             raise
         return JournaledPlant(plant, self.journal)
 
+    @property
+    def holds_nothing(self) -> bool:
+        """Whether not even the plant was there: a run that goes on from here would begin anew."""
+        return self.journal.records <= 1
+
     def discard(self) -> None:
         """Remove journal and folder: nothing was done yet, and an empty run says nothing."""
         self.journal.close()

@@ -132,6 +132,28 @@ def test_set_points_given_to_the_plants_own_loops_are_told(result, tmp_path):
     assert data_of(report_of(result, {}, tmp_path))["own"]["band_C"] is None
 
 
+def test_cost_with_a_second_carrier_ends_at_the_plants_bill(result, tmp_path):
+    """The meter of a machine adds gas and the fan's electricity; what each was, only the plant's bill knows."""
+
+    def gas(boundary):
+        return replace(boundary, heating_price_per_kWh=0.3 * boundary.price_per_kWh)
+
+    def cost_of(run):
+        page = report_of(run, {}, tmp_path)
+        return numbers(data_of(page)["own"]["cost"]), "ends at the plant's own bill" in page.replace(
+            "end at", "ends at"
+        )
+
+    steps = [replace(step, boundary=gas(step.boundary)) for step in result.steps]
+    billed = replace(result, steps=steps, kpis=result.kpis | {"cost_tot": 0.5})
+    cost, told = cost_of(billed)
+    assert told
+    assert cost[-1] == pytest.approx(0.5, rel=1e-3)
+    one, told = cost_of(replace(result, kpis=result.kpis | {"cost_tot": 0.5}))
+    assert not told
+    np.testing.assert_allclose(cost / cost[-1], one / one[-1], atol=1e-3)
+
+
 def test_decisions_of_long_runs_are_thinned(result):
     told = decisions_json(result, most=20)
     assert told["every"] == 4

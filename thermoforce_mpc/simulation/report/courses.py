@@ -26,7 +26,8 @@ class Course:
     `power_W`, `price_per_kWh` (M, n) as in `Sample`. `cost` (n,) per m² and `discomfort_Kh` (Z, n) are those until the
     end of each block. `band_C` (2, A, n): heating and cooling set-point given to the plant's own loops, °C, NaN where
     levels were.
-    `averaged`: number of blocks taken together.
+    `averaged`: number of blocks taken together. `scaled`: what the cost by the meters was multiplied by so that it ends
+    at the plant's own bill, where a machine is billed in two carriers; else 1.
     """
 
     start_s: Array
@@ -43,6 +44,7 @@ class Course:
     discomfort_Kh: Array
     band_C: Array
     averaged: int
+    scaled: float = 1.0
 
     def to_json(self) -> Json:
         """All of it, packed."""
@@ -85,7 +87,8 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     """The course of a run, of at most `most` blocks.
 
     Cost is that of the mean power of each block at the price in force, discomfort that of straight lines between the
-    temperatures at the ends of blocks: both are near to the KPIs, which are of samples every 30 s.
+    temperatures at the ends of blocks: both are near to the KPIs, which are of samples every 30 s. Where a machine's
+    heating has a price of its own, its meter adds gas and the fan's electricity: the cost is then scaled to the KPI.
     """
     rows: dict[str, list[object]] = {}
     heating_price: list[Array] = []
@@ -106,8 +109,12 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     before_C = np.column_stack([result.start.T_zone_C, found["T_zone_C"][:, :-1]])
     outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
     discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S
-    found |= {"cost": np.nancumsum(spent), "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
-    course = Course(averaged=1, band_C=np.array(bands).transpose(2, 1, 0), **found)
+    cost = np.nancumsum(spent)
+    bill = result.kpis.get("cost_tot", np.nan)
+    two_carriers = not np.array_equal(np.array(heating_price).T, found["price_per_kWh"])
+    scaled = float(bill / cost[-1]) if two_carriers and bill > 0 and cost[-1] > 0 else 1.0
+    found |= {"cost": scaled * cost, "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
+    course = Course(averaged=1, scaled=scaled, band_C=np.array(bands).transpose(2, 1, 0), **found)
     return _averaged(course, -(-course.start_s.size // most))
 
 
@@ -162,4 +169,5 @@ def _averaged(course: Course, together: int) -> Course:
         discomfort_Kh=course.discomfort_Kh[:, last],
         band_C=course.band_C[:, :, first],
         averaged=together,
+        scaled=course.scaled,
     )

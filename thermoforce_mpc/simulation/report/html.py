@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,13 +44,18 @@ def write_report(
     layout: Layout,
     area_m2: float,
     model: ThermalModel | None = None,
+    manifest: Mapping[str, Any] | None = None,
+    said: Sequence[str] = (),
+    path: Path | None = None,
 ) -> Path:
-    """Write `report.html` into a run folder that already holds its manifest.
+    """Write `report.html` into a run folder, or the report to `path`.
 
-    `kpis` is the content of `kpis.json`; `layout` says which actuators serve which zone, `area_m2` is the floor area;
-    `model` is that of the controller, for the step responses and what other levels would have done.
+    `kpis` is the content of `kpis.json`, `manifest` that of `manifest.json`, by default of the file in the folder;
+    `layout` says which actuators serve which zone, `area_m2` is the floor area; `model` is that of the controller, for
+    the step responses and what other levels would have done; `said` is told at the top.
     """
-    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    if manifest is None:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     runs = {result.controller: result, **baselines}
     most = most_blocks(layout, len(runs))
     courses = {name: course_of(run, layout, area_m2, most) for name, run in runs.items()}
@@ -63,6 +68,7 @@ def write_report(
         data,
         kpis=kpis,
         manifest=manifest,
+        said=said,
         table=kpi_rows(everyone, currency),
         controllers=list(everyone),
         gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
@@ -75,12 +81,13 @@ def write_report(
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words() for spell in watch_spells(result)],
         apart=apart(courses, everyone),
+        scaled={name: course.scaled for name, course in courses.items() if course.scaled != 1.0},
         events=stretches[:_MOST_EVENTS],
         more_events=max(0, len(stretches) - _MOST_EVENTS),
         fallback_levels=result.fallback_levels(),
         rounding=_rounding(data),
     )
-    path = folder / "report.html"
+    path = path or folder / "report.html"
     write_whole(path, page)
     return path
 
