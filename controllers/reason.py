@@ -41,7 +41,8 @@ def reason_of(
             nearest = f"comfort is not binding within the horizon (nearest {gap[z, when]:.2f} K{_of(zones, z)})"
             return f"{nearest}; free forecast: {forecast.note}"
         low = T_zone_C[z, when] - lower_C[z, when] <= upper_C[z, when] - T_zone_C[z, when]
-        what = f"{'lower' if low else 'upper'} bound binds"
+        bound_C = (lower_C if low else upper_C)[z, when]
+        what = f"{'lower' if low else 'upper'} bound with its margin, {bound_C:.2f} °C, binds"
     hours = (when + 1) * problem.step_s / HOUR_S
     where = _of(zones, z)
     return f"{what}{where} in {hours:g} h (80 % band of the free forecast there: {band[z, when]:.2f} K)"

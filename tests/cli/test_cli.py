@@ -64,6 +64,21 @@ def test_help_lists_every_command_without_loading_the_heavy_ones():
         assert name in done.stdout
 
 
+@pytest.mark.parametrize("name", ["run", "resume", "report", "identify", "inspect", "init", "doctor", "control"])
+def test_help_of_a_command_loads_nothing_that_it_would_need_to_run(name):
+    code = (
+        "import sys; sys.argv=['tf-mpc', sys.argv[1], '--help']\n"
+        "from thermoforce_mpc.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy={'torch','casadi','numba','matplotlib','pandas','pydantic','scipy','numpy'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code, name], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Usage" in done.stdout
+
+
 @pytest.mark.parametrize("name", ["run", "identify", "inspect", "validate", "controllers", "testcases", "bench"])
 def test_every_command_has_help(name):
     done = CliRunner().invoke(cli, [name, "--help"])

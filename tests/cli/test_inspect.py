@@ -58,6 +58,18 @@ def test_every_actuator_machine_and_pair_is_told(tmp_path):
     assert told.index("Competence: COMPETENT") < told.index("floor in hall") < told.index("BELOW THE BAR")
 
 
+def test_notes_of_a_kind_are_told_once(tmp_path):
+    bridged = tuple(f"run: bridged T_out_C: {n} of 400 by linear interpolation" for n in (3, 8, 2))
+    model = building(GOOD, GOOD)
+    cards = tuple(replace(card, notes=(*bridged, "probing went on")) for card in model.cards)
+    folder = replace(model, cards=cards).save(tmp_path / "model")
+    told = " ".join(CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False).output.split())
+    assert told.count("bridged T_out_C") == 1
+    assert "3 of 400 by linear interpolation (and 2 more of its kind)" in told
+    assert told.count("note: probing went on") == 1
+    assert "notes above" in told
+
+
 @pytest.mark.parametrize(("verdicts", "may"), [((GOOD, GOOD), True), ((GOOD, POOR), False), ((POOR, GOOD), False)])
 def test_a_model_acts_only_if_all_its_cards_are_competent(verdicts, may):
     assert may_act(building(*verdicts)) == may

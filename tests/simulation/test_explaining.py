@@ -71,6 +71,15 @@ def test_the_plan_and_what_came_of_it_are_those_of_the_run(folder):
     assert decision.boundary.time_s[0] == decision.time_s
 
 
+def test_the_reason_and_the_bounds_say_the_same(folder):
+    """A plan that keeps its margin binds at the margin, not at the comfort bound; both are told with their values."""
+    (bound,) = decision_at(folder, "10 03:00").bounds()
+    why = decision_at(folder, "10 03:00").told["why"]
+    assert "bound with its margin, 2" in why
+    assert "is touched" not in bound
+    assert "bound, 2" in bound
+
+
 def test_alternatives_stand_beside_the_plan(folder, tmp_path):
     done = call("explain", folder, "--at", "10 04:30", "--json", tmp_path / "told.json")
     assert "Alternatives over 48 h" in done.output

@@ -9,11 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
-from thermoforce_mpc.simulation.run_folder import write_json
 
 if TYPE_CHECKING:
     from thermoforce_mpc.research.bench.fleet import Part
@@ -444,6 +441,11 @@ def _progress(line: str) -> None:
 
 def show(result: Mapping[str, Any], json_file: Path | None) -> None:
     """Print the rows and targets of a benchmark; write its JSON where `json_file` is given."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from thermoforce_mpc.simulation.run_folder import write_json
+
     console = Console(highlight=False)
     if not console.is_terminal:  # do not wrap tables in files
         console.width = _WIDTH_OF_FILES

@@ -8,11 +8,13 @@ from pathlib import Path
 import click
 import numpy as np
 import pandas as pd
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
+from thermoforce_mpc.cli.tables import print_whole
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.files import written
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
@@ -82,16 +84,18 @@ def _show(found: Counterfactual, console: Console) -> None:
     frame = found.to_dataframe()
     names = found.names
     shown = Table(
-        title="As it was, and under the other levels (temperature at the end of the step)", title_justify="left"
+        title="As it was, and under the other levels (temperature at the end of the step)",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
     )
-    shown.add_column("from", no_wrap=True)
+    headings = ["from"]
     for name in names.actuators:
-        shown.add_column(f"{name}: was", justify="right")
-        shown.add_column("other", justify="right")
+        headings += [f"{name}\nwas", "\nother"]
     for name in names.zones:
-        shown.add_column(f"{name}: was, °C", justify="right")
-        shown.add_column("other (90 %)", justify="right", no_wrap=True)
-        shown.add_column("effect, K (certified)", justify="right", no_wrap=True)
+        headings += [f"{name}, °C\nwas", "\nother (90 %)", "effect, K\n(certified)"]
+    for heading in headings:
+        shown.add_column(heading, justify="right" if heading != "from" else "left", no_wrap=True)
     every = max(1, -(-len(frame) // _ROWS))
     for k in range(0, len(frame), every):
         cells = [f"{frame.index[k]:%d %b %H:%M}"]
@@ -104,7 +108,7 @@ def _show(found: Counterfactual, console: Console) -> None:
             cells += [f"{found.measured_C[z, k]:.1f}", f"{found.other_C[z, k]:.1f}{band}"]
             cells.append(f"{found.effect_K[z, k]:+.1f} ({proven})")
         shown.add_row(*cells)
-    console.print(shown)
+    print_whole(shown, console)
     for name, was, other in zip(names.machines, found.energy_kWh, found.energy_other_kWh, strict=True):
         if np.isfinite(was):
             console.print(

@@ -6,10 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
-from rich.console import Console
-
-from thermoforce_mpc.simulation.doctor import Finding, examine
-from thermoforce_mpc.simulation.run_folder import environment, write_json
 
 _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skipped": "skipped "}
 
@@ -33,6 +29,11 @@ def command(url: str | None, testcase: str, out: Path, only: str | None, json_fi
       tf-mpc doctor
       tf-mpc doctor --url http://127.0.0.1:8000 --only service,clock
     """
+    from rich.console import Console
+
+    from thermoforce_mpc.simulation.doctor import Finding, examine
+    from thermoforce_mpc.simulation.run_folder import environment, write_json
+
     console = Console(highlight=False, markup=False, soft_wrap=True)
     findings: list[Finding] = []
     for found in examine(testcase=testcase, url=url, folder=out, only=(only or "").split(",") if only else ()):

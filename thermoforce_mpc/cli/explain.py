@@ -12,6 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from thermoforce_mpc.cli.tables import print_whole
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.simulation.explaining import Decision, decision_at, words_of
 from thermoforce_mpc.simulation.other_courses import alternatives_json, alternatives_of
@@ -20,8 +21,6 @@ from thermoforce_mpc.simulation.run_folder import write_json
 if TYPE_CHECKING:
     from controllers.alternatives import Alternatives
 
-# Widest table, characters.
-_WIDEST = 1000
 _RUNGS = {
     "solved": "the plan of the solver, checked",
     "bridged": "the plan of the solver, checked, with a substitute for a reading or a forecast (see the notes)",
@@ -63,23 +62,17 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
     for line in _lines(decision):
         console.print(line, markup=False)
     if decision.plan:
-        _print(_table(decision, hours), console)
+        print_whole(_table(decision, hours), console)
     others = alternatives_of(run, decision)
     if isinstance(others, str):
         console.print(f"alternatives: none are known, {others}", markup=False)
     else:
-        _print(_alternatives(decision, others), console)
+        print_whole(_alternatives(decision, others), console)
         for note in others.notes:
             console.print(f"alternatives: {note}", markup=False)
     if json_file:
         write_json(json_file, _json(decision) | {"alternatives": alternatives_json(others)})
         console.print(f"JSON: {json_file}", markup=False)
-
-
-def _print(table: Table, console: Console) -> None:
-    """Print a table, wider than a narrow terminal rather than with figures cut off."""
-    wide = console.measure(table, options=console.options.update(width=_WIDEST)).maximum
-    Console(highlight=False, markup=False, width=max(console.width, wide)).print(table)
 
 
 def _alternatives(decision: Decision, others: Alternatives) -> Table:
@@ -88,7 +81,7 @@ def _alternatives(decision: Decision, others: Alternatives) -> Table:
     first = max(1, round(HOUR_S / step_s))
     hours = others.courses[0].u.shape[1] * step_s / HOUR_S
     table = Table(
-        title=f"Alternatives over {hours:g} h, by the same model",
+        title=f"Alternatives over {hours:g} h, the whole plan, by the same model",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         padding=(0, 1),
@@ -150,9 +143,11 @@ def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
 def _table(decision: Decision, hours: float) -> Table:
     """The planned course, hour by hour, with the forecast it was made on."""
     boundary, names, plan = decision.boundary, decision.names, decision.plan
-    table = Table(title="Plan", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
     n = plan["u"].shape[-1]
     every = max(1, round(HOUR_S / boundary.step_s))
+    all_h = n * boundary.step_s / HOUR_S
+    part = f", the first {hours:g} of {all_h:g} h (--hours {all_h:g} shows all)" if hours < all_h else ""
+    table = Table(title=f"Plan{part}", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
     columns = ["until", "outdoors\n°C", "sun\nW/m²", "price\nper kWh"]
     columns += ["u" if names.single else f"u\n{name}" for name in names.actuators]
     for zone in names.zones:

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.inspect import show_model
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
-from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.composition import build_plant
-from thermoforce_mpc.simulation.display import RunDisplay
-from thermoforce_mpc.simulation.identifying import identification_task, may_act, run_identification
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.data import Record
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+    from thermoforce_mpc.simulation.display import RunDisplay
 
 # Exit code of a model that was identified and saved but is below the bar.
 BELOW_THE_BAR = 4
@@ -68,6 +65,12 @@ def command(**options: Any) -> None:
         return
     if options["data_days"] is not None:
         raise click.UsageError("--data-days belongs to --data")
+    from thermoforce_mpc.scenario.settings import merge
+    from thermoforce_mpc.simulation.checks import validate_scenario
+    from thermoforce_mpc.simulation.composition import build_plant
+    from thermoforce_mpc.simulation.display import RunDisplay
+    from thermoforce_mpc.simulation.identifying import identification_task, run_identification
+
     scenario = scenario_from(options)
     if options["probe_days"] is not None:
         changed = merge(scenario.model_dump(), {"identification": {"days": options["probe_days"]}})
@@ -91,6 +94,8 @@ def _from_measurements(options: dict[str, Any]) -> None:
     others = [name for name in _OF_PLANTS if options.get(name)]
     if others:
         raise click.UsageError(f"--{others[0].replace('_', '-')} is for probing a plant: leave it out with --data")
+    from thermoforce_mpc.simulation.display import RunDisplay
+    from thermoforce_mpc.simulation.identifying import may_act
     from thermoforce_mpc.simulation.measured_model import model_of_measurements
 
     display, config = RunDisplay(), _options(options)
@@ -107,6 +112,9 @@ def _from_measurements(options: dict[str, Any]) -> None:
 
 def _options(options: dict[str, Any]) -> IdentificationConfig:
     """Options of the identification in --seed and --set; of the latter only those make sense with measurements."""
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.scenario.settings import parse_overrides, validate
+
     given = parse_overrides(options.get("assignments", ()))
     ours = given.get("identification", {}).get("options", {})
     if given and given != {"identification": {"options": ours}}:
@@ -117,7 +125,9 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
     """Save and show a model and the plot of its fit; exit code 4 where it is below the bar."""
+    from thermoforce_mpc.cli.inspect import show_model
     from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification
+    from thermoforce_mpc.simulation.identifying import may_act
 
     model.save(out, overwrite=overwrite)
     show_model(str(out), model, display.console)

@@ -10,11 +10,6 @@ import click
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors, write_whole
-from thermoforce_mpc.measurements.starting_map import starting_map
-from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
-from thermoforce_mpc.scenario.settings import find_config, is_config
-from thermoforce_mpc.scenario.starting_scenario import scenario_text
-from thermoforce_mpc.simulation.schemas import schema_text
 
 _SCHEMAS = "schema"
 
@@ -35,6 +30,12 @@ def command(folder: Path, testcase: str, copy_testcase: bool, data: str | None) 
       tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
       tf-mpc init my_house --data house.csv
     """
+    from thermoforce_mpc.measurements.starting_map import starting_map
+    from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
+    from thermoforce_mpc.scenario.settings import find_config, is_config
+    from thermoforce_mpc.scenario.starting_scenario import scenario_text
+    from thermoforce_mpc.simulation.schemas import schema_text
+
     building = load_testcase(testcase)
     implemented = building.embedded or building.energyplus or building.plant
     named = str(Path(testcase).absolute()) if Path(testcase).suffix in (".yaml", ".yml") else testcase

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from thermoforce_mpc.model.card import ModelCard
+    from thermoforce_mpc.model.competence import Competence
+    from thermoforce_mpc.model.machine.power import PowerModel
+    from thermoforce_mpc.model.operator.parameters import OperatorParameters
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
@@ -44,6 +47,10 @@ def command(model: Path) -> None:
 
     The certificate is recomputed from the weights; a model that fails it is refused with exit code 2.
     """
+    from rich.console import Console
+
+    from thermoforce_mpc.model.thermal_model import load_model
+
     show_model(str(model), load_model(model), Console(highlight=False, markup=False))
 
 
@@ -53,6 +60,7 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     if not single:
         _show_building(name, thermal, console)
     shown: set[int] = set()
+    told: set[str] = set()
     for a, actuator in enumerate(thermal.operator.actuators):
         zone = thermal.actuator(a)
         home = thermal.operator.zones[thermal.operator.home[a]]
@@ -63,7 +71,8 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
         if machine not in shown:  # told with the first actuator that it feeds
             shown.add(machine)
             _show_power("Power" if single else f"Power of {thermal.machines[machine]}", thermal.power[machine], console)
-        _show_card(zone.card, console)
+        _show_card(zone.card, console, told)
+        told |= set(zone.card.notes)
 
 
 def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
@@ -87,7 +96,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
     from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 
     hours = STEP_RESPONSE_H[-1]
-    table = Table(title=f"Change of each zone after {hours:g} h at full level, K (90 % band)", title_justify="left")
+    table = Table()
     table.add_column("zone")
     for actuator in operator.actuators:
         table.add_column(actuator, justify="right")
@@ -103,22 +112,24 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
             else:
                 cells.append(f"{pair.impulse(round(hours * 3600 / pair.step_s)).sum():.2f}")
         table.add_row(zone, *cells)
-    console.print(table)
+    _titled(f"Change of each zone after {hours:g} h at full level, K (90 % band)", table, console)
 
 
 def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, console: Console) -> None:
     """Print an actuator's operator on its home zone, its step response, certificate and heat."""
+    from thermoforce_mpc.model.operator.certificate import certificate
+
     proof = certificate(operator, n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
     say = console.print
     say(f"{name}: order {operator.order}, {operator.parameters_in_words}, step {operator.step_s / 3600:g} h")
     say(f"source: {card.source}")
-    modes = Table(title="Modes of the forced response (± one standard deviation)", title_justify="left")
+    modes = Table()
     for heading in ("mode", "time constant, h", "steady gain, K"):
         modes.add_column(heading, justify="right")
     for i, (tau, gain) in enumerate(zip(operator.time_constants_h, operator.steady_gains_K, strict=True), start=1):
         tau_sd, gain_sd = (card.uncertainty.get(f"{name}_{i}_sd_{unit}") for name, unit in _SDS)
         modes.add_row(str(i), f"{tau:.2f}{_give_or_take(tau_sd)}", f"{gain:.2f}{_give_or_take(gain_sd)}")
-    say(modes)
+    _titled("Modes of the forced response (± one standard deviation)", modes, console)
     if operator.order > 1 and operator.steady_gains_K[0] * operator.sign < 0:
         say("  the first gain has the opposite sign: it represents the delay of the heat of the other modes")
     _show_step_response(card.uncertainty, operator.sign, console)
@@ -133,10 +144,7 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
             "  the modulation depends on the predicted temperature; proven for a feedback v dm/dT within "
             f"[{least:.4f}, {most:.4f}] per K, for the {len(proof.effect_low_K)} steps below"
         )
-    effects = Table(
-        title=f"Zone response to full actuation for one step of {operator.step_s / 3600:g} h, K (proven interval)",
-        title_justify="left",
-    )
+    effects = Table()
     effects.add_column("hours later", justify="right")
     effects.add_column("at least", justify="right")
     effects.add_column("at most", justify="right")
@@ -144,7 +152,8 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
         k = round(hours * 3600 / operator.step_s) - 1
         if 0 <= k < len(proof.effect_low_K):
             effects.add_row(f"{hours:g}", f"{proof.effect_low_K[k]:.4f}", f"{proof.effect_high_K[k]:.4f}")
-    say(effects)
+    title = f"Zone response to full actuation for one step of {operator.step_s / 3600:g} h, K (proven interval)"
+    _titled(title, effects, console)
     if operator.heat_input.heat is not None:
         c0, c1, c2, c3 = operator.heat_input.heat.coefficients
         say(
@@ -170,26 +179,42 @@ def _show_power(what: str, power: PowerModel | None, console: Console) -> None:
     )
 
 
-def _show_card(card: ModelCard, console: Console) -> None:
-    """Print scores, data ranges, notes and the verdict of an actuator's model."""
+def _show_card(card: ModelCard, console: Console, told: Set[str]) -> None:
+    """Print scores, data ranges, notes that were not `told` yet, and the verdict of an actuator's model."""
     say = console.print
-    rest = {k: v for k, v in card.uncertainty.items() if k.startswith(("pole", "gain", "starting"))}
     if card.scores:
         say("Scores:")
     in_order = [key for key in _MEANING if key in card.scores]
+    scores = Table.grid(padding=(0, 2))
     for key in [*in_order, *(key for key in card.scores if key not in _MEANING)]:
-        say(f"  {card.scores[key]:.3g}  {_MEANING.get(key, key)}")
-    if rest:
-        say("Uncertainty of the operator parameters: " + ", ".join(f"{key} {value:.4g}" for key, value in rest.items()))
+        scores.add_row(f"  {card.scores[key]:.3g}", _MEANING.get(key, key))
+    say(scores)
     seen = [f"{_UNITS.get(k, k)} {least:.4g} to {most:.4g}" for k, (least, most) in card.ranges.items() if k != "days"]
     if seen:
         days = card.ranges.get("days")
         say(f"Data ranges{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(seen))
     for name, digest in card.data.items():
         say(f"  data {name}: sha256 {digest[:16]}")
-    for note in card.notes:
+    for note in _collapsed([note for note in card.notes if note not in told]):
         say(f"  note: {note}")
+    if told & set(card.notes):
+        say("  and the notes above that are of the same measurements")
     _show_competence(card.competence, console)
+
+
+def _collapsed(notes: Sequence[str]) -> list[str]:
+    """Notes that differ in their figures only (of pieces of a record between gaps) as one, with their number."""
+    kinds: dict[str, list[str]] = {}
+    for note in notes:
+        kinds.setdefault(re.sub(r"\d+(\.\d+)?", "#", note), []).append(note)
+    more = {key: f" (and {len(same) - 1} more of its kind)" if len(same) > 1 else "" for key, same in kinds.items()}
+    return [same[0] + more[key] for key, same in kinds.items()]
+
+
+def _titled(title: str, table: Table, console: Console) -> None:
+    """Print a table under its title, which may be longer than the table is wide."""
+    console.print(title, style="italic")
+    console.print(table)
 
 
 def _show_competence(verdict: Competence | None, console: Console) -> None:
@@ -197,15 +222,13 @@ def _show_competence(verdict: Competence | None, console: Console) -> None:
     if verdict is None:
         console.print("Competence: not judged")
         return
-    table = Table(
-        title=f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", title_justify="left"
-    )
+    table = Table()
     for heading in ("hours ahead", "model", "unchanged", "weather alone", "better by, t"):
         table.add_column(heading, justify="right")
     for score in verdict.horizons:
         numbers = (f"{value:.2f}" for value in (score.model_K, score.persistence_K, score.weather_K))
         table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}")
-    console.print(table)
+    _titled(f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", table, console)
     console.print(
         f"Effect of 8 h at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
         f"with probability {verdict.sign_probability:.3f}; it explains {100 * verdict.explained:.0f} % of what the "
@@ -229,11 +252,11 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     found = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not found:
         return
-    table = Table(title="Step response of the zone to full actuation, K (90 % band)", title_justify="left")
+    table = Table()
     for heading in ("hours later", "expected", "from", "to"):
         table.add_column(heading, justify="right")
     for hours in found:
         name = f"step_response_{hours}h"
         mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
         table.add_row(str(hours), f"{mean:.2f}", f"{mean - _BAND * sd:.2f}", f"{mean + _BAND * sd:.2f}")
-    console.print(table)
+    _titled("Step response of the zone to full actuation, K (90 % band)", table, console)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.execution import DaskEngine, LocalEngine, open_engine
-from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
-from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
+if TYPE_CHECKING:
+    from thermoforce_mpc.execution import DaskEngine, LocalEngine
+    from thermoforce_mpc.scenario.scenario import Scenario
 
 Function = Callable[..., Any]
 # Opens the engine that a user asked for; told what is to be said.
-Opening = Callable[[Callable[[str], None]], LocalEngine | DaskEngine]
+Opening = Callable[[Callable[[str], None]], "LocalEngine | DaskEngine"]
 
 
 def scenario_options(function: Function) -> Function:
@@ -59,6 +59,8 @@ def execution_options(*former: str) -> Callable[[Function], Function]:
     def add(function: Function) -> Function:
         @functools.wraps(function)
         def command(*args: Any, jobs: int | None, scheduler: str | None, **options: Any) -> Any:
+            from thermoforce_mpc.execution import open_engine
+
             return function(*args, engine=functools.partial(open_engine, jobs, scheduler), **options)
 
         at = click.option(
@@ -130,6 +132,9 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     Raises:
         ConfigError: a value is wrong; names the file or option, the key and the allowed values.
     """
+    from thermoforce_mpc.scenario.scenario import load_scenario
+    from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
+
     named: dict[str, Any] = {}
     for key in ("testcase", "period", "days", "price", "seed"):
         if options.get(key) is not None:

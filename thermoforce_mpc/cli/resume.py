@@ -7,9 +7,6 @@ from pathlib import Path
 
 import click
 
-from thermoforce_mpc.simulation.display import RunDisplay
-from thermoforce_mpc.simulation.run import resume_run
-
 
 @click.command(short_help="Go on with a run that was killed or interrupted.")
 @click.argument("run", type=click.Path(path_type=Path))
@@ -34,6 +31,9 @@ def command(run: Path, quiet: bool) -> None:
     Example:
       tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
     """
+    from thermoforce_mpc.simulation.display import RunDisplay
+    from thermoforce_mpc.simulation.run import resume_run
+
     display = RunDisplay(quiet)
     folder = resume_run(run, display)
     display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)

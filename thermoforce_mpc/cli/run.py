@@ -10,8 +10,6 @@ from typing import Any
 import click
 
 from thermoforce_mpc.cli.options import scenario_from, scenario_options
-from thermoforce_mpc.simulation.display import RunDisplay
-from thermoforce_mpc.simulation.run import run_scenario
 
 
 @click.command(short_help="Run a controller over a scored window and report KPIs.")
@@ -37,6 +35,9 @@ def command(**options: Any) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump --fmu wrapped.fmu
       tf-mpc run --config configs/scenarios/peak.yaml --set controller.options.horizon_h=36
     """
+    from thermoforce_mpc.simulation.display import RunDisplay
+    from thermoforce_mpc.simulation.run import run_scenario
+
     scenario = scenario_from(options)
     display = RunDisplay(options["quiet"])
     folder = run_scenario(scenario, display, options["out"], command=["tf-mpc", *sys.argv[1:]])

@@ -6,9 +6,6 @@ from pathlib import Path
 
 import click
 
-from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.simulation.schemas import schema_text
-
 
 @click.command(short_help="Write the JSON Schema of scenario, test case, comparison, fleet or map files.")
 @click.argument("kind", metavar="scenario|testcase|comparison|fleet|map")
@@ -29,6 +26,9 @@ def command(kind: str, out: Path | None) -> None:
     Example:
       tf-mpc schema scenario --out scenario.json
     """
+    from thermoforce_mpc.files import write_whole
+    from thermoforce_mpc.simulation.schemas import schema_text
+
     text = schema_text(kind)
     if out is None:
         click.echo(text, nl=False)

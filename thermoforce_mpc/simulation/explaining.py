@@ -96,8 +96,13 @@ class Decision:
             ]
             if not touched:
                 side, gap = min(near.items(), key=lambda item: float(np.nanmin(item[1])))
-                nearest = f"the {side} one is nearest, {np.nanmin(gap):.2f} K away"
-                found.append(f"{of}no comfort bound is touched (plans keep a margin); {nearest}")
+                k = int(np.nanargmin(gap))
+                when_h = (self.boundary.time_s[k + 1] - self.time_s) / 3600.0
+                bound_C = float((lower_C if side == "lower" else upper_C)[k])
+                found.append(
+                    f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {gap[k]:.2f} K away in {when_h:g} h: "
+                    "plans keep a margin"
+                )
                 continue
             at, side = min(touched)
             when_h = (self.boundary.time_s[at + 1] - self.time_s) / 3600.0
