@@ -230,7 +230,7 @@ def _frozen(value: object) -> TypeGuard[Array]:
 
 def _of_each(value: object, name: str, names: Names) -> Array:
     """Values (rows,) of one instant; a number where there is one row. Raises `DataError` for another shape."""
-    array = np.atleast_1d(np.array(value, dtype=np.float64))
+    array = np.array(value, dtype=np.float64, ndmin=1)
     rows = len(getattr(names, _AXIS[name]))
     if array.shape != (rows,):
         raise DataError(f"{name} has shape {array.shape}, expected ({rows},)")

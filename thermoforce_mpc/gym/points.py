@@ -141,7 +141,7 @@ class PointsView:
         inputs = {name: float(value) for name, value in zip(self._actions, values, strict=True)}
         self._source.advance(inputs | {name[: -len("_u")] + "_activate": 1.0 for name in self._actions})
         now = self._source.measured(self._measured)[:, None]
-        self._past = np.hstack([now, self._past[:, : self._n_behind]])
+        self._past = np.hstack([now, self._past[:, : self._n_behind]]) if self._n_behind else now
 
     def observe(self) -> Array:
         """The observation now, in the order of the class's description."""

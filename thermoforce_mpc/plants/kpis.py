@@ -6,6 +6,7 @@ trapezoidal rule, per square metre of floor, peak as the highest mean over 15 mi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -71,11 +72,14 @@ def building_kpis(
     weights = _trapezoid_h(time_s)
     if not weights.size:
         raise DataError("KPIs: time must increase over at least two samples")
-    for supply in supplies:
-        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh"):
-            _check(getattr(supply, name), time_s, f"{name} of {supply.carrier}")
-    for violation in (*thermal, *air_quality):
-        _check(violation.excess, time_s, f"zone {violation.zone}")
+    series = [
+        (f"{name} of {supply.carrier}", getattr(supply, name))
+        for supply in supplies
+        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh")
+    ]
+    series += [(f"zone {violation.zone}", violation.excess) for violation in (*thermal, *air_quality)]
+    for name, values in series:
+        _check(values, time_s, weights, name)
     totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
     for supply in supplies:
         kW = supply.power_W / 1e3 / area_m2
@@ -91,7 +95,7 @@ def building_kpis(
                 totals |= _of_each_zone(name, zones, integrals)
     for supply in supplies:
         if supply.carrier in PEAKS:
-            totals[PEAKS[supply.carrier]] = peak_power(time_s, supply.power_W) / 1e3 / area_m2
+            totals[PEAKS[supply.carrier]] = _peak_power(time_s, supply.power_W, weights) / 1e3 / area_m2
     return totals
 
 
@@ -132,10 +136,11 @@ def discomfort_Kh(time_s: Array, thermal: Sequence[Violation]) -> dict[str, floa
     return {zone.zone: float(np.trapezoid(zone.excess, time_s / HOUR_S)) for zone in thermal}
 
 
-def _check(values: Array, time_s: Array, name: str) -> None:
+def _check(values: Array, time_s: Array, weights: Array, name: str) -> None:
     if np.shape(values) != np.shape(time_s):
         raise DataError(f"KPIs: {name} has {np.size(values)} values for {np.size(time_s)} samples; it needs one each")
-    if not np.isfinite(values).all():
+    # All weights are positive: the integral is finite where all values are, and quicker than looking at each.
+    if not math.isfinite(weights @ values) and not np.isfinite(values).all():
         first = float(time_s[int(np.argmin(np.isfinite(values)))])
         raise DataError(f"KPIs: {name} is not a finite number at {first:g} s")
 
@@ -162,7 +167,7 @@ def compute_kpis(
         DataError: arrays differ in length or time does not increase.
     """
     arrays = (power_W, T_operative_C, lower_C, upper_C, co2_ppm, price_per_kWh, emission_kg_per_kWh)
-    if any(np.shape(array) != np.shape(time_s) for array in arrays):
+    if any(array.shape != time_s.shape for array in arrays):
         raise DataError("KPIs: every series needs one value per time sample")
     return building_kpis(
         time_s,
@@ -224,9 +229,13 @@ class CountedKpis:
 
 def peak_power(time_s: Array, power_W: Array) -> float:
     """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter)."""
+    return _peak_power(time_s, power_W, _trapezoid_h(time_s))
+
+
+def _peak_power(time_s: Array, power_W: Array, weights: Array) -> float:
     span_s = float(time_s[-1] - time_s[0])
     if span_s < PEAK_WINDOW_S + _CLOCK_S:  # one window
-        return float(_trapezoid_h(time_s) @ power_W) * HOUR_S / span_s
+        return float(weights @ power_W) * HOUR_S / span_s
     energy_J = np.zeros(time_s.size)
     np.cumsum((time_s[1:] - time_s[:-1]) * (power_W[1:] + power_W[:-1]) / 2, out=energy_J[1:])
     edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, PEAK_WINDOW_S)

@@ -34,6 +34,7 @@ _CLOCK_S = 1e-6
 
 # Overwrite inputs of the test case in the kernel's order: (name, lowest, highest), in units of BOPTEST's interface.
 OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
+_LIMITS = {name: (low, high) for name, low, high in OVERWRITES}
 # Initial value of every input, outside the limits of a set-point (0 K).
 NEVER_GIVEN = 0.0
 
@@ -175,11 +176,10 @@ class EmbeddedPlant:
             InputError: an unknown input, a value that is neither 0 nor a finite number within its limits, or a duration
                 that is not between 1 ms and a year.
         """
-        limits = {name: (low, high) for name, low, high in OVERWRITES}
         for name, value in overrides.items():
-            if name not in limits:
-                raise InputError(f"unknown input '{name}'; known: {', '.join(limits)}")
-            low, high = limits[name]
+            if name not in _LIMITS:
+                raise InputError(f"unknown input '{name}'; known: {', '.join(_LIMITS)}")
+            low, high = _LIMITS[name]
             number = isinstance(value, int | float | np.number) and math.isfinite(value)
             if not number or not (low <= value <= high or value == NEVER_GIVEN):
                 raise InputError(f"input '{name}' is {value!r}, expected a number from {low:g} to {high:g}")
@@ -254,16 +254,15 @@ class EmbeddedPlant:
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         """Return the KPIs of the samples between two times, both included."""
-        record = self.recorded(start_s, final_s)
-        time_s = record["time"]
+        time_s, rows = self._rows_between(start_s, final_s)
         lower, upper = schedule.bounds_C(time_s)
         return compute_kpis(
             time_s,
-            power_W=record["P_heat_pump"] + record["P_fan"] + record["P_pump"],
-            T_operative_C=record["T_operative"] - _KELVIN,
+            power_W=_total_power(rows),
+            T_operative_C=rows[:, _COLUMN["T_operative"]] - _KELVIN,
             lower_C=lower,
             upper_C=upper,
-            co2_ppm=record["CO2"],
+            co2_ppm=rows[:, _COLUMN["CO2"]],
             co2_limit_ppm=schedule.CO2_LIMIT_PPM,
             price_per_kWh=self._tariffs[self._price](time_s),
             emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
@@ -307,6 +306,11 @@ class EmbeddedPlant:
         length is a multiple of 30 s), or one sample if it is shorter. The record starts with the warm-up and ends now;
         arrays are empty if nothing was recorded.
         """
+        time_s, values = self._rows_between(start_s, final_s)
+        return {"time": time_s} | {name: values[:, i] for name, i in _COLUMN.items()}
+
+    def _rows_between(self, start_s: float, final_s: float) -> tuple[Array, Array]:
+        """Return the times (n,) and samples (n, 17) between two times, see `recorded`."""
         # From the latest backwards, so that a request for recent samples does not read the whole record.
         times, parts = [np.empty(0)], [self._first[:0]]
         for time_s, rows in zip(
@@ -319,8 +323,7 @@ class EmbeddedPlant:
             first, last = np.searchsorted(time_s, [start_s - _CLOCK_S, final_s + _CLOCK_S])
             times.append(time_s[first:last])
             parts.append(rows[first:last])
-        values = np.vstack(parts[::-1])
-        return {"time": np.concatenate(times[::-1])} | {name: values[:, i] for name, i in _COLUMN.items()}
+        return np.concatenate(times[::-1]), np.concatenate(parts[::-1])
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot, to restore or branch from."""
@@ -352,7 +355,7 @@ class EmbeddedPlant:
         # As in BOPTEST: the number of equal steps is that of whole 30 s in the duration, at least one.
         n = max(math.floor(duration_s / kernel.STEP_S + 1e-9), 1)
         rows = np.empty((n, len(kernel.RECORD)))
-        forced = np.array([float(overrides.get(name, math.nan)) for name, _, _ in OVERWRITES])
+        forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
         net = self._network
         kernel.advance(
             self._nodes, self._scalars, self._now_s, n, duration_s / n, forced, self._grid, net.capacity, net.coupling,
@@ -378,9 +381,9 @@ class EmbeddedPlant:
 
     def _measurement(self, rows: Array) -> Measurement:
         """Return a measurement: samples of the last recorded row, means over `rows` (n, 17) (NaN if empty)."""
-        last = self._record[-1][-1] if self._record else self._first[0]
+        last = (self._record[-1][-1] if self._record else self._first[0]).tolist()
         means = rows.mean(axis=0) if rows.size else np.full(len(kernel.RECORD), math.nan)
-        points = {name: float(last[_COLUMN[column]]) for name, column in MEASUREMENTS.items()}
+        points = {name: last[_COLUMN[column]] for name, column in MEASUREMENTS.items()}
         return Measurement(
             time_s=self._now_s,
             T_zone_C=np.array([points["reaTZon_y"] - _KELVIN]),

@@ -45,8 +45,18 @@ def occupied_sample(time_s: Array) -> Array:
 
     The data have 15-min samples, each held until the next; the 07:00 sample still counts as occupied.
     """
-    data_s = np.floor(np.asarray(time_s, dtype=np.float64) / _DATA_S + 1e-9) * _DATA_S
-    return occupied(data_s) | (data_s % 86400.0 == 7 * 3600.0)
+    time_s = np.asarray(time_s, dtype=np.float64)
+    return np.asarray(_occupied_samples(time_s.ravel())).reshape(time_s.shape)
+
+
+@njit(cache=True)
+def _occupied_samples(time_s: Array) -> Array:
+    """Return `occupied_sample` of times (n,)."""
+    found = np.empty(time_s.size, np.bool_)
+    for i, at_s in enumerate(time_s):
+        data_s = np.floor(at_s / _DATA_S + 1e-9) * _DATA_S
+        found[i] = is_occupied(data_s) or data_s % 86400.0 == 7 * 3600.0
+    return found
 
 
 def bounds_C(time_s: Array) -> tuple[Array, Array]:
