@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 
@@ -50,7 +51,7 @@ def occupied_sample(time_s: Array) -> Array:
 
 
 @njit(cache=True)
-def _occupied_samples(time_s: Array) -> Array:
+def _occupied_samples(time_s: Array) -> NDArray[np.bool_]:
     """Return `occupied_sample` of times (n,)."""
     found = np.empty(time_s.size, np.bool_)
     for i, at_s in enumerate(time_s):
