@@ -38,6 +38,7 @@ TRIED: dict[str, tuple[str, ...]] = {
         "print(e.step(e.action_space.sample())[1])'",
     ),
     "rl": ("python {root}/examples/train_agent.py --steps 300 --days 1 --without-mpc",),
+    "fleet": ("python -c 'import distributed; from thermoforce_mpc.execution import DaskEngine'",),
     "docs": ("sh -c 'cd {root} && python -m tools.site'",),
 }
 
