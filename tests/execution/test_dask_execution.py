@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -110,10 +111,12 @@ def test_a_worker_of_another_version_is_refused(dask_cluster, engine, monkeypatc
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
     address = f"tcp://127.0.0.1:{_free_port()}"
+    before = threading.active_count()
     with pytest.raises(ConfigError, match=f"{address}: no Dask scheduler answers"):
         open_engine(scheduler=address)
     with pytest.raises(ConfigError, match="nowhere"):
         open_engine(scheduler="what://nowhere")
+    assert threading.active_count() == before
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"extra \[fleet\]"):
         open_engine(scheduler=address)

@@ -6,10 +6,12 @@ scheduler). Here is what it leaves open: that workers have this code, and that a
 
 from __future__ import annotations
 
+import asyncio
 import queue
 import time
 import uuid
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
@@ -150,6 +152,8 @@ class DaskEngine:
             from distributed import Client
         except ImportError:
             raise ConfigError("--scheduler needs the extra [fleet]: pip install 'thermoforce-mpc[fleet]'") from None
+        with ThreadPoolExecutor(1) as elsewhere:  # this thread may have an event loop, as in a notebook
+            elsewhere.submit(asyncio.run, _answers(self._address)).result()
         client = Client(self._address, timeout=_CONNECT_S, set_as_default=False)
         client.subscribe_topic(self._topic, self._hear)
         return client
@@ -212,6 +216,15 @@ class DaskEngine:
         self._say(f"the Dask scheduler is back; {len(self._orders)} tasks are sent again")
         for key in self._orders:
             self._send(key, key)
+
+
+async def _answers(address: str) -> None:
+    """Raise `OSError` if nobody answers at `address`. A `Client` that finds nobody leaves a thread behind."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    comm = await connect(address, timeout=_CONNECT_S, **Security().get_connection_args("client"))
+    await comm.close()
 
 
 def _first_line(error: BaseException) -> str:
