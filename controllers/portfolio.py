@@ -6,26 +6,21 @@ own, whose controllers it keeps and whose forecasts it makes together.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import pickle
-import signal
-import threading
 import time
-from collections.abc import Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Mapping
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
 from types import TracebackType
 
 from controllers.errors import ControllerConfigError
-from controllers.many import AT_A_TIME, Known, Planned, Together, Wanted
+from controllers.many import AT_A_TIME, Planned, Together, Wanted
 from controllers.mpc_config import MPCConfig
+from controllers.planning_process import PlanningProcess
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 _Plans = list[tuple[str, Planned]]
 
 
@@ -100,7 +95,7 @@ class Portfolio:
         self._deadline_s = deadline_s
         names, workers = list(known), min(workers, max(1, len(known)))
         shares = [{name: known[name] for name in names[i::workers]} for i in range(workers)] if workers > 1 else []
-        self._workers = [_Worker(share, grace_s) for share in shares]
+        self._workers = [PlanningProcess(share, grace_s) for share in shares]
         self._worker_of = {name: worker for worker, share in zip(self._workers, shares, strict=True) for name in share}
 
     def __enter__(self) -> Portfolio:
@@ -130,30 +125,31 @@ class Portfolio:
         if not self._workers:
             return dict(self._here.plans(wanted))
         until_s = time.monotonic() + self._deadline_s
-        of_worker: dict[_Worker, list[Wanted]] = {worker: [] for worker in self._workers}
+        of_worker: dict[PlanningProcess, list[Wanted]] = {worker: [] for worker in self._workers}
         for one in wanted:
             of_worker[self._worker_of.get(one[0], self._workers[0])].append(one)
+        longest = max(len(its) for its in of_worker.values())
         asked = [
             (worker, part, worker.asked(part))
+            for i in range(0, longest, AT_A_TIME)
             for worker, its in of_worker.items()
-            for part in (its[i : i + AT_A_TIME] for i in range(0, len(its), AT_A_TIME))
+            if (part := its[i : i + AT_A_TIME])
         ]
         found = dict(one for worker, part, future in asked for one in self._answer(worker, part, future, until_s))
         return {name: found[name] for name in observations}
 
-    def _answer(self, worker: _Worker, wanted: list[Wanted], future: Future[bytes], until_s: float) -> _Plans:
+    def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[bytes], until_s: float) -> _Plans:
         """Plans of some buildings of a process; where it died, it is asked again, and then for ever fewer of them."""
         try:
             plans: _Plans = pickle.loads(future.result(max(0.0, until_s - time.monotonic())))
             return plans
         except BrokenProcessPool:
-            worker.end()
+            return self._again(worker, wanted, until_s)
         except TimeoutError:
             worker.end()
             return self._left(wanted, f"no plan within {self._deadline_s:g} s")
-        return self._again(worker, wanted, until_s)
 
-    def _again(self, worker: _Worker, wanted: list[Wanted], until_s: float) -> _Plans:
+    def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> _Plans:
         left_s = until_s - time.monotonic()
         try:
             if left_s <= 0.0:
@@ -164,82 +160,11 @@ class Portfolio:
             worker.end()
             return self._left(wanted, f"no plan within {self._deadline_s:g} s, after its process died")
         except BrokenProcessPool:
-            worker.end()
-        if len(wanted) == 1:
-            return self._left(wanted, "its process died while planning it")
+            if len(wanted) == 1:
+                return self._left(wanted, "its process died while planning it")
         half = len(wanted) // 2
         return [*self._again(worker, wanted[:half], until_s), *self._again(worker, wanted[half:], until_s)]
 
     def _left(self, wanted: list[Wanted], reason: str) -> _Plans:
         """Buildings without a plan; their runs go on from where they were."""
         return [(name, self._here.told(name, observation, reason, state)) for name, observation, state in wanted]
-
-
-class _Worker:
-    """A process that plans for some buildings, started when it is first asked and again after its end."""
-
-    def __init__(self, known: Known, grace_s: float) -> None:
-        self._begin = (known, grace_s)
-        self._pool: ProcessPoolExecutor | None = None
-        self._pid: Future[int] | None = None
-
-    def asked(self, wanted: list[Wanted]) -> Future[bytes]:
-        """The pickled plans of buildings, to come; raises `BrokenProcessPool` from its result."""
-        try:
-            return self._started().submit(_plans_of, pickle.dumps(wanted, pickle.HIGHEST_PROTOCOL))
-        except BrokenProcessPool:  # it died since its last plans
-            self.end()
-            return self._started().submit(_plans_of, pickle.dumps(wanted, pickle.HIGHEST_PROTOCOL))
-
-    def _started(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            # Spawned: a fork would copy the locks of compiled code in whatever state they are.
-            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin, self._begin)
-            with _one_thread():
-                self._pid = self._pool.submit(os.getpid)
-        return self._pool
-
-    def end(self) -> None:
-        """End the process at once; it holds nothing that outlives it."""
-        if self._pool is not None and self._pid is not None:
-            with suppress(BrokenProcessPool, ProcessLookupError):
-                os.kill(self._pid.result(), signal.SIGKILL)
-            self._pool.shutdown(cancel_futures=True)
-        self._pool = self._pid = None
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started inside compute on one thread each (read when libraries are loaded)."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
-
-
-_together: Together | None = None
-
-
-def _begin(known: Known, grace_s: float) -> None:
-    """In the process: an interrupt is for the parent, whose end is that of the process."""
-    global _together
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _together = Together(known, grace_s)
-    threading.Thread(target=_follow_parent, daemon=True).start()
-
-
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _plans_of(wanted: bytes) -> bytes:
-    assert _together is not None
-    return pickle.dumps(list(_together.plans(pickle.loads(wanted))), pickle.HIGHEST_PROTOCOL)

@@ -185,6 +185,7 @@ def test_processes_give_the_same_plans_and_one_that_dies_costs_its_cause_alone()
         for name, planned in portfolio.plan(observations).items():
             same(planned.plan, here[name].plan)
             states[name] = planned.state
+        # It shares a process with house 0.
         found = portfolio.plan(after, states | {"house 2": Deadly()})
         for name in ("house 0", "house 1"):
             same(found[name].plan, expected[name].plan)
