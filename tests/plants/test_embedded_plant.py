@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from one_zone_kpis import compute_kpis
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -14,7 +15,7 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, refrigerant, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
-from thermoforce_mpc.plants.kpis import compute_kpis
+from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.research.bench.plants_together import advance_together
 
@@ -188,11 +189,11 @@ def test_kpis_asked_at_every_step_are_those_of_the_whole_record(weather, monkeyp
     plant.reset(30 * DAY_S + 10.0, 3600.0)
     read = []
 
-    def counting(time_s, **series):
+    def counting(time_s, rows, price):
         read.append(time_s.size)
-        return compute_kpis(time_s, **series)
+        return integrals(time_s, rows, price)
 
-    monkeypatch.setattr(emulator, "compute_kpis", counting)
+    monkeypatch.setattr(emulator, "integrals", counting)
 
     def check(price):
         record = plant.recorded(30 * DAY_S + 10.0, 1e9)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from one_zone_kpis import compute_kpis
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded.schedule import bounds_C
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, compute_kpis, excess, peak_power, zone_kpis
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess, peak_power, zone_kpis
 
 TIME = np.arange(0, 7200 + 1, 30.0)
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,14 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
+from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.plants.kpis import CountedKpis, compute_kpis
+from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, peak_power
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.version import VERSION
 
@@ -255,19 +257,19 @@ class EmbeddedPlant:
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         """Return the KPIs of the samples between two times, both included."""
         time_s, rows = self._rows_between(start_s, final_s)
-        lower, upper = schedule.bounds_C(time_s)
-        return compute_kpis(
-            time_s,
-            power_W=_total_power(rows),
-            T_operative_C=rows[:, _COLUMN["T_operative"]] - _KELVIN,
-            lower_C=lower,
-            upper_C=upper,
-            co2_ppm=rows[:, _COLUMN["CO2"]],
-            co2_limit_ppm=schedule.CO2_LIMIT_PPM,
-            price_per_kWh=self._tariffs[self._price](time_s),
-            emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
-            area_m2=AREA_M2,
-        )
+        Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
+        span_s = final_s - start_s
+        # The mean over one window, as after every step of a quarter of an hour.
+        peak_W = Wh * HOUR_S / span_s if span_s <= PEAK_WINDOW_S + _CLOCK_S else peak_power(time_s, _total_power(rows))
+        kWh = Wh / 1e3 / AREA_M2
+        return {
+            "ener_tot": kWh,
+            "cost_tot": cost / 1e3 / AREA_M2,
+            "emis_tot": kWh * tariffs.EMISSION_KG_PER_KWH,
+            "tdis_tot": discomfort_Kh,
+            "idis_tot": excess_ppm_h,
+            "pele_tot": peak_W / 1e3 / AREA_M2,
+        }
 
     @property
     def now_s(self) -> float:
@@ -311,6 +313,9 @@ class EmbeddedPlant:
 
     def _rows_between(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Return the times (n,) and samples (n, 17) between two times, see `recorded`."""
+        if len(self._times) > 1 and start_s == self._times[-2][-1] and final_s == self._now_s:  # the last step
+            latest = [self._times[-2][-1:], self._times[-1]], [self._record[-2][-1:], self._record[-1]]
+            return np.concatenate(latest[0]), np.concatenate(latest[1])
         # From the latest backwards, so that a request for recent samples does not read the whole record.
         times, parts = [np.empty(0)], [self._first[:0]]
         for time_s, rows in zip(
@@ -382,17 +387,19 @@ class EmbeddedPlant:
     def _measurement(self, rows: Array) -> Measurement:
         """Return a measurement: samples of the last recorded row, means over `rows` (n, 17) (NaN if empty)."""
         last = (self._record[-1][-1] if self._record else self._first[0]).tolist()
-        means = rows.mean(axis=0) if rows.size else np.full(len(kernel.RECORD), math.nan)
+        means: list[Any] = [math.nan] * len(kernel.RECORD)
+        if rows.size:
+            means = (np.add.reduce(rows, axis=0) / len(rows)).tolist()
         points = {name: last[_COLUMN[column]] for name, column in MEASUREMENTS.items()}
         return Measurement(
             time_s=self._now_s,
-            T_zone_C=np.array([points["reaTZon_y"] - _KELVIN]),
+            T_zone_C=points["reaTZon_y"] - _KELVIN,
             T_out_C=points["weaSta_reaWeaTDryBul_y"] - _KELVIN,
             solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
-            u=means[[_COLUMN["level"]]],
-            power_W=_total_power(means[None]),
-            heat_W=means[[_COLUMN["Q_condenser"]]],
-            T_return_C=means[[_COLUMN["T_return"]]] - _KELVIN,
+            u=means[_COLUMN["level"]],
+            power_W=means[_COLUMN["P_heat_pump"]] + means[_COLUMN["P_fan"]] + means[_COLUMN["P_pump"]],
+            heat_W=means[_COLUMN["Q_condenser"]],
+            T_return_C=means[_COLUMN["T_return"]] - _KELVIN,
             points=points,
         )
 

@@ -55,9 +55,15 @@ def _occupied_samples(time_s: Array) -> NDArray[np.bool_]:
     """Return `occupied_sample` of times (n,)."""
     found = np.empty(time_s.size, np.bool_)
     for i, at_s in enumerate(time_s):
-        data_s = np.floor(at_s / _DATA_S + 1e-9) * _DATA_S
-        found[i] = is_occupied(data_s) or data_s % 86400.0 == 7 * 3600.0
+        found[i] = is_occupied_sample(at_s)
     return found
+
+
+@njit(cache=True)
+def is_occupied_sample(time_s: float) -> bool:
+    """Return `occupied_sample` of one time."""
+    data_s = np.floor(time_s / _DATA_S + 1e-9) * _DATA_S
+    return is_occupied(data_s) or data_s % 86400.0 == 7 * 3600.0
 
 
 def bounds_C(time_s: Array) -> tuple[Array, Array]:
