@@ -75,15 +75,19 @@ class Together:
     def __init__(self, known: Known, grace_s: float) -> None:
         self._known, self._grace_s = known, grace_s
         self._built: dict[str, ThermoForceMPC | Exception] = {}
-        self._answer = Answering(BoundedCalls(_ABANDONED), strangers=True)
+        self.answer = Answering(BoundedCalls(_ABANDONED), strangers=True)
 
     def plans(self, wanted: Iterable[Wanted]) -> Iterator[tuple[str, Planned]]:
         """The plans in the order of `wanted`; no error of a building is raised."""
         ahead = iter(wanted)
         while some := list(islice(ahead, AT_A_TIME)):
-            plans = answered(together([timed(self._planned(*one)) for one in some]), self._answer)
+            plans = answered(together([self.planning(*one) for one in some]), self.answer)
             for (name, observation, _), ((plan, state), seconds) in zip(some, plans, strict=True):
-                yield name, self._told(observation, plan, state, seconds)
+                yield name, self.planned(observation, plan, state, seconds)
+
+    def planning(self, name: str, observation: Observation, state: object) -> Asking[tuple[tuple[Plan, object], float]]:
+        """Plan and next state of one building, and what they cost, s; raises no error of the building."""
+        return timed(self._planned(name, observation, state))
 
     def _planned(self, name: str, observation: Observation, state: object) -> Asking[tuple[Plan, object]]:
         """Plan and next state of one building; where there can be no plan, native control, and the state as it was."""
@@ -119,9 +123,10 @@ class Together:
 
     def told(self, name: str, observation: Observation, reason: str, state: object) -> Planned:
         """A building without a plan because of `reason`."""
-        return self._told(observation, self.handed_over(name, observation, reason), state, 0.0)
+        return self.planned(observation, self.handed_over(name, observation, reason), state, 0.0)
 
-    def _told(self, observation: Observation, plan: Plan, state: object, seconds: float) -> Planned:
+    def planned(self, observation: Observation, plan: Plan, state: object, seconds: float) -> Planned:
+        """What a plan and its state mean for the building."""
         begins_s = observation.time_s
         expires_s = begins_s + sum(block.duration_s for block in plan.blocks) + self._grace_s
         acts = plan.status in (PlanStatus.SOLVED, PlanStatus.BRIDGED)

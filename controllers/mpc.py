@@ -27,7 +27,7 @@ from controllers.room import room_blocks, within_C
 from controllers.sensing import Sensing, Zones
 from controllers.sensor import Sensor
 from controllers.sensor_state import SensorState
-from controllers.solvers import Solver, build_solver
+from controllers.solvers import Solve, Solver, build_solver
 from controllers.watch import Watch, WatchState
 from controllers.watched import WatchedPredictions
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
@@ -309,7 +309,7 @@ class ThermoForceMPC(FallingBack):
         now = replace(now, sensors=self._sensing.anchored(now.sensors, history, context))
         now = self._watched.put_down(now, context, planner)
         try:
-            solve = partial(planner.solver.solve, problem, self._guess(now.good, observation))
+            solve = Solve(planner.solver, problem, self._guess(now.good, observation))
             solution, solve_s = yield from timed(asked(Ask(planner.solver, solve, seconds=limits.solve_s)))
             refused = solution.problem if not solution.ok else problem.unfit(solution.u)
         except Exception as error:  # likewise for solvers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 from controllers.errors import ControllerConfigError
@@ -25,6 +26,19 @@ class Solver(Protocol):
         `guess` (A, N): warm start, used by iterative solvers. The result does not depend on instances solved before.
         """
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Solve:
+    """A solve that is asked for: called, it is made."""
+
+    solver: Solver
+    problem: MPCProblem
+    guess: Array | None
+
+    def __call__(self) -> Solution:
+        """Solve it."""
+        return self.solver.solve(self.problem, self.guess)
 
 
 def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: Machinery) -> Solver:

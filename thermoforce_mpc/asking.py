@@ -62,15 +62,19 @@ def asked(ask: Ask) -> Asking[Any]:
     return outcome.value
 
 
-def together(computations: Sequence[Asking[Result]]) -> Asking[list[Result]]:
+def together(
+    computations: Sequence[Asking[Result]], last: Callable[[Ask], bool] = lambda ask: False
+) -> Asking[list[Result]]:
     """The results of computations that run side by side: in each round, what all of them ask goes out as one list.
 
+    A computation that asks for something `last` waits until all others that go on do so too.
     Raises what the first of them to fail raises.
     """
     results: dict[int, Result] = {}
     outcomes: dict[int, Sequence[Outcome] | None] = dict.fromkeys(range(len(computations)))
+    waiting: dict[int, list[Ask]] = {}
     while outcomes:
-        asks: dict[int, list[Ask]] = {}
+        asks = waiting
         for i, given in outcomes.items():
             try:
                 asks[i] = computations[i].send(given)  # type: ignore[arg-type]  # None begins a generator
@@ -78,6 +82,10 @@ def together(computations: Sequence[Asking[Result]]) -> Asking[list[Result]]:
                 results[i] = end.value
         if not asks:
             break
+        waiting = {i: several for i, several in asks.items() if any(map(last, several))}
+        if len(waiting) == len(asks):
+            waiting = {}
+        asks = {i: asks[i] for i in sorted(asks) if i not in waiting}
         found = yield [ask for several in asks.values() for ask in several]
         outcomes, at = {}, 0
         for i, several in asks.items():

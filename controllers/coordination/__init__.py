@@ -6,6 +6,7 @@ from controllers.coordination.exchange import Coordination, coordinate
 from controllers.coordination.joint import solve_jointly
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import Answer, Member, QPMember, Settled
+from controllers.coordination.planning import SharedPlans, plan_shared
 from controllers.coordination.settling import Agreement
 
 __all__ = [
@@ -15,7 +16,9 @@ __all__ = [
     "Member",
     "QPMember",
     "Settled",
+    "SharedPlans",
     "SharedPower",
     "coordinate",
+    "plan_shared",
     "solve_jointly",
 ]

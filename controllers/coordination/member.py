@@ -66,12 +66,20 @@ class Member(Protocol):
 class QPMember:
     """A building whose problem is a convex quadratic programme, in this process.
 
+    `largest_kW` (N,): the most it may draw; by default with every actuator at its end.
+
     Raises:
         ControllerConfigError: the problem is not convex.
     """
 
     def __init__(
-        self, name: str, operator: BuildingOperator, shape: ProblemShape, problem: MPCProblem, config: QPConfig
+        self,
+        name: str,
+        operator: BuildingOperator,
+        shape: ProblemShape,
+        problem: MPCProblem,
+        config: QPConfig,
+        largest_kW: Array | None = None,
     ) -> None:
         if not shape.convex(operator):
             raise ControllerConfigError(
@@ -84,7 +92,7 @@ class QPMember:
         self._drive = self._programme.drive(self._problem)
         self.data = self._with_power(self._programme.numbers(self._problem, self._drive))
         self._piqp = Piqp(config)
-        self.largest_kW = self._largest_kW()
+        self.largest_kW = self._largest_kW() if largest_kW is None else largest_kW
 
     def answer(self, price: Array, wish_kW: Array, weight: float) -> Answer | None:
         """What minimises its cost + price · power + weight/2 · |power − wish_kW|²; None where no solver finds it."""

@@ -1,0 +1,157 @@
+"""Plans of buildings that share a limit or a price of their summed power, at one instant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from controllers.coordination.exchange import Coordination, coordinate
+from controllers.coordination.limit import SharedPower
+from controllers.coordination.member import QPMember
+from controllers.coordination.settling import Agreement
+from controllers.many import Planned, Together
+from controllers.mpc_config import MPCConfig
+from controllers.problem import failed
+from controllers.qp import QPSolver
+from controllers.solvers import Solve
+from thermoforce_mpc.asking import Answerer, Ask, Asking, Outcome, Result, answered, together
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+
+@dataclass(frozen=True)
+class SharedPlans:
+    """Plans by building, and what the buildings agreed on; None where none could take part."""
+
+    plans: Mapping[str, Planned]
+    agreement: Agreement | None
+
+
+def plan_shared(
+    models: Mapping[str, ThermalModel],
+    observations: Mapping[str, Observation],
+    shared: SharedPower,
+    largest_kW: Mapping[str, float],
+    states: Mapping[str, object] | None = None,
+    *,
+    config: MPCConfig | Mapping[str, MPCConfig] | None = None,
+    coordination: Coordination | None = None,
+    grace_s: float = 300.0,
+    executor: Executor | None = None,
+) -> SharedPlans:
+    """Plan for buildings whose planned powers together keep what is shared.
+
+    It holds for the mean power of each step as it is planned. A building that takes no part, because its model is not
+    competent, its data are bad, it has no convex problem or no plan, has `largest_kW` set aside for it. The guard of a
+    building, which acts when its rooms leave their band, asks nobody.
+
+    Args:
+        models: the identified model of each building, by name.
+        observations: record and forecast of each building to plan for, by name; with the same steps.
+        shared: limit and peak price over the steps of the plans (N,).
+        largest_kW: the most that each building may draw whatever happens, by name, such as its fuse.
+        states: `Planned.state` of each building's last plan; a building that is not named begins a run.
+        config: options of all controllers, or of each building by name.
+        coordination: options of the agreement.
+        grace_s: how long a plan stays valid after its step while the next one is late, s.
+        executor: solves several buildings at once.
+
+    Raises:
+        DataError: `largest_kW` lacks a building or is no power.
+    """
+    for name in observations:
+        if not (np.isfinite(largest_kW.get(name, np.nan)) and largest_kW[name] >= 0.0):
+            raise DataError(f"largest_kW: needs a power of at least 0 kW for building '{name}'")
+    single = config if isinstance(config, MPCConfig) else MPCConfig()
+    of_each = config if isinstance(config, Mapping) else {}
+    planner = Together({name: (model, of_each.get(name, single)) for name, model in models.items()}, grace_s)
+    solves = _SharedSolves(shared, dict(largest_kW), coordination, executor, planner.answer)
+    wanted = [(name, observation, (states or {}).get(name)) for name, observation in observations.items()]
+    computations = [_labelled(name, planner.planning(name, observation, state)) for name, observation, state in wanted]
+    plans = answered(together(computations, last=_is_solve), solves)
+    told = {
+        name: planner.planned(observation, plan, state, seconds)
+        for (name, observation, _), ((plan, state), seconds) in zip(wanted, plans, strict=True)
+    }
+    return SharedPlans(told, solves.agreement)
+
+
+@dataclass(frozen=True)
+class _Of:
+    """The solve of a building by name."""
+
+    name: str
+    solve: Solve
+
+    def __call__(self) -> object:
+        return self.solve()
+
+
+def _is_solve(ask: Ask) -> bool:
+    return isinstance(ask.call, _Of)
+
+
+def _labelled(name: str, computation: Asking[Result]) -> Asking[Result]:
+    """The computation, its solves told with the name of the building."""
+    outcomes: Sequence[Outcome] | None = None
+    while True:
+        try:
+            asks = computation.send(outcomes)  # type: ignore[arg-type]  # None begins a generator
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+        outcomes = yield [
+            replace(ask, call=_Of(name, ask.call)) if isinstance(ask.call, Solve) else ask for ask in asks
+        ]
+
+
+@dataclass
+class _SharedSolves:
+    """Answers solves, which come all at once, by an agreement, and everything else as `others` does."""
+
+    shared: SharedPower
+    largest_kW: dict[str, float]
+    coordination: Coordination | None
+    executor: Executor | None
+    others: Answerer
+    agreement: Agreement | None = field(default=None)
+
+    def __call__(self, asks: list[Ask]) -> Sequence[Outcome]:
+        """Outcomes in the order of `asks`."""
+        of = {i: ask.call for i, ask in enumerate(asks) if isinstance(ask.call, _Of)}
+        rest = [i for i in range(len(asks)) if i not in of]
+        found = dict(zip(rest, self.others([asks[i] for i in rest]), strict=True)) if rest else {}
+        if of:
+            found |= self._agreed(of)
+        return [found[i] for i in range(len(asks))]
+
+    def _agreed(self, of: Mapping[int, _Of]) -> dict[int, Outcome]:
+        members, why = dict[int, QPMember](), dict[int, str]()
+        for i, one in of.items():
+            solver, problem = one.solve.solver, one.solve.problem
+            if not isinstance(solver, QPSolver):
+                why[i] = "its problem is not convex"
+            elif not problem.finite():
+                why[i] = "its problem holds numbers that are not finite"
+            elif problem.n_steps != self.shared.limit_kW.size:
+                why[i] = f"it plans {problem.n_steps} steps, and {self.shared.limit_kW.size} are shared"
+            else:
+                largest = np.full(problem.n_steps, self.largest_kW[one.name])
+                members[i] = QPMember(one.name, solver.operator, solver.shape, problem, solver.config, largest)
+        taking_part = {of[i].name for i in members}
+        aside = sum(power for name, power in self.largest_kW.items() if name not in taking_part)
+        left = self.shared.less(np.full(self.shared.limit_kW.size, aside))
+        if members:
+            self.agreement = coordinate(list(members.values()), left, self.coordination, executor=self.executor)
+            settled, silent = self.agreement.settled, self.agreement.silent
+            why |= {i: silent[m.name] for i, m in members.items() if m.name in silent}
+            done = {i: Outcome(settled[m.name].solution) for i, m in members.items() if m.name in settled}
+        else:
+            done = {}
+        return done | {
+            i: Outcome(failed("no share", 0, f"no share of what is shared: {text}")) for i, text in why.items()
+        }
