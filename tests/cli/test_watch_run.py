@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 import requests
@@ -55,6 +56,21 @@ def cut(folder, there, kind: bytes, number: int):
     there.mkdir(exist_ok=True)
     (there / "journal.jsonl").write_bytes(b"\n".join(lines[: at + 1]) + b"\n")
     return there
+
+
+class GasHouse(SimpleHouse):
+    """Heats with a carrier at a tenth of the price of electricity."""
+
+    def forecast(self, horizon_s, interval_s):
+        boundary = super().forecast(horizon_s, interval_s)
+        return replace(boundary, heating_price_per_kWh=0.1 * boundary.price_per_kWh)
+
+
+def test_what_heats_with_a_carrier_of_its_own_costs_its_price(tmp_path):
+    result = run(tmp_path / "gas", GasHouse(), simple_model(), hours=6)
+    view = LiveRun(tmp_path / "gas").now()
+    assert view.energy_kWh == pytest.approx(result.kpis["ener_tot"])
+    assert view.cost == pytest.approx(0.1 * 0.25 * result.kpis["ener_tot"])
 
 
 def test_cost_energy_and_discomfort_so_far_are_those_of_the_plant(single):

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import with_level
 from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
 from thermoforce_mpc.simulation.journal_values import block_of, unpack
@@ -103,6 +105,7 @@ class LiveRun:
         self._tail = JournalTail(folder / NAME)
         self._scenario: Mapping[str, Any] = {}
         self._seen: list[str] = []
+        self._layout: Layout | None = None
         self._begin("")
 
     def _begin(self, controller: str) -> None:
@@ -161,8 +164,7 @@ class LiveRun:
             kWh = np.nan_to_num(after.power_W) * hours / 1000.0
             self._kWh += float(kWh.sum())
             if self._boundary is not None:
-                price = self._boundary.price_per_kWh[:, _index(self._boundary, start_s)]
-                self._cost += float(np.nansum(kWh * price))
+                self._cost += float(np.nansum(kWh * self._price(self._boundary, start_s, after.u)))
             zones = self._zones(after)
             self._Kh += sum(zone.outside_K for zone in zones) * hours
             levels.append((hours, after.u))
@@ -170,6 +172,16 @@ class LiveRun:
         if step.after:
             u = np.average([u for _, u in levels], axis=0, weights=[h or 1e-9 for h, _ in levels])
             self._past.append(_point(start_s, zones, u))
+
+    def _price(self, boundary: Boundary, time_s: float, u: Array) -> Array:
+        """Price of each machine's energy (M,) at levels `u` (A,)."""
+        i = _index(boundary, time_s)
+        price, heating = boundary.price_per_kWh[:, [i]], boundary.heating_price_per_kWh[:, [i]]
+        if np.array_equal(price, heating):
+            return price[:, 0]
+        if self._layout is None:
+            self._layout = load_testcase(str(self._scenario.get("testcase"))).layout
+        return price_paid(u[:, None], price, heating, self._layout)[:, 0]
 
     def _zones(self, at: Measurement) -> tuple[Zone, ...]:
         names, b = at.names.zones, self._boundary

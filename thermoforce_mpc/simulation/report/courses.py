@@ -8,6 +8,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout
 from thermoforce_mpc.plants.kpis import excess
+from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
 
@@ -130,17 +131,6 @@ def _band_C(step: StepRecord, k: int) -> Array:
     refused = bool(step.refused) or k >= len(step.plan.blocks)
     bands = (None,) * len(step.boundary.names.actuators) if refused else step.plan.blocks[k].band_C
     return np.array([nothing if band is None else band for band in bands], dtype=np.float64)
-
-
-def price_paid(u: Array, price: Array, heating_price: Array, layout: Layout) -> Array:
-    """Price of each machine's energy (M, n): that of heating unless an actuator of it cools at levels `u` (A, n)."""
-    paid = price.copy()
-    for m in range(price.shape[0]):
-        fed = [a for a in layout.fed_by(m) if layout.signs[a] > 0]
-        if fed:
-            heats = (np.nan_to_num(u[fed]) >= 0).all(axis=0)
-            paid[m] = np.where(heats, heating_price[m], price[m])
-    return paid
 
 
 def _averaged(course: Course, together: int) -> Course:
