@@ -9,11 +9,11 @@ from houses import House, record
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.identification import IdentificationConfig
+from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.misfit import Misfit, TrainingData
 from thermoforce_mpc.identification.modes import mode_priors, to_operator
-from thermoforce_mpc.identification.regression_data import run_regression
+from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
@@ -60,6 +60,13 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
         x = feature_matrix(run.T_zone_C[0, :-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1])
         rows = np.arange(e.rows.size)
         data.append(TrainingData(e, (x,), residuals(e, priors.log_tau), Split(rows[:70], rows[70:])))
+    for seed, days in ((3, 0.25), (4, 0.25), (5, 0.5)):
+        a = record(House(), days, seed=seed)
+        pair = Pair(a, record(House(), days, seed=seed, u=np.zeros(a.n_steps)))
+        e = pair_regression(pair, IDENTITY)
+        rows, x = np.arange(e.rows.size), 5.0 * np.random.default_rng(seed).normal(size=(2, a.n_steps, 4))
+        train = rows[:0] if seed == 4 else rows  # the second pair is held out
+        data.append(TrainingData(e, tuple(x), residuals(e, priors.log_tau), Split(train, rows[train.size :])))
     start = to_operator(
         priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=priors.bounds_h(), sign=sign,
         gamma=GAMMA, hidden=4, heat_input=IDENTITY, feature_mean=np.array([20.0, 4.0, 60.0, 0.0]),
@@ -77,3 +84,4 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
     value, found = misfit(values.numpy())
     assert value == pytest.approx(float(expected.detach()), rel=1e-10)
     np.testing.assert_allclose(found, gradient, rtol=1e-7, atol=1e-9 * np.abs(gradient).max())
+    assert misfit.judged(values.numpy()).size == sum(e.split.judged.size for e in data)

@@ -32,13 +32,36 @@ class TrainingData:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Rows of one regression: its steps and those of its runs in the stack; L⁻¹ and L⁻¹ target of both parts."""
+class _Alike:
+    """Regressions of equal shapes, m of them.
 
-    steps: tuple[slice, ...]
+    `steps` (m, k, n): places of their k runs in the stack of all steps; `rows` of each; L⁻¹ (m, t, rows) and L⁻¹ target
+    (m, t) of the training rows and of the held-out ones.
+    """
+
+    steps: NDArray[np.intp]
     rows: NDArray[np.intp]
     train: tuple[Array, Array]
     judged: tuple[Array, Array]
+
+
+def _grouped(data: Sequence[TrainingData]) -> list[_Alike]:
+    """The regressions by shape: pairs are many and short, so that they are computed together."""
+    groups: dict[tuple[object, ...], list[tuple[TrainingData, NDArray[np.intp]]]] = {}
+    first = 0
+    for e in data:
+        places = first + np.arange(len(e.regression.drives) * e.regression.n_steps)
+        first += places.size
+        key = (e.regression.n_steps, *(rows.tobytes() for rows in (e.regression.rows, e.split.train, e.split.judged)))
+        groups.setdefault(key, []).append((e, places.reshape(len(e.regression.drives), -1)))
+    found = []
+    for members in groups.values():
+        L = np.stack([e.residuals.whitener() for e, _ in members])
+        left = np.stack([e.regression.target - e.residuals.mean for e, _ in members])
+        target, one = (L @ left[..., None])[..., 0], members[0][0]
+        train, judged = ((L[:, part], target[:, part]) for part in (one.split.train, one.split.judged))
+        found.append(_Alike(np.stack([places for _, places in members]), one.regression.rows, train, judged))
+    return found
 
 
 @dataclass(frozen=True)
@@ -78,16 +101,7 @@ class Misfit:
         runs = [(s * v, x) for e in data for (s, v), x in zip(e.regression.drives, e.features, strict=True)]
         self._heat = np.concatenate([drive for drive, _ in runs])
         self._x = (np.concatenate([x for _, x in runs]) - start.feature_mean) / start.feature_scale
-        self._parts, first = [], 0
-        for e in data:
-            steps = []
-            for _, drive in e.regression.drives:
-                steps.append(slice(first, first + drive.size))
-                first += drive.size
-            L = e.residuals.whitener()
-            target = L @ (e.regression.target - e.residuals.mean)
-            train, judged = ((L[part], target[part]) for part in (e.split.train, e.split.judged))
-            self._parts.append(_Rows(tuple(steps), e.regression.rows, train, judged))
+        self._groups = _grouped(data)
         self._n = sum(e.split.train.size for e in data)
         self._is_rate = np.isin(np.arange(start.order), (0, start.order - 1))
         mean, sd = priors.gains_at(priors.log_tau)
@@ -106,18 +120,16 @@ class Misfit:
         modes, network = self._modes(parameters), parameters[2 * self._r :]
         drive, seen = self._driven(network)
         squares, by_g, by_a, by_drive = 0.0, np.zeros(self._r), np.zeros(self._r), np.empty(drive.size)
-        for part in self._parts:
-            y, slope = responses(sum(drive[steps] for steps in part.steps), modes.a)
-            L, target = part.train
-            residual = target - L @ (y @ modes.g)[part.rows]
-            squares += float(residual @ residual)
-            by_response = np.zeros(y.shape[0])
-            by_response[part.rows] = -2.0 * residual @ L
-            by_g += by_response @ y
-            by_a += modes.g * (by_response @ slope)
-            by_step = adjoint(by_response, modes.a, modes.g)
-            for steps in part.steps:
-                by_drive[steps] = by_step
+        for group in self._groups:
+            y, slope = responses(drive[group.steps].sum(axis=1), modes.a)
+            L, target = group.train
+            residual = target - (L @ (y @ modes.g)[:, group.rows, None])[..., 0]
+            squares += float(np.sum(residual**2))
+            by_response = np.zeros(y.shape[:2])
+            by_response[:, group.rows] = -2.0 * (residual[:, None] @ L)[:, 0]
+            by_g += np.tensordot(by_response, y)
+            by_a += modes.g * np.tensordot(by_response, slope)
+            by_drive[group.steps] = adjoint(by_response, modes.a, modes.g)[:, None]
         known, known_by_raw = self._penalty(modes)
         by_raw = self._pulled(modes, by_a, by_g) + 2.0 * known_by_raw
         by_network = self._network_gradient(network, seen, by_drive) + 2.0 * self._precision * network
@@ -125,14 +137,14 @@ class Misfit:
         return value / self._n, np.concatenate([by_raw, by_network]) / self._n
 
     def judged(self, parameters: Array) -> Array:
-        """Whitened residuals of the held-out rows (rows,)."""
+        """Whitened residuals of the held-out rows (rows,), always in the same order."""
         modes = self._modes(parameters)
         drive, _ = self._driven(parameters[2 * self._r :])
         found = []
-        for part in self._parts:
-            y, _ = responses(sum(drive[steps] for steps in part.steps), modes.a)
-            L, target = part.judged
-            found.append(target - L @ (y @ modes.g)[part.rows])
+        for group in self._groups:
+            y, _ = responses(drive[group.steps].sum(axis=1), modes.a)
+            L, target = group.judged
+            found.append((target - (L @ (y @ modes.g)[:, group.rows, None])[..., 0]).ravel())
         return np.concatenate(found)
 
     def _modes(self, parameters: Array) -> _Modes:

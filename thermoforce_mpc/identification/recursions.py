@@ -124,29 +124,32 @@ def covariance(variance: Array, decay: Array, noise: float) -> Array:
 
 
 @njit(cache=True)
-def responses(drive: Array, poles: Array) -> tuple[Array, Array]:
-    """Modes y(t + 1) = a y(t) + d(t) from zero under `drive` (n,), and their derivatives by `poles` (r,).
+def responses(drives: Array, poles: Array) -> tuple[Array, Array]:
+    """Modes y(t + 1) = a y(t) + d(t) from zero under each of `drives` (m, n), and their derivatives by `poles` (r,).
 
-    Shape (n + 1, r) each.
+    Shape (m, n + 1, r) each.
     """
-    n, r = drive.size, poles.size
-    y, slope = np.zeros((n + 1, r)), np.zeros((n + 1, r))
-    for t in range(n):
-        for i in range(r):
-            y[t + 1, i] = poles[i] * y[t, i] + drive[t]
-            slope[t + 1, i] = poles[i] * slope[t, i] + y[t, i]
+    (m, n), r = drives.shape, poles.size
+    y, slope = np.zeros((m, n + 1, r)), np.zeros((m, n + 1, r))
+    for k in range(m):
+        for t in range(n):
+            for i in range(r):
+                y[k, t + 1, i] = poles[i] * y[k, t, i] + drives[k, t]
+                slope[k, t + 1, i] = poles[i] * slope[k, t, i] + y[k, t, i]
     return y, slope
 
 
 @njit(cache=True)
 def adjoint(by_response: Array, poles: Array, gains: Array) -> Array:
-    """Derivatives (n,) by the drive of what has the derivatives `by_response` (n + 1,) by Σ gains y of `responses`."""
-    n, r = by_response.size - 1, poles.size
-    state, out = np.zeros(r), np.empty(n)
-    for t in range(n, 0, -1):
-        total = 0.0
-        for i in range(r):
-            state[i] = poles[i] * state[i] + gains[i] * by_response[t]
-            total += state[i]
-        out[t - 1] = total
+    """Derivatives (m, n) by the drives of what has derivatives `by_response` (m, n + 1) by Σ gains y of `responses`."""
+    m, n, r = by_response.shape[0], by_response.shape[1] - 1, poles.size
+    out = np.empty((m, n))
+    for k in range(m):
+        state = np.zeros(r)
+        for t in range(n, 0, -1):
+            total = 0.0
+            for i in range(r):
+                state[i] = poles[i] * state[i] + gains[i] * by_response[k, t]
+                total += state[i]
+            out[k, t - 1] = total
     return out
