@@ -16,6 +16,7 @@ from simple_house import SimpleHouse
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.simulation import composition
 from thermoforce_mpc.simulation import run as simulation_run
 
 TESTCASE = "bestest_hydronic_heat_pump"
@@ -152,7 +153,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
 @pytest.mark.slow
 def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple, tmp_path, monkeypatch):
     """A day of probing by constant draws does not tell this house's effect well enough."""
-    monkeypatch.setattr(cli_identify, "build_plant", lambda spec, testcase, seed: SimpleHouse())
+    monkeypatch.setattr(composition, "build_plant", lambda spec, testcase, seed: SimpleHouse())
     quick = ("--set", "identification.most_days=1", "--set", "identification.probing.design=random")
     words = ["identify", "--testcase", TESTCASE, "--probe-days", "1", "--out", "m", *quick]
     done = CliRunner().invoke(cli, [*words, *WEAK_PRIORS])
