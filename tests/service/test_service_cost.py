@@ -46,7 +46,7 @@ def test_neither_a_step_nor_its_kpis_read_the_steps_before():
 
     run(60)
     first = [memory_of(step), memory_of(session.kpi)]
-    run(1500)
+    run(1494)  # to the same place in a peak window, whose samples are read until it ends
     now_s = plant.now_s
     body = {"point_names": ["oveHeaPumY_activate", "reaTZon_y"], "start_time": now_s - 300, "final_time": now_s}
     last = [memory_of(step), memory_of(session.kpi)]
