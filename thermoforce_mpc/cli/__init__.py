@@ -58,7 +58,7 @@ _COMMANDS = {
     "serve": ("thermoforce_mpc.cli.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
     "weather": ("thermoforce_mpc.cli.weather", "Download the weather file of the BOPTEST test case."),
     "bench": ("thermoforce_mpc.cli.bench", "Run benchmarks and compare the results with their targets."),
-    "testcases": ("thermoforce_mpc.cli.testcases", "List the shipped test cases, scenarios and comparisons."),
+    "testcases": ("thermoforce_mpc.cli.testcases", "List the shipped test cases, scenarios, comparisons and fleets."),
 }
 
 

@@ -47,8 +47,8 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
 
     FLEET.yaml names the buildings (generated houses, houses of rooms, test cases, or a table of your own) and the axes;
     `tf-mpc schema fleet` is its schema. The folder then holds runs.parquet, one row a run, index.html with the
-    distributions of saving and discomfort, who lost and why, and what each run and identification gave. Repeating the
-    command runs only what is missing or failed.
+    distributions of saving and discomfort, who lost and why, models.parquet with the verdict on every model, and what
+    each run and identification gave. Repeating the command runs only what is missing or failed.
 
     \b
     Examples:
@@ -57,7 +57,8 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
       tf-mpc fleet portfolio.yaml --scheduler tcp://host:8786
 
     \b
-    Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed (the others are kept), 130 interrupted.
+    Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed (the others are kept), 7 the cluster is gone,
+    130 interrupted.
     """
     console = Console(highlight=False, markup=False)
     file, path = load_fleet(fleet)

@@ -1,4 +1,4 @@
-"""`tf-mpc testcases`: list the shipped test cases, scenarios and comparisons."""
+"""`tf-mpc testcases`: list the shipped test cases, scenarios, comparisons and fleets."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from thermoforce_mpc.scenario.scenario import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 
-@click.command(short_help="List the shipped test cases, scenarios and comparisons.")
+@click.command(short_help="List the shipped test cases, scenarios, comparisons and fleets.")
 def command() -> None:
-    """List the shipped test cases, scenarios and comparisons, with their files."""
+    """List the shipped test cases, scenarios, comparisons and fleets, with their files."""
     click.echo("Test cases (--testcase NAME):")
     for name, path in named_configs("testcases").items():
         testcase = load_testcase(name)
@@ -32,3 +32,6 @@ def command() -> None:
     click.echo("\nComparisons (tf-mpc compare --variants NAME):")
     for name, path in named_configs("comparisons").items():
         click.echo(f"  {name}: {', '.join(read_yaml(path)['variants'])}; {path}")
+    click.echo("\nFleets (tf-mpc fleet NAME):")
+    for name, path in named_configs("fleets").items():
+        click.echo(f"  {name}: {', '.join(map(str, read_yaml(path)['windows']))}; {path}")

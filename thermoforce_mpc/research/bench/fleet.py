@@ -123,7 +123,7 @@ def _coordinate(quick: bool, progress: Progress) -> tuple[list[Row], list[Target
 
 
 def _campaign(quick: bool, progress: Progress) -> tuple[list[Row], list[Target]]:
-    houses, days = (4, 0.5) if quick else (24, 2.0)
+    houses, days = (4, 0.5) if quick else (12, 1.0)
     pairs = [
         (campaign(houses, 1, days=days, progress=progress), campaign(houses, 2, days=days, progress=progress))
         for _ in range(1 if quick else 2)
