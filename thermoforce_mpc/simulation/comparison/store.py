@@ -29,6 +29,23 @@ class Identified:
     files: Mapping[str, bytes] = field(default_factory=dict)
     refused: str = ""
 
+    @classmethod
+    def read(cls, path: Path) -> Identified | None:
+        """What `write` wrote; None where there is nothing."""
+        try:
+            if path.is_file():
+                return cls(refused=path.read_text(encoding="utf-8"))
+            return cls({file.name: file.read_bytes() for file in sorted(path.iterdir())})
+        except OSError:
+            return None
+
+    def write(self, path: Path) -> None:
+        """Write the folder of the model, or in its place a file with the reason; raises `StorageError`."""
+        if self.refused:
+            write_whole(path, self.refused)
+        else:
+            write_folder(path, self.files)
+
 
 class Store:
     """Stored cells and models of one comparison: the `Results` of its tasks."""
@@ -73,7 +90,9 @@ class Store:
         """
         if isinstance(task.inputs, InputFiles):
             return task.inputs.read()
-        found = self.finished(task.inputs) if isinstance(task.inputs, Cell) else self._identified(task.key)
+        found = (
+            self.finished(task.inputs) if isinstance(task.inputs, Cell) else Identified.read(self.model_path(task.key))
+        )
         if found is None:
             raise KeyError(task.key)
         return found
@@ -82,20 +101,8 @@ class Store:
         """Store the record of a cell, or what was identified; raises `StorageError`."""
         if isinstance(task.inputs, Cell):
             self.write(task.inputs, value)
-        elif value.refused:
-            write_whole(self.model_path(task.key), value.refused)
         else:
-            write_folder(self.model_path(task.key), value.files)
-
-    def _identified(self, key: str) -> Identified | None:
-        """A file with the reason takes the place of a model's folder where the data could not be fitted."""
-        path = self.model_path(key)
-        try:
-            if path.is_file():
-                return Identified(refused=path.read_text(encoding="utf-8"))
-            return Identified({file.name: file.read_bytes() for file in sorted(path.iterdir())})
-        except OSError:
-            return None
+            value.write(self.model_path(task.key))
 
     def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
         """Store a cell's record atomically."""

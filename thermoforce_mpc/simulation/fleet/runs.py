@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
-from thermoforce_mpc.files import storage_errors, write_folder, write_whole
+from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, Inputs, expand
@@ -156,13 +156,9 @@ class FleetResults:
             if (record := self.record(task.inputs)) is None:
                 raise KeyError(task.key)
             return Ran(record)
-        path = self.model_path(task.key)
-        try:
-            if path.is_file():
-                return Identified(refused=path.read_text(encoding="utf-8"))
-            return Identified({file.name: file.read_bytes() for file in sorted(path.iterdir())})
-        except OSError:
-            raise KeyError(task.key) from None
+        if (model := Identified.read(self.model_path(task.key))) is None:
+            raise KeyError(task.key)
+        return model
 
     def put(self, task: Task, value: Any) -> None:
         """Keep it; raises `StorageError`."""
@@ -170,10 +166,8 @@ class FleetResults:
             if value.trajectory:
                 write_whole(_in_folder(self.trajectory_path(task.inputs)), value.trajectory)
             write_json(_in_folder(self.record_path(task.key)), value.record)
-        elif value.refused:
-            write_whole(_in_folder(self.model_path(task.key)), value.refused)
         else:
-            write_folder(self.model_path(task.key), value.files)
+            value.write(_in_folder(self.model_path(task.key)))
 
     def put_failure(self, run: Run, reason: str) -> dict[str, Any]:
         """Keep the record of a failed run, which the next invocation runs again, and return it."""
