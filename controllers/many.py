@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from controllers.bounded import BoundedCalls
-from controllers.errors import said
+from controllers.errors import ControllerConfigError, said
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.planner import MPCState
@@ -30,6 +30,19 @@ Wanted = tuple[str, Observation, object]
 """A building's name, its observation, and its state after the last plan (None: a run begins)."""
 Known = Mapping[str, tuple[ThermalModel, MPCConfig]]
 """Model and options of each building by name."""
+
+
+def known_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping[str, MPCConfig] | None) -> Known:
+    """Model and options of each building, the default options where `config` names none.
+
+    Raises:
+        ControllerConfigError: `config` names a building without a model.
+    """
+    single = config if isinstance(config, MPCConfig) else MPCConfig()
+    of_each = config if isinstance(config, Mapping) else {}
+    if unknown := sorted(of_each.keys() - models.keys()):
+        raise ControllerConfigError(f"config: there is no model of building '{unknown[0]}' ({len(unknown)} such)")
+    return {name: (model, of_each.get(name, single)) for name, model in models.items()}
 
 
 @dataclass(frozen=True)

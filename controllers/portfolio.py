@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 
 from controllers.errors import ControllerConfigError
-from controllers.many import AT_A_TIME, Planned, Together, Wanted
+from controllers.many import AT_A_TIME, Planned, Together, Wanted, known_of
 from controllers.mpc_config import MPCConfig
 from controllers.planning_process import PlanningProcess
 from thermoforce_mpc.data import Observation
@@ -86,11 +86,7 @@ class Portfolio:
                 f"workers {workers}, grace_s {grace_s:g}, deadline_s {deadline_s:g}: expected at least one process, a "
                 "grace of 0 or more and a deadline above 0"
             )
-        single = config if isinstance(config, MPCConfig) else MPCConfig()
-        of_each = config if isinstance(config, Mapping) else {}
-        if unknown := sorted(of_each.keys() - models.keys()):
-            raise ControllerConfigError(f"config: there is no model of building '{unknown[0]}' ({len(unknown)} such)")
-        known = {name: (model, of_each.get(name, single)) for name, model in models.items()}
+        known = known_of(models, config)
         self._here = Together(known, grace_s)
         self._deadline_s = deadline_s
         names, workers = list(known), min(workers, max(1, len(known)))

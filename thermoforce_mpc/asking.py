@@ -108,17 +108,27 @@ def timed(computation: Asking[Result]) -> Asking[tuple[Result, float]]:
         seconds += sum(outcome.seconds for outcome in outcomes)
 
 
-def within(seconds: float, computation: Asking[Result]) -> Asking[Result]:
-    """The computation, all its asks to be answered within `seconds` of its begin on the wall clock."""
-    until_s, outcomes = time.monotonic() + seconds, None
+def altered(computation: Asking[Result], alter: Callable[[Ask], Ask]) -> Asking[Result]:
+    """The computation, with each of its asks replaced by what `alter` makes of it."""
+    outcomes = None
     while True:
         try:
             asks = computation.send(outcomes)  # type: ignore[arg-type]
         except StopIteration as end:
             result: Result = end.value
             return result
+        outcomes = yield [alter(ask) for ask in asks]
+
+
+def within(seconds: float, computation: Asking[Result]) -> Asking[Result]:
+    """The computation, all its asks to be answered within `seconds` of its begin on the wall clock."""
+    until_s = time.monotonic() + seconds
+
+    def bounded(ask: Ask) -> Ask:
         left = until_s - time.monotonic()
-        outcomes = yield [replace(ask, seconds=left if ask.seconds is None else min(left, ask.seconds)) for ask in asks]
+        return replace(ask, seconds=left if ask.seconds is None else min(left, ask.seconds))
+
+    return (yield from altered(computation, bounded))
 
 
 def answered(computation: Asking[Result], answer: Answerer | None = None) -> Result:

@@ -86,7 +86,7 @@ class QPMember:
                 f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "
                 "without feedback"
             )
-        self.name, self._config, self._operator = name, config, operator
+        self.name, self._config = name, config
         self._programme = Programme(operator, shape)
         self._problem = self._programme.as_solved(problem)
         self._drive = self._programme.drive(self._problem)

@@ -12,12 +12,12 @@ from controllers.coordination.exchange import Coordination, coordinate
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement
-from controllers.many import Planned, Together
+from controllers.many import Planned, Together, known_of
 from controllers.mpc_config import MPCConfig
 from controllers.problem import failed
 from controllers.qp import QPSolver
 from controllers.solvers import Solve
-from thermoforce_mpc.asking import Answerer, Ask, Asking, Outcome, Result, answered, together
+from thermoforce_mpc.asking import Answerer, Ask, Asking, Outcome, Result, altered, answered, together
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -61,14 +61,13 @@ def plan_shared(
         executor: solves several buildings at once.
 
     Raises:
+        ControllerConfigError: `config` names a building without a model.
         DataError: `largest_kW` lacks a building or is no power.
     """
     for name in observations:
         if not (np.isfinite(largest_kW.get(name, np.nan)) and largest_kW[name] >= 0.0):
             raise DataError(f"largest_kW: needs a power of at least 0 kW for building '{name}'")
-    single = config if isinstance(config, MPCConfig) else MPCConfig()
-    of_each = config if isinstance(config, Mapping) else {}
-    planner = Together({name: (model, of_each.get(name, single)) for name, model in models.items()}, grace_s)
+    planner = Together(known_of(models, config), grace_s)
     solves = _SharedSolves(shared, dict(largest_kW), coordination, executor, planner.answer)
     wanted = [(name, observation, (states or {}).get(name)) for name, observation in observations.items()]
     computations = [_labelled(name, planner.planning(name, observation, state)) for name, observation, state in wanted]
@@ -97,16 +96,9 @@ def _is_solve(ask: Ask) -> bool:
 
 def _labelled(name: str, computation: Asking[Result]) -> Asking[Result]:
     """The computation, its solves told with the name of the building."""
-    outcomes: Sequence[Outcome] | None = None
-    while True:
-        try:
-            asks = computation.send(outcomes)  # type: ignore[arg-type]  # None begins a generator
-        except StopIteration as end:
-            result: Result = end.value
-            return result
-        outcomes = yield [
-            replace(ask, call=_Of(name, ask.call)) if isinstance(ask.call, Solve) else ask for ask in asks
-        ]
+    return altered(
+        computation, lambda ask: replace(ask, call=_Of(name, ask.call)) if isinstance(ask.call, Solve) else ask
+    )
 
 
 @dataclass

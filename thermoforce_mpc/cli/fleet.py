@@ -165,12 +165,13 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
         pairs = paired(rows, variant, reference)
         if pairs.empty:
             continue
-        console.print(headline(pairs, variant, reference), soft_wrap=True)
+        found = groups(pairs)
+        console.print(headline(found[0], variant, reference), soft_wrap=True)
         table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column(f"{variant}", overflow="fold")
         for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
             table.add_column(heading, justify="right")
-        for group in groups(pairs):
+        for group in found:
             low, middle, high = (100 * value for value in group.saving)
             table.add_row(
                 f"{group.by} {group.value}".strip(),

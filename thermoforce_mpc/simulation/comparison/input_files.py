@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution import Task
+from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.run_folder import file_sha256
 
@@ -70,6 +72,11 @@ def input_files(paths: Iterable[str]) -> InputFiles | None:
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     return InputFiles(hashes) if hashes else None
+
+
+def task_of(files: InputFiles) -> Task:
+    """The task whose value is the content of `files`, for tasks that need it."""
+    return Task(digest({"files": files.hashes}), ", ".join(files.hashes), InputFiles.read, files)
 
 
 def paths_of(scenario: Scenario) -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_folder, write_whole
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles
 from thermoforce_mpc.simulation.run_folder import write_json
@@ -28,6 +30,13 @@ class Identified:
 
     files: Mapping[str, bytes] = field(default_factory=dict)
     refused: str = ""
+
+    @classmethod
+    def of(cls, model: ThermalModel) -> Identified:
+        """A model as it is saved."""
+        with tempfile.TemporaryDirectory() as folder:
+            saved = model.save(Path(folder) / "model")
+            return cls({path.name: path.read_bytes() for path in sorted(saved.iterdir())})
 
     @classmethod
     def read(cls, path: Path) -> Identified | None:

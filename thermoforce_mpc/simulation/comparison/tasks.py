@@ -14,7 +14,6 @@ from controllers.registry import build_controller, find_entry, has_gate
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, source_fingerprint, tell
-from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.files import write_folder
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -25,12 +24,12 @@ from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_cl
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import (
     NO_FILES,
-    InputFiles,
     SentFiles,
     input_files,
     moved_plant,
     moved_scenario,
     paths_of,
+    task_of,
 )
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
@@ -50,8 +49,7 @@ def tasks_of(cells: Iterable[Cell]) -> list[Task]:
         known = tuple(sorted(set(paths)))
         if known not in files:
             found = input_files(known)
-            key = digest({"files": found.hashes}) if found else ""
-            files[known] = (Task(key, ", ".join(known), InputFiles.read, found),) if found else ()
+            files[known] = (task_of(found),) if found else ()
         return files[known]
 
     tasks = []
@@ -82,9 +80,7 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
                 model = run_identification(task, plant, on_progress=lambda now: tell(now.days / now.planned_days))
     except DataError as error:
         return Identified(refused=str(error))
-    with tempfile.TemporaryDirectory() as folder:
-        saved = model.save(Path(folder) / "model")
-        return Identified({path.name: path.read_bytes() for path in sorted(saved.iterdir())})
+    return Identified.of(model)
 
 
 def record_of(cell: Cell, *needs: SentFiles | Identified) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.scenario.settings import merge
-from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, InputFiles, SentFiles, input_files
+from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
 from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run
@@ -54,11 +53,12 @@ def tasks_of_records(buildings: Iterable[Building]) -> dict[str, Task]:
             continue
         files = input_files(building.record)
         assert files is not None  # there are two paths
-        sent = Task(content_key(InputFiles.read, files), ", ".join(building.record), InputFiles.read, files)
         content = sorted(str(dict(hashes)) for hashes in files.hashes.values())
         key = content_key(identified_from, [building.name, *content])
         title = f"{building.name} · identifying from measurements"
-        tasks[building.name] = Task(key, title, identified_from, Measured(building.name, *building.record), (sent,))
+        tasks[building.name] = Task(
+            key, title, identified_from, Measured(building.name, *building.record), (task_of(files),)
+        )
     return tasks
 
 
@@ -70,9 +70,7 @@ def identified_from(measured: Measured, files: SentFiles = NO_FILES) -> Identifi
             model, _ = model_of_measurements([paths[0]], paths[1])
     except (ConfigError, DataError) as error:
         return Identified(refused=str(error))
-    with tempfile.TemporaryDirectory() as folder:
-        saved = model.save(Path(folder) / "model")
-        return Identified({path.name: path.read_bytes() for path in sorted(saved.iterdir())})
+    return Identified.of(model)
 
 
 def with_models(buildings: Iterable[Building], models: Mapping[str, Path]) -> list[Building]:

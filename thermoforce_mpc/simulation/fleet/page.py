@@ -15,6 +15,7 @@ from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.summary import (
     LEAST_HEATING_KWH_M2,
     MORE_DISCOMFORT_KH,
+    Group,
     causes,
     groups,
     lost,
@@ -63,9 +64,8 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str) -> 
     )
 
 
-def headline(pairs: pd.DataFrame, variant: str, reference: str) -> str:
-    """The result in a sentence."""
-    everything = groups(pairs)[0]
+def headline(everything: Group, variant: str, reference: str) -> str:
+    """The result in a sentence, of the group of all runs."""
     low, middle, high = (100 * value for value in everything.saving)
     range_of = f"{middle:+.1f} % (median; 10 to 90 %: {low:+.1f} to {high:+.1f} %)"
     shares = f"{100 * everything.cheaper:.0f} %", f"{100 * everything.colder:.0f} %"
@@ -79,14 +79,14 @@ def headline(pairs: pd.DataFrame, variant: str, reference: str) -> str:
 def _part(pairs: pd.DataFrame, variant: str, reference: str) -> dict[str, Any]:
     if pairs.empty:
         return {}
-    worst = lost(pairs)
+    worst, found = lost(pairs), groups(pairs)
     heated = pairs.dropna(subset=["saving"])
     return {
         "variant": variant,
-        "headline": headline(pairs, variant, reference),
+        "headline": headline(found[0], variant, reference),
         "scatter": _scatter(heated) if len(heated) else "",
         "cumulative": _cumulative(heated) if len(heated) else "",
-        "groups": groups(pairs),
+        "groups": found,
         "causes": causes(worst),
         "lost": [row | {"command": _command(row)} for row in worst.head(_SHOWN).to_dict("records")],
     }
