@@ -1,0 +1,46 @@
+"""Data passed between plant, forecaster, predictor and controller.
+
+Time is in seconds since 1 January 00:00 (BOPTEST's clock). `N` steps have `N + 1` boundaries: what is *sampled*
+(temperatures, weather, comfort bounds) has `N + 1` values, what *acts over a step* (u, power, heat) has `N`.
+Temperatures are in °C, differences and effects in K, powers and heat flows in W, energies in kWh, u in [0, 1].
+
+A building has Z zones, A actuators and M machines, whose names travel with the arrays (`Names`). Time is the last
+axis: zone temperatures and bounds are (Z, …), levels and heat (A, …), power and prices (M, …), the weather (…). Where
+there is one of them, constructors also take arrays without that axis.
+"""
+
+from __future__ import annotations
+
+from thermoforce_mpc.data.boundary import CONDITIONS, Boundary
+from thermoforce_mpc.data.clock import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data.layout import Layout
+from thermoforce_mpc.data.names import SINGLE, Names
+from thermoforce_mpc.data.observation import FreeForecast, Observation
+from thermoforce_mpc.data.plan import Bands, Block, Levels, Plan, PlanStatus
+from thermoforce_mpc.data.plant import Period, PlantInfo
+from thermoforce_mpc.data.record import ACTING, SAMPLED, SIGNALS, Measurement, Record
+
+__all__ = [
+    "ACTING",
+    "CONDITIONS",
+    "DAY_S",
+    "HOUR_S",
+    "SAMPLED",
+    "SIGNALS",
+    "SINGLE",
+    "Array",
+    "Bands",
+    "Block",
+    "Boundary",
+    "FreeForecast",
+    "Layout",
+    "Levels",
+    "Measurement",
+    "Names",
+    "Observation",
+    "Period",
+    "Plan",
+    "PlanStatus",
+    "PlantInfo",
+    "Record",
+]

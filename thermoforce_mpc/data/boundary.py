@@ -1,0 +1,155 @@
+"""Boundary conditions of the steps ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, HOUR_S, Array, check_clock
+from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
+from thermoforce_mpc.errors import DataError
+
+if TYPE_CHECKING:  # pandas is loaded only where tables come in
+    import pandas as pd
+
+    from thermoforce_mpc.data.record import Record
+
+# Signals of a `Boundary`.
+CONDITIONS = (
+    "time_s", "T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh", "emission_kg_per_kWh",
+    "heating_price_per_kWh",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Boundary conditions at `N + 1` equally spaced instants, the first being *now*.
+
+    Shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m².
+    Shape (Z, N + 1): `occupancy` persons, `lower_C` and `upper_C` comfort bounds °C.
+    Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy. Where
+    the heating of a machine that also cools has a carrier of its own (gas beside electric cooling),
+    `heating_price_per_kWh` is its price; by default it is `price_per_kWh`.
+
+    Raises:
+        DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
+    """
+
+    time_s: Array
+    T_out_C: Array
+    solar_W_m2: Array
+    occupancy: Array
+    lower_C: Array
+    upper_C: Array
+    price_per_kWh: Array
+    emission_kg_per_kWh: Array
+    heating_price_per_kWh: Array = field(default_factory=lambda: np.empty(0))
+    names: Names = SINGLE
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_s)
+        if n < 1:
+            raise DataError("a boundary needs at least one instant")
+        if not np.size(self.heating_price_per_kWh):
+            object.__setattr__(self, "heating_price_per_kWh", self.price_per_kWh)
+        for name in CONDITIONS:
+            object.__setattr__(self, name, frozen(getattr(self, name), name, n, self.names))
+        check_clock(self.time_s, "boundary")
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        df: pd.DataFrame,
+        record: Record,
+        *,
+        outdoor: str,
+        solar: str | None = None,
+        lower: str | float | None = None,
+        upper: str | float | None = None,
+        price: str | float | None = None,
+        occupancy: str | float = 0.0,
+        emission: str | float = 0.0,
+    ) -> Boundary:
+        """The forecast that follows `record`: one row per step boundary, the first at the record's last time stamp.
+
+        Args:
+            df: forecast with a `DatetimeIndex` in any zone; hourly rows are interpolated to the step of `record`.
+            record: what was measured until now.
+            outdoor: column of the outdoor temperature, °C.
+            solar: column of the global horizontal irradiance, W/m²; None where the record has none either.
+            lower: lower comfort bound, °C; a column, or one number. A plan needs both bounds, a prediction does not.
+            upper: upper comfort bound, °C; the same.
+            price: energy price, currency/kWh; the same.
+            occupancy: persons; a column, or one number.
+            emission: kg CO2/kWh; a column, or one number.
+
+        Raises:
+            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order.
+        """
+        from thermoforce_mpc.dataframes import seconds_since, series
+
+        if record.origin is None:
+            raise DataError("forecast: the record has no time stamps; make it with Record.from_dataframe")
+        at_s = seconds_since(record.origin, df.index, "forecast")
+        if at_s.size < 2 or not (np.diff(at_s) > 0).all():
+            raise DataError("forecast: it needs two rows or more, in order of time; use df.sort_index()")
+        now_s, step_s = float(record.time_s[-1]), record.step_s
+        if not at_s[0] <= now_s + CLOCK_ROUNDING_S < at_s[-1]:
+            raise DataError(
+                f"forecast: it goes from {df.index[0]} to {df.index[-1]}, the record ends at {record.stamps()[-1]}: "
+                "the rows must begin there (or before) and go on"
+            )
+        steps = np.arange(np.floor((at_s[-1] - now_s + CLOCK_ROUNDING_S) / step_s) + 1.0)
+        time_s = now_s + steps * step_s
+        # Temperatures go straight between two rows; what follows a schedule holds until the next row.
+        held = np.clip(np.searchsorted(at_s, time_s + CLOCK_ROUNDING_S, side="right") - 1, 0, at_s.size - 1)
+
+        def line(given: str | float | None) -> Array:
+            return np.interp(time_s, at_s, series(df, given, "forecast"))
+
+        def step(given: str | float | None) -> Array:
+            return series(df, given, "forecast")[held]
+
+        sun = np.zeros(time_s.size) if solar is None else line(solar)
+        return cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps N."""
+        return int(self.time_s.size - 1)
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step, s."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    def check(self, *names: str) -> None:
+        """Raises `DataError` where one of the signals `names` has a value that is no number; says which and when."""
+        for name in names:
+            for row, values in enumerate(np.atleast_2d(getattr(self, name))):
+                missing = np.flatnonzero(~np.isfinite(values))
+                if missing.size:
+                    label = self.names.label(name, row) if name in AXIS else name
+                    raise DataError(
+                        f"boundary forecast: {label} is missing at {missing.size} of {self.time_s.size} instants, "
+                        f"first at {self.time_s[missing[0]]:.10g} s "
+                        f"({(self.time_s[missing[0]] - self.time_s[0]) / HOUR_S:g} h ahead): check its source"
+                    )
+
+    def part(self, zone: int, machine: int = 0) -> Boundary:
+        """The boundary conditions of one zone and one machine."""
+        names = Names((self.names.zones[zone],), machines=(self.names.machines[machine],))
+        row = {"zones": zone, "machines": machine}
+        return Boundary(
+            **{
+                name: getattr(self, name)[row[AXIS[name]]] if name in AXIS else getattr(self, name)
+                for name in CONDITIONS
+            },
+            names=names,
+        )
+
+    def head(self, n_steps: int) -> Boundary:
+        """The first `n_steps` steps."""
+        return Boundary(**{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS}, names=self.names)

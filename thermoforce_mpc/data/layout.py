@@ -1,0 +1,112 @@
+"""What acts where in a building."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.data.names import SINGLE, Names
+from thermoforce_mpc.errors import DataError
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What acts where in a building of Z zones, A actuators and M machines.
+
+    Attributes:
+        names: names of zones, actuators and machines.
+        signs: +1 for an actuator that heats (or heats and cools), −1 for one that cools (A,).
+        home: zone that each actuator serves (A,).
+        machine_of: machine that feeds each actuator (A,).
+        lowest: lowest level of each actuator, 0, or below where it heats and cools (A,).
+        shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
+        floor_area_m2: of each zone, m² (Z,); NaN where it is not known.
+        exclusive: groups of actuators (their numbers) of which at most one may act in a step.
+
+    Raises:
+        DataError: a number of entries is wrong, one names no zone or machine, or a group is not two or more actuators
+            whose levels the controller gives.
+    """
+
+    names: Names = SINGLE
+    signs: tuple[int, ...] = (1,)
+    home: tuple[int, ...] = (0,)
+    machine_of: tuple[int, ...] = (0,)
+    lowest: tuple[float, ...] = (0.0,)
+    shares: tuple[float, ...] = (0.0,)
+    floor_area_m2: tuple[float, ...] = (float("nan"),)
+    exclusive: tuple[tuple[int, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        Z, A, M = (len(names) for names in (self.names.zones, self.names.actuators, self.names.machines))
+        for what, expected in (
+            ("signs", A), ("home", A), ("machine_of", A), ("lowest", A), ("shares", A), ("floor_area_m2", Z),
+        ):  # fmt: skip
+            if len(getattr(self, what)) != expected:
+                raise DataError(f"layout: {what} has {len(getattr(self, what))} entries, expected {expected}")
+        if not all(0 <= z < Z for z in self.home) or not all(0 <= m < M for m in self.machine_of):
+            raise DataError(f"layout: home {self.home} or machine_of {self.machine_of} names what is not there")
+        for group in self.exclusive:
+            if len(group) < 2 or len(set(group)) != len(group) or not all(0 <= a < A for a in group):
+                raise DataError(f"layout: exclusive {group}: expected two or more of {A} actuators, each once")
+            for a in group:
+                if self.lowest[a] < 0.0:
+                    raise DataError(
+                        f"layout: exclusive: {self.names.actuators[a]} is run by room set-points, whose loops act when "
+                        "the zone asks for it: they cannot be excluded"
+                    )
+
+    @classmethod
+    def single(cls, mode: str = "heating", lowest: float = 0.0, floor_area_m2: float | None = None) -> Layout:
+        """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed)."""
+        area = float("nan") if floor_area_m2 is None else floor_area_m2
+        return cls(signs=(-1 if mode == "cooling" else 1,), lowest=(lowest,), floor_area_m2=(area,))
+
+    def mode(self, a: int) -> str:
+        """What actuator `a` does: 'heating', 'cooling', or 'both' where its levels are signed."""
+        if self.lowest[a] < 0.0:
+            return "both"
+        return "heating" if self.signs[a] > 0 else "cooling"
+
+    def actuators_of(self, zone: int) -> list[int]:
+        """The actuators that serve a zone."""
+        return [a for a, home in enumerate(self.home) if home == zone]
+
+    def fed_by(self, machine: int) -> list[int]:
+        """The actuators that a machine feeds."""
+        return [a for a, m in enumerate(self.machine_of) if m == machine]
+
+    @property
+    def weights(self) -> Array:
+        """What each actuator counts for in the level of its machine: its share, 1 where it is the only one (A,)."""
+        return np.array([share or 1.0 for share in self.shares])
+
+    def excluding(self) -> list[tuple[int, int]]:
+        """Every pair of actuators of which the first excludes the second."""
+        return [(a, b) for group in self.exclusive for a in group for b in group if a != b]
+
+    def excluded(self, wanted: Sequence[float | None]) -> dict[int, int]:
+        """The actuators that may not do what is asked of them, each with the one that excludes it.
+
+        Native control of one leaves all of its group to native control, which alone knows what it does there. Otherwise
+        the one that is wanted most acts (of equals the first), and the others are off.
+
+        Args:
+            wanted: how much each actuator is wanted (A,), 0 where it is off anyway, None for native control.
+        """
+        found: dict[int, int] = {}
+        left, native = list(wanted), [a for a, one in enumerate(wanted) if one is None]
+        for by in native:  # grows with those that are left to native control here
+            for a in {a for group in self.exclusive if by in group for a in group if left[a] is not None}:
+                left[a], found[a] = None, found.get(by, by)
+                native.append(a)
+        for group in self.exclusive:
+            acting = [a for a in group if left[a]]
+            kept = max(acting, key=lambda a: left[a] or 0.0, default=-1)
+            for a in acting:
+                if a != kept:
+                    left[a], found[a] = 0.0, kept
+        return found

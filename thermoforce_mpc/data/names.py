@@ -1,0 +1,102 @@
+"""Names of zones, actuators and machines, and arrays with an axis of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeGuard
+
+import numpy as np
+
+from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.errors import DataError
+
+# The first axis of each signal that has one: zones, actuators or machines.
+AXIS = {
+    "T_zone_C": "zones",
+    "occupancy": "zones",
+    "lower_C": "zones",
+    "upper_C": "zones",
+    "u": "actuators",
+    "heat_W": "actuators",
+    "power_W": "machines",
+    "T_return_C": "machines",
+    "price_per_kWh": "machines",
+    "emission_kg_per_kWh": "machines",
+    "heating_price_per_kWh": "machines",
+    **dict.fromkeys(("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "T_low_C", "T_high_C"), "zones"),
+    **dict.fromkeys(("slack_K", "T_free_now_C"), "zones"),
+}
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of the zones (Z), actuators (A) and machines (M) of a building, in the order of the arrays.
+
+    Raises:
+        DataError: a kind has no name, or one twice.
+    """
+
+    zones: tuple[str, ...] = ("zone",)
+    actuators: tuple[str, ...] = ("actuator",)
+    machines: tuple[str, ...] = ("machine",)
+
+    def __post_init__(self) -> None:
+        for kind in ("zones", "actuators", "machines"):
+            names = tuple(getattr(self, kind))
+            if not names or len(set(names)) != len(names):
+                raise DataError(f"{kind} are {list(names)}: expected one name or more, each once")
+            object.__setattr__(self, kind, names)
+
+    @property
+    def single(self) -> bool:
+        """Whether there is one zone, one actuator and one machine."""
+        return len(self.zones) == len(self.actuators) == len(self.machines) == 1
+
+    def label(self, signal: str, row: int) -> str:
+        """Name of a row of a signal for people: 'T_zone_C' of one zone, 'T_zone_C[bath]' of several."""
+        names = getattr(self, AXIS[signal])
+        return signal if len(names) == 1 else f"{signal}[{names[row]}]"
+
+    def columns(self, **signals: Array) -> dict[str, Array]:
+        """The rows of `signals` (rows, n) by `label`, as columns of a table."""
+        return {self.label(name, row): values for name, rows in signals.items() for row, values in enumerate(rows)}
+
+    def rows(self, signal: str) -> int:
+        """Number of rows of a signal: of its zones, actuators or machines."""
+        return len(getattr(self, AXIS[signal]))
+
+
+SINGLE = Names()
+"""One zone with one actuator and one machine."""
+
+
+def frozen(value: object, name: str, length: int, names: Names) -> Array:
+    """An array (length,) or, with an axis of its own, (rows, length); raises `DataError` for another shape."""
+    array = value if _unchangeable(value) else np.array(value, dtype=np.float64)
+    expected: tuple[int, ...] = (length,)
+    if name in AXIS:
+        rows = len(getattr(names, AXIS[name]))
+        expected = (rows, length)
+        if rows == 1 and array.shape == (length,):
+            array = array[None]
+    if array.shape != expected:
+        raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+    array.setflags(write=False)
+    return array
+
+
+def _unchangeable(value: object) -> TypeGuard[Array]:
+    """Whether nobody can change `value`, an array, any more: it need not be copied."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.flags.writeable:
+        return False
+    return value.base is None or (isinstance(value.base, np.ndarray) and not value.base.flags.writeable)
+
+
+def of_each(value: object, name: str, names: Names) -> Array:
+    """Values (rows,) of one instant; a number where there is one row. Raises `DataError` for another shape."""
+    array = np.array(value, dtype=np.float64, ndmin=1)
+    rows = len(getattr(names, AXIS[name]))
+    if array.shape != (rows,):
+        raise DataError(f"{name} has shape {array.shape}, expected ({rows},)")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,76 @@
+"""Input of a controller, and the forecast it makes of the free response."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermoforce_mpc.data.boundary import Boundary
+from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.data.names import Names
+from thermoforce_mpc.data.record import Record
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Input of a controller: the record until now and the forecast of the boundary conditions."""
+
+    history: Record
+    boundary: Boundary
+
+    @property
+    def time_s(self) -> float:
+        """Now, s since 1 January."""
+        return float(self.history.time_s[-1])
+
+    @property
+    def T_zone_C(self) -> Array:
+        """Zone temperatures now (Z,), °C (NaN when the sensor is silent)."""
+        return np.asarray(self.history.T_zone_C[:, -1])
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self.history.names
+
+
+@dataclass(frozen=True)
+class FreeForecast:
+    """A free response over `N` steps, of one zone as a method gives it, or of all Z zones (`stacked`).
+
+    `quantiles_C` °C has shape (Q, N) or (Q, Z, N) for the increasing `levels` (Q,); `note` says what made it, and
+    `doubt` why it was not the method asked for; empty where it was.
+    """
+
+    levels: Array
+    quantiles_C: Array
+    note: str = ""
+    doubt: str = ""
+
+    @classmethod
+    def stacked(cls, zones: Sequence[FreeForecast]) -> FreeForecast:
+        """The forecasts of all zones as one; levels that not all zones have are interpolated."""
+        levels = np.asarray(zones[0].levels, dtype=np.float64)
+        rows = [np.stack([zone.quantile_C(float(level)) for level in levels]) for zone in zones]
+        note = "; ".join(dict.fromkeys(zone.note for zone in zones))
+        doubt = "; ".join(dict.fromkeys(zone.doubt for zone in zones if zone.doubt))
+        return cls(levels, np.stack(rows, axis=1), note, doubt)
+
+    @property
+    def median_C(self) -> Array:
+        """The 0.5 quantile, shape (N,) or (Z, N), °C."""
+        index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
+        return np.asarray(self.quantiles_C[index], dtype=np.float64)
+
+    def quantile_C(self, level: float) -> Array:
+        """The quantile of `level`, shape (N,) or (Z, N), °C: between levels that were forecast by a straight line,
+        beyond the outermost theirs.
+        """
+        levels = np.asarray(self.levels, dtype=np.float64)
+        place = float(np.interp(level, levels, np.arange(levels.size)))
+        below = min(int(place), levels.size - 2) if levels.size > 1 else 0
+        share = place - below
+        lower, upper = self.quantiles_C[below], self.quantiles_C[min(below + 1, levels.size - 1)]
+        return np.asarray(lower + share * (upper - lower), dtype=np.float64)

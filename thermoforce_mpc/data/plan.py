@@ -1,0 +1,155 @@
+"""Output of a controller: what to apply, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.data.names import SINGLE, Names, of_each
+from thermoforce_mpc.errors import DataError
+
+if TYPE_CHECKING:  # loaded only where tables go out
+    import pandas as pd
+
+# Arrays of a `Plan` over its horizon.
+_PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
+
+Levels = float | None | Sequence[float | None]
+"""Levels of the actuators: one each, or a number for one actuator; None for native control (of all, if alone)."""
+
+Bands = Sequence[Any] | None
+"""Room set-points (heating, cooling) of the actuators, °C: one pair each, or one pair for one actuator."""
+
+
+@dataclass(frozen=True, init=False)
+class Block:
+    """One stretch of constant actuation: `u` (A,) holds the level of each actuator in [0, 1], None for native control.
+
+    An actuator that heats and cools takes levels in [−1, 1]. `band_C` (A,) are the heating and the cooling set-point
+    that the plant's own loops are to keep meanwhile, °C, None where there are none; u is then the mean level that the
+    plan expects of them. One actuator's level and band may be given without a tuple.
+    """
+
+    u: tuple[float | None, ...]
+    duration_s: float
+    band_C: tuple[tuple[float, float] | None, ...]
+
+    def __init__(self, u: Levels, duration_s: float, band_C: Bands = None) -> None:
+        levels: tuple[Any, ...] = tuple(u) if isinstance(u, Sequence) else (u,)
+        if band_C is None:
+            bands: tuple[Any, ...] = (None,) * len(levels)
+        elif len(levels) == 1 and len(band_C) == 2:
+            bands = (band_C,)
+        else:
+            bands = tuple(band_C)
+        if len(bands) != len(levels):
+            raise DataError(f"a block of {len(levels)} levels has {len(bands)} bands")
+        object.__setattr__(self, "u", tuple(None if level is None else float(level) for level in levels))
+        object.__setattr__(self, "duration_s", duration_s)
+        object.__setattr__(self, "band_C", bands)
+
+    @classmethod
+    def native(cls, n_actuators: int, duration_s: float) -> Block:
+        """All actuators under the plant's own control."""
+        return cls((None,) * n_actuators, duration_s)
+
+    def as_array(self) -> Array:
+        """Levels (A,), NaN under native control."""
+        return np.array([np.nan if level is None else level for level in self.u])
+
+
+class PlanStatus(StrEnum):
+    """Source of an action."""
+
+    SOLVED = "solved"  # an optimisation whose status and solution were checked
+    BRIDGED = "bridged"  # as solved, with a substitute for a reading, a weather forecast or the free forecast
+    ACCEPTABLE = "acceptable"  # first fallback level: levels of a solver that did not reach its optimum, checked
+    SHIFTED = "shifted"  # second: the previous plan, one step on
+    THERMOSTAT = "thermostat"  # third: on/off rule
+    NATIVE = "native"  # last: the plant's own control, where nothing is known to act on
+    GUARD = "guard"  # the zone was far outside the comfort band: full level or off instead of the plan
+    GATE = "gate"  # the model is not competent: native control or the on/off rule acts
+    WATCH = "watch"  # the model does not hold at present: native control or the on/off rule acts
+    RULE = "rule"  # the controller is a rule; nothing was solved
+
+    @property
+    def fallen_back(self) -> bool:
+        """Whether what acted took the place of an optimal plan; gate and watch are told apart."""
+        return self in (self.ACCEPTABLE, self.SHIFTED, self.THERMOSTAT, self.NATIVE, self.GUARD)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A decision and its reason.
+
+    `blocks` is what to apply until the next plan. The arrays describe the whole horizon of N steps for reports: planned
+    `u` (A, N), predicted `T_free_C` and `T_forced_K` at the end of each step and comfort `slack_K` (violation allowed
+    for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
+    counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
+    starts from.
+    `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
+    plan at one of them. `why` is one sentence for people; `solver_status` is the status reported by the solver. `state`
+    goes to the controller's next plan of this run and is opaque to others.
+    """
+
+    blocks: tuple[Block, ...]
+    status: PlanStatus
+    why: str
+    u: Array = field(default_factory=lambda: np.empty(0))
+    T_free_now_C: Array = field(default_factory=lambda: np.empty(0))
+    T_free_C: Array = field(default_factory=lambda: np.empty(0))
+    T_forced_K: Array = field(default_factory=lambda: np.empty(0))
+    T_free_low_C: Array = field(default_factory=lambda: np.empty(0))
+    T_free_high_C: Array = field(default_factory=lambda: np.empty(0))
+    slack_K: Array = field(default_factory=lambda: np.empty(0))
+    power_W: Array = field(default_factory=lambda: np.empty(0))
+    time_s: Array = field(default_factory=lambda: np.empty(0))
+    origin: Any = None
+    solver_status: str = ""
+    iterations: int = 0
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    names: Names = SINGLE
+    acting: tuple[PlanStatus, ...] = ()
+    state: object = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.acting:
+            object.__setattr__(self, "acting", (self.status,) * len(self.names.actuators))
+        for name in _PLANNED:
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            if not values.size:
+                values = np.empty((self.names.rows(name), 0))
+            object.__setattr__(self, name, values[None] if values.ndim == 1 else values)
+        now = self.T_free_now_C if np.size(self.T_free_now_C) else np.full(len(self.names.zones), np.nan)
+        object.__setattr__(self, "T_free_now_C", of_each(now, "T_free_now_C", self.names))
+
+    @property
+    def T_zone_C(self) -> Array:
+        """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), (Z, N), °C."""
+        return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The planned horizon, one row per step at its start; no rows where nothing was solved.
+
+        Columns: `u` and mean electric `power_W` over the step; at its end `T_zone_C`, the 80 % band `T_low_C` to
+        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`. With several
+        zones, actuators or machines, one of each per name: `T_zone_C[bath]`.
+        """
+        from thermoforce_mpc.dataframes import table
+
+        columns = self.names.columns(
+            u=self.u,
+            power_W=self.power_W,
+            T_zone_C=self.T_zone_C,
+            T_low_C=self.T_free_low_C + self.T_forced_K,
+            T_high_C=self.T_free_high_C + self.T_forced_K,
+            T_free_C=self.T_free_C,
+            T_forced_K=self.T_forced_K,
+            slack_K=self.slack_K,
+        )
+        return table(self.time_s, self.origin, **columns)
