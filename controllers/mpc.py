@@ -28,7 +28,8 @@ from controllers.sensing import Sensing, Zones
 from controllers.sensor import Sensor
 from controllers.sensor_state import SensorState
 from controllers.solvers import Solve, Solver, build_solver
-from controllers.watch import Watch, WatchState
+from controllers.watch import Watch
+from controllers.watch_state import WatchState
 from controllers.watched import WatchedPredictions
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record

@@ -16,7 +16,7 @@ from controllers.milp import MilpConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
 from controllers.sensor_state import SensorConfig
-from controllers.watch import WatchConfig
+from controllers.watch_state import WatchConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.adaptation import AdaptationConfig

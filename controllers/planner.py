@@ -11,7 +11,7 @@ from controllers.fallback import GoodPlan
 from controllers.meters import MeterState
 from controllers.sensor_state import SensorState
 from controllers.solvers import Solver
-from controllers.watch import WatchState
+from controllers.watch_state import WatchState
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.identification.adaptation import AdaptationState
 from thermoforce_mpc.model.operator.building import BuildingOperator

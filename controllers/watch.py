@@ -22,22 +22,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
 
 from controllers import watch_effect
 from controllers.own_record import OwnContext
 from controllers.watch_checks import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
+from controllers.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.zone_model import ZoneModel
-from thermoforce_mpc.scenario.settings import StrictModel
 
 LEADS_H = (1.0, 6.0)
 _MONTH_S = 30 * DAY_S
@@ -56,120 +54,7 @@ _RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
 # Adaptation while standing back: limits of the gain, its prior standard deviation, and hours between two updates.
 _SCALES = AdaptationConfig(gain_bounds=(0.3, 3.0))
 _GAIN_PRIOR_SD, _ADAPT_EVERY_H = 0.5, 6.0
-_IN_USE, _ADAPTED = "the model in use", "the model adapted since"
-
-
-class WatchConfig(StrictModel):
-    """Options of the watch."""
-
-    enabled: bool = Field(
-        True,
-        description="hand control back while predictions are worse than promised or actuator or machine do not follow",
-    )
-    false_alarm: float = Field(
-        0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
-    )
-    least_K: float = Field(
-        0.1, gt=0, description="promises of errors below this at 1 h, and 2.4 times this at 6 h, are not held to, K"
-    )
-    widest: float = Field(
-        1.25, ge=1, description="a band counts with at most this many times the median band of the last week"
-    )
-    machine_factor: float = Field(
-        1.35, gt=1, description="heat or power this many times more or less than modelled and than before is a fault"
-    )
-    return_h: float = Field(
-        12.0, ge=3, le=168, description="control returns after predictions were as promised for this long, h"
-    )
-
-
-@dataclass(frozen=True)
-class Issued:
-    """A prediction put down at `time_s`: state and inputs of the forced response, and the promise at each lead.
-
-    `operator` at the control step; `forced_K` (r,) K; `features` (n, 4); `median_C`, `below_K`, `above_K` (L,): free
-    response and distances to the ends of its 80 % band at the leads.
-    """
-
-    time_s: float
-    operator: OperatorParameters
-    forced_K: Array
-    features: Array
-    median_C: Array
-    below_K: Array
-    above_K: Array
-    judged: int = 0
-
-
-class Judged(NamedTuple):
-    """A prediction that came due at `time_s`, or arrays (k,) of several.
-
-    Index of its `lead`, error (measured − predicted), promise, and predicted effect of the levels since, all K.
-    """
-
-    time_s: Any
-    lead: Any
-    error_K: Any
-    promise_K: Any
-    effect_K: Any
-
-    @classmethod
-    def of(cls, rows: Array) -> Judged:
-        """Those of `Track.judged` (k, 5)."""
-        return cls(*rows.T)
-
-
-_NONE_JUDGED, _NO_BANDS = np.empty((0, len(Judged._fields))), np.empty((0, 0))
-
-
-@dataclass(frozen=True)
-class Track:
-    """A model under judgement: predictions pending and judged, and the evidence against it.
-
-    `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
-    K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation`
-    holds the model, `predictor` the state of its predictor.
-    """
-
-    name: str = _IN_USE
-    adaptation: AdaptationState | None = None
-    predictor: PredictorState | None = None
-    pending: tuple[Issued, ...] = ()
-    judged: Array = field(default_factory=lambda: _NONE_JUDGED)
-    bands: Array = field(default_factory=lambda: _NO_BANDS)
-    evidence: dict[tuple[int, int, int], float] = field(default_factory=dict)
-
-    @property
-    def worst(self) -> tuple[float, int, int]:
-        """Largest evidence against the model, the index of its lead, and the side (+1: warmer than predicted)."""
-        if not self.evidence:
-            return 0.0, 0, 1
-        (lead, _, side), M = max(self.evidence.items(), key=lambda item: item[1])
-        return M, lead, side
-
-    def cleared(self) -> Track:
-        """This track without evidence."""
-        return replace(self, evidence={})
-
-
-@dataclass(frozen=True)
-class WatchState:
-    """What the watch knows of a run.
-
-    `tracks`: the model in use; while standing back also its candidates for return. `asked`: (start s, mean level) of
-    the last plans. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control was handed back at
-    `since_s`, empty while the model is in use. `wait_h`: shortest time of standing back; `returned_s`: last return, and
-    `news` what to say of it in this step's plan.
-    """
-
-    tracks: tuple[Track, ...] = (Track(),)
-    asked: tuple[tuple[float, float], ...] = ()
-    ratios: tuple[tuple[float, float], ...] = ()
-    alarm: str = ""
-    since_s: float = -math.inf
-    wait_h: float = 0.0
-    returned_s: float = -math.inf
-    news: str = ""
+_ADAPTED = "the model adapted since"
 
 
 class Watch:
@@ -392,15 +277,12 @@ class Watch:
             best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
         else:
             return state
-        used = replace(best.cleared(), name=_IN_USE, adaptation=best.adaptation, predictor=best.predictor)
+        used = replace(best.cleared(), name=IN_USE, adaptation=best.adaptation, predictor=best.predictor)
         # The machine as it is now is the new reference of its meters.
         return replace(state, tracks=(used,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
 
     def _recent(self, track: Track, now: float) -> Judged:
         return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])
-
-    def _any_recent(self, track: Track, now: float) -> bool:
-        return self._recent(track, now).lead.size > 0
 
     def _size(self, track: Track, now: float) -> float:
         """Mean error over promise of the last hours."""

@@ -12,7 +12,8 @@ from typing import TypeVar
 from controllers.errors import said
 from controllers.own_record import own_context, own_record
 from controllers.planner import MPCState, Planner
-from controllers.watch import Track, Watch, WatchState
+from controllers.watch import Watch
+from controllers.watch_state import Track, WatchState
 from thermoforce_mpc.asking import Asking, together
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState

@@ -15,7 +15,7 @@ from controllers.pi import PIController
 from controllers.planner import MPCState
 from controllers.problem import Solution
 from controllers.thermostat import Thermostat
-from controllers.watch import WatchState
+from controllers.watch_state import WatchState
 from controllers.watched import _later
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError

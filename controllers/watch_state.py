@@ -1,0 +1,131 @@
+"""What the watch over a model is told to do, and what it knows of a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.adaptation import AdaptationState
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.predictor import PredictorState
+from thermoforce_mpc.scenario.settings import StrictModel
+
+IN_USE = "the model in use"
+
+
+class WatchConfig(StrictModel):
+    """Options of the watch."""
+
+    enabled: bool = Field(
+        True,
+        description="hand control back while predictions are worse than promised or actuator or machine do not follow",
+    )
+    false_alarm: float = Field(
+        0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
+    )
+    least_K: float = Field(
+        0.1, gt=0, description="promises of errors below this at 1 h, and 2.4 times this at 6 h, are not held to, K"
+    )
+    widest: float = Field(
+        1.25, ge=1, description="a band counts with at most this many times the median band of the last week"
+    )
+    machine_factor: float = Field(
+        1.35, gt=1, description="heat or power this many times more or less than modelled and than before is a fault"
+    )
+    return_h: float = Field(
+        12.0, ge=3, le=168, description="control returns after predictions were as promised for this long, h"
+    )
+
+
+@dataclass(frozen=True)
+class Issued:
+    """A prediction put down at `time_s`: state and inputs of the forced response, and the promise at each lead.
+
+    `operator` at the control step; `forced_K` (r,) K; `features` (n, 4); `median_C`, `below_K`, `above_K` (L,): free
+    response and distances to the ends of its 80 % band at the leads.
+    """
+
+    time_s: float
+    operator: OperatorParameters
+    forced_K: Array
+    features: Array
+    median_C: Array
+    below_K: Array
+    above_K: Array
+    judged: int = 0
+
+
+class Judged(NamedTuple):
+    """A prediction that came due at `time_s`, or arrays (k,) of several.
+
+    Index of its `lead`, error (measured − predicted), promise, and predicted effect of the levels since, all K.
+    """
+
+    time_s: Any
+    lead: Any
+    error_K: Any
+    promise_K: Any
+    effect_K: Any
+
+    @classmethod
+    def of(cls, rows: Array) -> Judged:
+        """Those of `Track.judged` (k, 5)."""
+        return cls(*rows.T)
+
+
+_NONE_JUDGED, _NO_BANDS = np.empty((0, len(Judged._fields))), np.empty((0, 0))
+
+
+@dataclass(frozen=True)
+class Track:
+    """A model under judgement: predictions pending and judged, and the evidence against it.
+
+    `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
+    K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation`
+    holds the model, `predictor` the state of its predictor.
+    """
+
+    name: str = IN_USE
+    adaptation: AdaptationState | None = None
+    predictor: PredictorState | None = None
+    pending: tuple[Issued, ...] = ()
+    judged: Array = field(default_factory=lambda: _NONE_JUDGED)
+    bands: Array = field(default_factory=lambda: _NO_BANDS)
+    evidence: dict[tuple[int, int, int], float] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> tuple[float, int, int]:
+        """Largest evidence against the model, the index of its lead, and the side (+1: warmer than predicted)."""
+        if not self.evidence:
+            return 0.0, 0, 1
+        (lead, _, side), M = max(self.evidence.items(), key=lambda item: item[1])
+        return M, lead, side
+
+    def cleared(self) -> Track:
+        """This track without evidence."""
+        return replace(self, evidence={})
+
+
+@dataclass(frozen=True)
+class WatchState:
+    """What the watch knows of a run.
+
+    `tracks`: the model in use; while standing back also its candidates for return. `asked`: (start s, mean level) of
+    the last plans. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control was handed back at
+    `since_s`, empty while the model is in use. `wait_h`: shortest time of standing back; `returned_s`: last return, and
+    `news` what to say of it in this step's plan.
+    """
+
+    tracks: tuple[Track, ...] = (Track(),)
+    asked: tuple[tuple[float, float], ...] = ()
+    ratios: tuple[tuple[float, float], ...] = ()
+    alarm: str = ""
+    since_s: float = -math.inf
+    wait_h: float = 0.0
+    returned_s: float = -math.inf
+    news: str = ""
