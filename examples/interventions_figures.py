@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.predictor import Predictor
@@ -65,7 +65,7 @@ def on_a_record(folder: Path) -> Situation:
     model = identify([cut(record, 0.0, 3.0)], floor_area_m2=FLOOR_AREA_M2, step_s=HOUR_S, source=found[0].name)
     now = 10 * 24
     ahead = run.slice(now, now + 24)
-    observation = Observation(run.slice(0, now), ahead.weather())
+    observation = Observation(run.slice(0, now), Boundary.measured(ahead))
     return Situation(model, observation, ahead.u[0], ahead.T_zone_C[0, 1:], found[0].name)
 
 

@@ -25,7 +25,7 @@ def test_a_part_has_the_samples_at_both_its_ends():
 
 
 def test_its_weather_is_a_forecast_of_which_nothing_else_is_known():
-    ahead = history(10).slice(3, 6).weather()
+    ahead = Boundary.measured(history(10).slice(3, 6))
     assert (ahead.n_steps, ahead.step_s) == (3, 900.0)
     np.testing.assert_array_equal(ahead.T_out_C, [3, 4, 5, 6])
     np.testing.assert_array_equal(ahead.solar_W_m2, [30, 40, 50, 60])

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
@@ -71,7 +71,7 @@ def command(
     applied: Array | None = None
     if start is not None:
         past, stretch = _at(record, start, n)
-        ahead, truth, applied = stretch.weather(), stretch.T_zone_C[:, 1:], stretch.u
+        ahead, truth, applied = Boundary.measured(stretch), stretch.T_zone_C[:, 1:], stretch.u
     else:
         from thermoforce_mpc.measurements.forecast import read_forecast
 

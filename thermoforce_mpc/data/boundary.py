@@ -9,12 +9,11 @@ import numpy as np
 
 from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, HOUR_S, Array, check_clock
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
+from thermoforce_mpc.data.record import Record
 from thermoforce_mpc.errors import DataError
 
-if TYPE_CHECKING:  # pandas is loaded only where tables come in
+if TYPE_CHECKING:  # loaded only where tables come in
     import pandas as pd
-
-    from thermoforce_mpc.data.record import Record
 
 # Signals of a `Boundary`.
 CONDITIONS = (
@@ -114,6 +113,16 @@ class Boundary:
 
         sun = np.zeros(time_s.size) if solar is None else line(solar)
         return cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+
+    @classmethod
+    def measured(cls, record: Record) -> Boundary:
+        """Measured weather as a perfect forecast; the other boundary conditions are NaN."""
+        names, n = record.names, record.time_s.size
+        of_zone, of_machine = (np.full((len(rows), n), np.nan) for rows in (names.zones, names.machines))
+        return cls(
+            record.time_s, record.T_out_C, record.solar_W_m2, of_zone, of_zone, of_zone, of_machine, of_machine,
+            names=names,
+        )  # fmt: skip
 
     @property
     def n_steps(self) -> int:

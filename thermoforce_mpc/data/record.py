@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data.boundary import Boundary
 from thermoforce_mpc.data.clock import Array, check_clock
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen, of_each
 from thermoforce_mpc.errors import DataError
@@ -173,16 +172,6 @@ class Record:
             origin=self.origin,
             names=self.names,
         )
-
-    def weather(self) -> Boundary:
-        """Measured weather as a perfect forecast; the other boundary conditions are NaN."""
-        of_zone, of_machine = (
-            np.full((len(n), self.time_s.size), np.nan) for n in (self.names.zones, self.names.machines)
-        )
-        return Boundary(
-            self.time_s, self.T_out_C, self.solar_W_m2, of_zone, of_zone, of_zone, of_machine, of_machine,
-            names=self.names,
-        )  # fmt: skip
 
     @classmethod
     def beginning(cls, measurement: Measurement) -> Record:

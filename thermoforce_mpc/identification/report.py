@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 from thermoforce_mpc.model.gaps import bridged
@@ -49,7 +49,7 @@ def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> 
     predicted = np.full(record.T_zone_C.shape, np.nan)
     for start in range(n, record.n_steps, n):
         stop = min(start + n, record.n_steps)
-        context = predictor.context(Observation(record.slice(0, start), record.slice(start, stop).weather()))
+        context = predictor.context(Observation(record.slice(0, start), Boundary.measured(record.slice(start, stop))))
         predicted[:, start + 1 : stop + 1] = context.predict(record.u[:, start:stop]).total_C
     error = predicted - record.T_zone_C
     return Rollouts(predicted, np.sqrt(np.nanmean(error**2, axis=1)))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Names, Observation, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.dataframes import seconds_since, table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.report import step_response_of
@@ -149,7 +149,7 @@ def counterfactual(
         past.time_s, known[:, : first + 1] + forced_K.sum(axis=(1, 3))[:, : first + 1], past.T_out_C, past.solar_W_m2,
         past.u, past.power_W, past.heat_W, past.T_return_C, past.origin, past.names,
     )  # fmt: skip
-    context = Predictor(model.operator, recorded).context(Observation(seen, stretch.weather()))
+    context = Predictor(model.operator, recorded).context(Observation(seen, Boundary.measured(stretch)))
     applied = np.clip(stretch.u, model.operator.lowest[:, None], 1.0)
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]

@@ -179,7 +179,7 @@ class ResidualFreeResponse:
 
 def _past_task(free: Array, history: Record, origin: int, steps: int) -> Task:
     """Return the forecast task at step `origin` of the history, with the measured weather as weather forecast."""
-    ahead = history.slice(origin, origin + steps).weather()
+    ahead = Boundary.measured(history.slice(origin, origin + steps))
     return free[: origin + 1], history.slice(0, origin), ahead
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES, parameter_count
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
@@ -135,7 +135,7 @@ def _instant(building: Building, origin: int) -> tuple[Observation, Array, Array
     record, n = building.record, building.horizon
     first = max(0, origin - round(_CONTEXT_DAYS * DAY_S / record.step_s))
     ahead = record.slice(origin, origin + n)
-    return Observation(record.slice(first, origin), ahead.weather()), ahead.u, ahead.T_zone_C[0, 1:]
+    return Observation(record.slice(first, origin), Boundary.measured(ahead)), ahead.u, ahead.T_zone_C[0, 1:]
 
 
 def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], None]) -> list[Building]:

@@ -61,7 +61,7 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
     history = Record(
         whole.time_s[past], source.free_C[past], whole.T_out_C[past], whole.solar_W_m2[past], acting, acting, acting
     )
-    boundary = whole.slice(origin, origin + n).weather()
+    boundary = Boundary.measured(whole.slice(origin, origin + n))
     if error is not None:
         hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
         # Beyond the end of the record the last value is used; it only affects the redrawing of errors.

@@ -43,7 +43,7 @@ def forecasts(
 ) -> Array:
     """Median forecasts of `series` from `origins` by the frozen model, (origins, horizon), °C."""
     tasks = [
-        (*context_of(home, series, o, most), home.record.slice(o, o + horizon).weather()) for o in origins
+        (*context_of(home, series, o, most), Boundary.measured(home.record.slice(o, o + horizon))) for o in origins
     ]  # fmt: skip
     return np.array([answer.median_C for answer in backbone.forecast_many(tasks)])
 
@@ -155,7 +155,7 @@ def _designs(
 def _features(home: Prepared, meter: str, origin: int, horizon: int, kind: str, autoregressive: bool) -> Array:
     record = home.with_level(meter)
     history = record.slice(max(0, origin - 2 * home.steps_per_day), origin)
-    boundary: Boundary = record.slice(origin, origin + horizon).weather()
+    boundary: Boundary = Boundary.measured(record.slice(origin, origin + horizon))
     u = record.u[0, origin : origin + horizon]
     # A value that was not measured has no influence.
     return np.nan_to_num(covariate_features(history, boundary, u, kind, autoregressive))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array, Boundary
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
@@ -163,7 +163,7 @@ class Evaluation:
             free = self._free(forced)
             tasks = []
             for o in self._origins(part):
-                ahead = self.home.record.slice(o, o + self.horizon).weather()
+                ahead = Boundary.measured(self.home.record.slice(o, o + self.horizon))
                 if persisted:
                     now = np.ones(ahead.time_s.size)
                     ahead = replace(ahead, T_out_C=ahead.T_out_C[0] * now, solar_W_m2=ahead.solar_W_m2[0] * now)

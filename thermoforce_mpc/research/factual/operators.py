@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Observation, Record
+from thermoforce_mpc.data import Array, Boundary, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.two_stage import fit_two_stage
@@ -75,7 +75,7 @@ def at_levels(home: Prepared, forced: Forced, free: FreeResponse, origin: int, l
     if forced.operator is None:
         raise DataError(f"{home.home.name}: no operator to ask ({forced.note})")
     record = home.with_level(forced.meter)
-    observation = Observation(record.slice(0, origin), record.slice(origin, origin + horizon).weather())
+    observation = Observation(record.slice(0, origin), Boundary.measured(record.slice(origin, origin + horizon)))
     return Predictor(single(forced.operator), free).context(observation).counterfactuals(levels).total_C[:, 0]
 
 

@@ -54,7 +54,7 @@ class Window:
     @property
     def boundary(self) -> Boundary:
         """Weather of the horizon, the same for both runs; comfort, price and emissions are not used."""
-        return self.factual.weather()
+        return Boundary.measured(self.factual)
 
 
 @dataclass(frozen=True)

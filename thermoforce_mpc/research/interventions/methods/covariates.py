@@ -84,7 +84,7 @@ def _cases(run: Record, first: int, horizon: int, free_response: FreeResponse) -
     cases = []
     for origin in range(first, run.n_steps - horizon + 1, _STRIDE):
         history, ahead = run.slice(0, origin), run.slice(origin, origin + horizon)
-        boundary = ahead.weather()
+        boundary = Boundary.measured(ahead)
         forecast = free_response.forecast(history.T_zone_C[0], history, boundary).median_C
         cases.append(_Case(history, boundary, ahead.u[0], ahead.T_zone_C[0, 1:], forecast))
     return cases

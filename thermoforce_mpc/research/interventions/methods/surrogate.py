@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.data import DAY_S, Array, Boundary, Record
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.research.interventions.dataset import Window
 from thermoforce_mpc.research.interventions.methods.base import Training, best, joined
@@ -119,7 +119,7 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     first = max(per_day + 1, plain.n_steps - (_TEACHER_DAYS + training.days) * per_day)
     for origin in range(first, plain.n_steps - horizon + 1, _TEACHER_STRIDE):
         past, ahead = plain.slice(0, origin), plain.slice(origin, origin + horizon)
-        forecast = free_response.forecast(past.T_zone_C[0], past, ahead.weather()).median_C
+        forecast = free_response.forecast(past.T_zone_C[0], past, Boundary.measured(ahead)).median_C
         add(ahead, float(past.T_zone_C[0, -2]), forecast, True)
     for run in (training.probe.pair.a, training.probe.pair.b):
         last = run.n_steps - horizon + 1
