@@ -17,7 +17,8 @@ from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
+from thermoforce_mpc.live.kept import Kept
 from thermoforce_mpc.measurements.mapping import MeasurementMap
 
 HOUR = pd.Timedelta("1h")
@@ -206,3 +207,78 @@ def test_a_dry_run_on_files_says_what_it_would_set(files):
 def test_wrong_words_are_named(files, words, message):
     done = CliRunner().invoke(cli, ["control", "--model", "model", "--map", "map.yaml", "--dry-run", *OPTIONS, *words])
     assert message in str(done.exception)
+
+
+class Killed(BaseException):
+    """As SIGKILL: nothing is given back."""
+
+
+def killed_and_run_again(tmp_path, at_h, again_h, of="this model", **options):
+    """Decisions of a run that was killed at `at_h`, and of five steps of another one from `again_h` on."""
+    house, runs = SimulatedBuilding(), []
+    wait, write = house.wait_until, house.write
+
+    def waited(at):
+        killed = START + at_h * HOUR
+        wait(min(at, killed))
+        if house.at >= killed:
+            house.wait_until, house.write = wait, lambda levels, seconds: None
+            raise Killed
+
+    house.wait_until = waited
+    for steps, whose in ((24, "this model"), (5, of)):
+        building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+        runs.append([])
+        kept = KeptState(tmp_path / "state.npz", whose)
+        try:
+            control(building, mpc(**options), clock=house, steps=steps, told=runs[-1].append, kept=kept)
+        except Killed:
+            house.write = write
+            wait(START + again_h * HOUR)
+    return runs
+
+
+@pytest.mark.parametrize(("at_h", "again_h", "then"), [(4.1, 4.1, 4), (4.999, 5.0, 5)])
+def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path, at_h, again_h, then):
+    """Killed early in a step, the new run decides it once more; killed at its end, the new one begins with the next."""
+    watch = {"watch": {"enabled": True}}
+    house, whole = SimulatedBuilding(), []
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    control(building, mpc(**watch), clock=house, steps=12, told=whole.append)
+    first, again = killed_and_run_again(tmp_path, at_h, again_h, **watch)
+    assert [decision.instant for decision in again] == [decision.instant for decision in whole[then : then + 5]]
+    assert len(first) == 5
+    for one, other in zip(again, whole[then:], strict=False):
+        assert one.plan.status == other.plan.status
+        np.testing.assert_allclose(one.plan.u, other.plan.u, atol=1e-5)
+
+
+def test_the_state_of_another_model_is_not_gone_on_from(tmp_path, caplog):
+    _, told = killed_and_run_again(tmp_path, 4.1, 4.1, of="another")
+    assert [decision.plan.status for decision in told] == ["solved"] * 5
+    assert "of another model or other options: begun anew" in caplog.text
+
+
+def test_a_damaged_or_old_state_stops_no_control(tmp_path, caplog):
+    path = tmp_path / "state.npz"
+    path.write_bytes(b"PK\x03\x04 torn")
+    assert KeptState(path, "x").load(START) is None
+    assert "no state of this version" in caplog.text
+    kept = Kept(START.isoformat(), START.isoformat(), None, "after", ())
+    KeptState(path, "x").save(kept)
+    assert KeptState(path, "x").load(START + HOUR).state_at(START + HOUR) == "after"
+    assert KeptState(path, "x").load(START + 25 * HOUR) is None
+    assert "more than a day ago" in caplog.text
+    KeptState(tmp_path / "none" / "state.npz", "x").save(kept)
+    assert "a restart begins anew" in caplog.text
+
+
+def test_the_command_keeps_its_state_where_its_log_is(files, monkeypatch):
+    monkeypatch.setattr(WallClock, "wait_until", lambda self, at: None)
+    words = ["control", "--model", "model", "--map", "map.yaml", "--steps", "1", "--delay", "0", *OPTIONS]
+    first = CliRunner().invoke(cli, words)
+    assert first.exit_code == 0, first.output + str(first.exception)
+    for changed, said in (([], "goes on from the state of"), (["--set", "controller.horizon_h=10"], "begun anew")):
+        done = CliRunner().invoke(cli, [*words, *changed])
+        assert done.exit_code == 0, done.output + str(done.exception)
+        assert said in (files / "control" / "log.jsonl").read_text()

@@ -44,8 +44,9 @@ def command(
 
     Begin with --dry-run, which reads, decides once and says what it would set. Ctrl-C and SIGTERM give every actuator
     back to the building's own control; so does a step in which nothing can be decided. Each decision is printed with
-    its reason, and stands in log.jsonl in --out. Nothing is kept that a restart would need: start it again after a
-    power failure, and it goes on from what was measured.
+    its reason, and stands in log.jsonl in --out. Start it again after a power failure: it goes on from what was
+    measured, and from what it knew, which is kept in state.npz in --out for a day (faults noticed, highest power,
+    levels set).
 
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
 
@@ -57,8 +58,9 @@ def command(
     from controllers.mpc import ThermoForceMPC
     from controllers.mpc_config import MPCConfig
     from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.execution.keys import canonical, digest
     from thermoforce_mpc.files import storage_errors
-    from thermoforce_mpc.live import LiveBuilding, control
+    from thermoforce_mpc.live import KeptState, LiveBuilding, control
     from thermoforce_mpc.measurements.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
     from thermoforce_mpc.scenario.settings import parse_overrides, validate
@@ -87,6 +89,7 @@ def command(
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
+            kept=None if dry_run else KeptState(out / "state.npz", digest({"mpc": canonical((thermal, mpc.config))})),
             told=lambda decision: display.say(in_words(decision)),
         )
 

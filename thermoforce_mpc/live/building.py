@@ -52,6 +52,16 @@ class LiveBuilding:
         assert self._measured is not None
         return self._measured.layout.lowest
 
+    @property
+    def origin(self) -> pd.Timestamp:
+        """The new year that seconds count from; known after the first record."""
+        assert self._origin is not None
+        return self._origin
+
+    def count_from(self, origin: pd.Timestamp) -> None:
+        """Count seconds from `origin`, as an earlier run did."""
+        self._origin = origin.tz_convert(self._rules.time.zone or "UTC")
+
     def instant(self, now: pd.Timestamp) -> pd.Timestamp:
         """The last instant at which a step begins, at or before `now`: whole steps from the new year of the zone."""
         local = now.tz_convert(self._rules.time.zone or "UTC")
@@ -61,8 +71,7 @@ class LiveBuilding:
 
     def time_s(self, at: pd.Timestamp) -> float:
         """`at` in seconds, as the record has it; known after the first record."""
-        assert self._origin is not None
-        return float((at - self._origin).total_seconds())
+        return float((at - self.origin).total_seconds())
 
     def record(self, instant: pd.Timestamp, applied: Sequence[Applied] = ()) -> Record:
         """What was measured until `instant`; steps without readings are NaN, but for levels that were `applied`.

@@ -1,7 +1,7 @@
 """The loop of a controller at a real building: read, plan, check, set the levels, wait; give it back at the end.
 
-Nothing but the controller's state is kept between two steps: each reads the record anew. A controller that was killed
-is started again and goes on from what was measured.
+Each step reads the record anew. What else is known is kept in a file, so that a controller that was killed goes on when
+it is started again.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import pandas as pd
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError, PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
+from thermoforce_mpc.live.kept import Kept, KeptState
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.simulation.closed_loop import checked_blocks
@@ -75,6 +76,7 @@ def control(
     delay_s: float = 30.0,
     dry: bool = False,
     outage_h: float = OUTAGE_H,
+    kept: KeptState | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
 ) -> None:
     """Control a building until interrupted.
@@ -90,13 +92,14 @@ def control(
         delay_s: how long after the beginning of a step it is decided, s, so that its last reading is there.
         dry: decide once and set nothing.
         outage_h: how long the last forecast may stand in where there is none, h.
+        kept: where the controller's state is kept from step to step; None: a restart begins anew.
         told: called with every decision, before it acts.
 
     Raises:
         InputError, PlantError: the first decision could not be made.
         PlantError: the building did not take its levels back at the end.
     """
-    _Loop(building, controller, clock or WallClock(), delay_s, dry, outage_h, told).run(steps)
+    _Loop(building, controller, clock or WallClock(), delay_s, dry, outage_h, kept, told).run(steps)
 
 
 class _Loop:
@@ -110,11 +113,12 @@ class _Loop:
         delay_s: float,
         dry: bool,
         outage_h: float,
+        kept: KeptState | None,
         told: Callable[[Decision], None],
     ) -> None:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
-        self._dry, self._told = dry, told
+        self._dry, self._told, self._kept = dry, told, kept
         self._forecasts = Forecasts(building, controller.horizon_s, controller.step_s, outage_h)
         self._allowed = limits_of(controller)
         self._state: object = None
@@ -125,9 +129,13 @@ class _Loop:
         """Decide and act, `steps` times."""
         index = 0
         instant = self._building.instant(self._clock.now())
+        if self._kept is not None and (kept := self._kept.load(instant)):
+            self._building.count_from(pd.Timestamp(kept.origin))
+            self._state, self._applied = kept.state_at(instant), list(kept.applied)
         try:
             while steps is None or index < steps:
                 self._clock.wait_until(instant + self._delay)
+                before = self._state
                 decision = self._decision(instant) if index == 0 else self._safe_decision(instant)
                 levels = [block.u for block in decision.blocks]
                 time_s = self._building.time_s(instant)
@@ -137,6 +145,9 @@ class _Loop:
                 self._told(decision)
                 if self._dry:
                     return
+                if self._kept is not None:
+                    origin, at = self._building.origin.isoformat(), instant.isoformat()
+                    self._kept.save(Kept(origin, at, before, self._state, tuple(self._applied)))
                 self._act(decision)
                 index += 1
                 # Steps that passed while this one was planned, or while the machine slept, are left out.
