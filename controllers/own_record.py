@@ -2,7 +2,8 @@
 
 Adaptation and watch judge one actuator on its home zone. What the others did to it is known from their measured levels
 and the model, so it is subtracted from the temperature; for one actuator nothing is. The power of a machine that feeds
-others too says nothing of one of them and is left out.
+others too says nothing of one of them and is left out, and so does the level of an actuator while they all ask for more
+than the machine has: what it got is in its heat meter, if anywhere.
 """
 
 from __future__ import annotations
@@ -10,8 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.identification.capacity import largest_W
+from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -44,7 +48,10 @@ def own_record(model: ThermalModel, history: Record, forced_K: Array | None, a: 
     """
     z = model.operator.home[a]
     m = model.machine_of[a]
-    part = history.part(z, [a], [m] if model.machine_of.count(m) == 1 else [])
+    alone = model.machine_of.count(m) == 1
+    part = history.part(z, [a], [m] if alone else [])
+    if not alone:
+        part = replace(part, u=np.where(_beyond_capacity(model, history, m), np.nan, part.u))
     others = [b for b in range(len(model.operator.actuators)) if b != a and model.operator.pairs[z][b] is not None]
     if not others:
         return part
@@ -53,3 +60,20 @@ def own_record(model: ThermalModel, history: Record, forced_K: Array | None, a: 
         known = min(forced_K.shape[2], T.size)
         T[:known] = part.T_zone_C[0, :known] - forced_K[z, others, :known].sum(axis=(0, 2))
     return replace(part, T_zone_C=T)
+
+
+def _beyond_capacity(model: ThermalModel, history: Record, m: int) -> NDArray[np.bool_]:
+    """Steps (n,) in which the actuators of machine `m` may together have asked for more than it has.
+
+    A level may be the share of a step in which an actuator is on, so all that act count in full. Where all are metered,
+    what they take when it is cold is in the maps of their heat, and what the machine has is the most of an hour so far.
+    """
+    fed = [b for b, machine in enumerate(model.machine_of) if machine == m]
+    acting = history.u[fed] > ROUNDING
+    maps = [model.operator.of_actuator(b).heat_input.heat for b in fed]
+    shares = np.array([model.shares[b] for b in fed])
+    if any(one is None for one in maps):
+        return np.asarray(shares @ acting > 1.0 + ROUNDING)
+    full_W = np.abs([one(np.ones(history.n_steps), history.T_out_C[:-1]) for one in maps if one is not None])
+    most_W = largest_W(np.abs(history.heat_W[fed].sum(axis=0)), history.step_s)
+    return np.asarray((full_W * acting).sum(axis=0) > most_W)

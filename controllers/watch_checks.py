@@ -31,18 +31,19 @@ _LEVELS = np.linspace(0.0, 1.0, 41)
 def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_input: HeatInput) -> Array:
     """Levels (n,) in [0, 1] to judge the predictions of a record by; NaN where neither level nor heat is known.
 
-    They are those of the record, except where native control acted (no level in `asked`, see `level_fault`) and heat
-    was measured: it holds levels for which the map from level to heat was not identified, so the level that gives the
-    measured heat is taken.
+    They are those of the record. Where it has none, and where native control acted (no level in `asked`, see
+    `level_fault`), which holds levels for which the map from level to heat was not identified, the level is taken that
+    gives the measured heat.
     """
     levels = np.array(history.u[0])
-    if heat_input.heat is not None and asked:
-        native, steps = _found(asked, history)
-        for step in steps[~np.isfinite(native)]:
-            if not np.isfinite(history.heat_W[0, step] + history.T_out_C[step]):
-                continue
-            share = abs(float(history.heat_W[0, step])) / heat_input.reference_W
-            levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
+    if heat_input.heat is None:
+        return levels
+    wanted, steps = _found(asked, history)
+    by_heat = np.isnan(levels)
+    by_heat[steps[~np.isfinite(wanted)]] = True
+    for step in np.flatnonzero(by_heat & np.isfinite(history.heat_W[0] + history.T_out_C[:-1])):
+        share = abs(float(history.heat_W[0, step])) / heat_input.reference_W
+        levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
     return levels
 
 

@@ -15,11 +15,13 @@ from controllers.pi import PIController
 from controllers.planner import MPCState
 from controllers.problem import Solution
 from controllers.thermostat import Thermostat
+from controllers.watch_checks import applied_levels
 from controllers.watch_state import WatchState
 from controllers.watched import _later
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -337,6 +339,33 @@ def test_what_a_shared_machine_uses_is_in_no_actuators_record():
     assert np.isnan(own_record(two_model(shared=True), both, None, RADIATOR).power_W).all()
     own = own_record(two_model(), seen.history, None, FLOOR)
     np.testing.assert_array_equal(own.power_W[0], seen.history.power_W[1])
+
+
+@pytest.mark.parametrize("metered", [False, True])
+def test_what_a_shared_machine_cannot_give_accuses_no_actuator(metered):
+    """Both at once ask for more than it has: only a meter tells what each of them got."""
+    model, seen = two_model(shared=True), two_observation().history
+    T_out, u = np.full(seen.n_steps + 1, 5.0), np.zeros((2, seen.n_steps))
+    u[:, 12:24], u[0, 24:36] = [[1.0], [0.4]], 1.0
+    heat = np.where(u > 0, 2000.0, 0.0)
+    heat[:, 12:24] = [[1800.0], [900.0]]
+    names = replace(seen.names, machines=("boiler",))
+    seen = replace(
+        seen, T_out_C=T_out, u=u, heat_W=heat, power_W=seen.power_W[:1], T_return_C=seen.T_return_C[:1], names=names
+    )
+    if metered:
+        full = HeatInput(MachineLoad((0.0, 0.0, 2000.0, 0.0), (-10.0, 15.0)))
+        operator = model.operator.map_actuators(lambda a, pair: replace(pair, heat_input=full))
+        model = replace(model, operator=operator)
+    else:
+        model = replace(model, shares=(0.7, 0.7))
+    own = own_record(model, seen, None, RADIATOR)
+    expected = u[RADIATOR].copy()
+    expected[12:24] = np.nan
+    np.testing.assert_array_equal(own.u[0], expected)
+    levels = applied_levels([(float(t), 1.0) for t in seen.time_s[:-1]], own, model.operator.pairs[0][0].heat_input)
+    expected[12:24] = 0.9 if metered else np.nan
+    np.testing.assert_allclose(levels, expected, atol=1e-6)
 
 
 def test_the_predictor_of_those_that_went_on_is_kept_when_one_returns():

@@ -22,7 +22,7 @@ def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histor
         fed = layout.fed_by(m)
         if len(fed) < 2 or any(heat_inputs[a].heat is None or layout.signs[a] != layout.signs[fed[0]] for a in fed):
             continue
-        most_W = max(_largest_W(np.abs(h.heat_W[fed].sum(axis=0)), h.step_s) for h in histories)
+        most_W = max(largest_W(np.abs(h.heat_W[fed].sum(axis=0)), h.step_s) for h in histories)
         if not most_W > 0.0:
             continue
         T_out_C = float(np.nanmean(np.concatenate([h.T_out_C for h in histories])))
@@ -32,7 +32,7 @@ def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histor
     return replace(layout, shares=tuple(shares))
 
 
-def _largest_W(heat_W: Array, step_s: float) -> float:
+def largest_W(heat_W: Array, step_s: float) -> float:
     """Largest mean of an hour, W; steps that were not metered do not count."""
     n = max(1, min(heat_W.size, round(HOUR_S / step_s)))
     mean = np.convolve(heat_W, np.ones(n) / n, "valid")
