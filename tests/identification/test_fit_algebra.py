@@ -13,10 +13,12 @@ from scipy.optimize import lsq_linear
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.bounded import BoundedLeastSquares, FreeFirst
+from thermoforce_mpc.identification.columns import forced_columns, free_columns, other_columns
 from thermoforce_mpc.identification.disturbance import Disturbance
 from thermoforce_mpc.identification.likelihood import residuals
-from thermoforce_mpc.identification.reduction import Reduction, whitened_rows
+from thermoforce_mpc.identification.modes import mode_priors
 from thermoforce_mpc.identification.regression_data import pair_regression, run_regression, scaled
+from thermoforce_mpc.identification.system import System
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 CONFIG = IdentificationConfig()
@@ -91,16 +93,77 @@ def test_the_likelihoods_of_all_scales_are_those_of_each(regression):
         np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-6)
 
 
-def test_triangles_have_the_sums_of_squares_of_their_rows(regression, pair):
+def plain_rows(regression, log_tau, sign):
+    """The columns of a run or pair by their definition, the target last."""
+    columns = [forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)]
+    columns += [] if regression.is_pair else list(free_columns(regression, log_tau))
+    values = np.concatenate([*columns, regression.target[:, None]], axis=1)
+    return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance()), values, lower=True)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_the_rows_of_a_system_are_those_of_its_runs_and_pairs(regression, pair, order):
+    priors = mode_priors(order, CONFIG, IDENTITY, None)
     run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
-    for regressions in ([regression], [regression, run], [regression, pair, run], [pair]):
-        data = Reduction(regressions, 1)
-        for scale in (1.0, 0.2, 1.0):
-            rows = np.concatenate(whitened_rows(scaled(regressions, scale), LOG_TAU, 1))
-            values = np.append(RNG.normal(size=rows.shape[1] - 1), -1.0)
-            squares = float(np.sum((data.rows(LOG_TAU, scale) @ values) ** 2))
-            assert squares == pytest.approx(float(np.sum((rows @ values) ** 2)), rel=1e-9)
-            assert data.rows(LOG_TAU, scale).shape[0] <= 2 * rows.shape[1]
+    log_tau = priors.log_tau + 0.1
+    data = [scaled([e], 0.2)[0] for e in (regression, pair, run)]
+    system = System(data, order, -1)
+    rows = system.rows(log_tau, priors)
+    assert rows.shape == (system.n_data + system.variables.order.size, 1 + system.variables.order.size)
+    begin, starts = 0, rows.shape[1] - 1
+    for e in data:
+        expected, found = plain_rows(e, log_tau, -1), rows[begin : begin + e.rows.size]
+        used = np.flatnonzero(np.abs(found).max(axis=0))
+        assert used[-1] == starts
+        np.testing.assert_allclose(found[:, used], expected, rtol=1e-6, atol=1e-6)
+        begin += e.rows.size
+    mean, sd = priors.gains_at(log_tau)
+    np.testing.assert_allclose(rows[begin:, :-1].sum(axis=0)[:order], 1.0 / sd)
+    np.testing.assert_allclose(rows[begin:, -1][:order], mean / sd)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_slopes_are_derivatives_of_the_rows(regression, pair, order):
+    priors = mode_priors(order, CONFIG, IDENTITY, None)
+    system = System([with_other(regression), with_other(pair)], order, -1)
+    log_tau, step = priors.log_tau - 0.1, 1e-5
+    values = np.append(RNG.normal(size=system.variables.order.size), -1.0)
+    expected = [
+        (system.rows(log_tau + d, priors) - system.rows(log_tau - d, priors)) @ values / (2.0 * step)
+        for d in step * np.eye(order)
+    ]
+    found = system.slopes(log_tau, priors, values[:-1])
+    np.testing.assert_allclose(found, np.stack(expected, axis=1), atol=1e-6)
+
+
+def with_other(regression):
+    """Beside an actuator that cools it."""
+    others = -RNG.random((1, regression.n_steps))
+    return replace(regression, others=others, other_priors=np.array([[1.0, 2.0, 0.3, 0.2]]))
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_the_search_ends_at_the_best_time_constants(regression, pair, order):
+    priors = mode_priors(order, CONFIG, IDENTITY, None)
+    run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
+    low, high = np.log(priors.bounds_h()).T
+    for data in ([regression], [regression, run, pair], [with_other(pair)], [with_other(run)]):
+        system = System(data, order, 1)
+        found = system.likeliest(priors, priors.log_tau)
+
+        def solved(log_tau, system=system):
+            away = (log_tau - priors.log_tau) / priors.log_tau_sd
+            best = BoundedLeastSquares(system.rows(log_tau, priors), system.variables)
+            return best.squares + away @ away, best.values
+
+        least, values = solved(found.at)
+        assert found.value == pytest.approx(0.5 * least, rel=1e-9)
+        gains = (1 + data[0].others.shape[0]) * order
+        np.testing.assert_allclose(found.values[:gains], values[:gains], atol=1e-6 * np.abs(values).max())
+        rows = system.rows(found.at, priors)
+        np.testing.assert_allclose(found.residual, rows[:, :-1] @ values - rows[:, -1], atol=1e-6)
+        for step in 1e-3 * np.concatenate([np.eye(order), -np.eye(order)]):
+            assert solved(np.clip(found.at + step, low, high))[0] >= least * (1.0 - 1e-12)
 
 
 def test_bounded_least_squares_agree_with_scipys():

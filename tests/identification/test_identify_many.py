@@ -12,8 +12,8 @@ from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.many import BuildingRecords, identify_many
 from thermoforce_mpc.identification.modes import mode_priors
-from thermoforce_mpc.identification.reduction import Reduction
 from thermoforce_mpc.identification.regression_data import run_regression
+from thermoforce_mpc.identification.system import System
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.research.bench.identify_many import plain_fit
 
@@ -89,7 +89,7 @@ def test_joint_estimation_is_that_of_the_plain_formulation(order):
     priors = mode_priors(order, config, IDENTITY, None)
     for seed in (5, 6):
         regression = run_regression(record(House(), 1.5, seed=seed, noise_K=0.01), IDENTITY, config)
-        fit = fit_modes(Reduction([regression], 1), priors, config)
+        fit = fit_modes(System([regression], order, 1), priors, config)
         log_tau, gains = plain_fit(regression, priors, config)
         np.testing.assert_allclose(fit.log_tau, log_tau, atol=1e-6)
         np.testing.assert_allclose(fit.gains, gains, atol=1e-6 * np.abs(gains).max())

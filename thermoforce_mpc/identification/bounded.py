@@ -14,7 +14,12 @@ from thermoforce_mpc.data import Array
 
 def triangle(matrix: Array) -> Array:
     """R of a QR factorisation of `matrix` (n, m): (min(n, m), m), of the same sums of squares |matrix x|²."""
-    R = dgeqrf(matrix)[0][: matrix.shape[1]]
+    return _triangle(np.array(matrix, order="F"))
+
+
+def _triangle(matrix: Array) -> Array:
+    """That of a `matrix` in Fortran's order, which is overwritten."""
+    R = dgeqrf(matrix, overwrite_a=1)[0][: matrix.shape[1]]
     return np.asarray(R * _upper(*R.shape))
 
 
@@ -46,7 +51,7 @@ class BoundedLeastSquares:
 
     def __init__(self, system: Array, variables: FreeFirst) -> None:
         self._variables, free = variables, variables.n_free
-        self._R = triangle(system[:, variables.columns])
+        self._R = _triangle(system.T[variables.columns].T)
         self._bounded, misfit = nnls(self._R[free:-1, free:-1], self._R[free:-1, -1])
         self.squares = float(self._R[-1, -1] ** 2 + misfit**2)
         """Least sum of squares."""

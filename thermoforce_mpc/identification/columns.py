@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H
-from thermoforce_mpc.identification.modes import from_filters, poles, unit_responses
+from thermoforce_mpc.identification.modes import lags_of_gains, poles, unit_responses
 from thermoforce_mpc.identification.recursions import filtered
 from thermoforce_mpc.identification.regression_data import FREE_PRIOR, RegressionData
 
@@ -20,8 +20,12 @@ _START_SD_K = (3.0, 20.0, 50.0, 50.0)
 # Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
 _GROUND_H = 400.0
 _DEFAULT_FASTEST_LOG_TAU = np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
+# Order of the operator whose slow modes are those of the free part.
+_SHARED = 3
 _NEVER = np.array([np.inf])
 _DEFAULT_FREE_LOG_TAU = np.log([*DEFAULT_TIME_CONSTANTS_H[3][1:], _GROUND_H])
+N_FREE = _DEFAULT_FREE_LOG_TAU.size
+"""Number of free modes, the ground's last."""
 
 
 def forced_columns(regression: RegressionData, log_tau: Array, sign: int) -> Array:
@@ -62,49 +66,66 @@ def all_columns(regression: RegressionData, log_tau: Array) -> Array:
     Forced response to the own and to the other actuators, r each; of a run then those of `free_columns`.
     """
     r, K = log_tau.size, regression.others.shape[0]
-    filters = _Filters.of(r, K, regression.is_pair)
-    fastest = log_tau[:1] if r > 1 else _DEFAULT_FASTEST_LOG_TAU
-    modes = poles(np.concatenate([log_tau, fastest, free_time_constants(log_tau), _NEVER]), regression.step_s)
-    states = filtered(regression.signals, filters.signal, modes[filters.mode], filters.start, regression.rows)
-    acting = (1 + K) * r
-    states[:, :acting] = from_filters(states[:, :acting].reshape(-1, 1 + K, r), log_tau).reshape(-1, acting)
-    return states
+    lags = Lags.of(r, K)
+    n = (1 + K) * r if regression.is_pair else lags.mode.size
+    own, lead = np.ones(n), np.zeros(n)
+    for of_all, of_gains in zip((own, lead), lags_of_gains(log_tau), strict=True):
+        of_all[: (1 + K) * r] = np.tile(of_gains, 1 + K)
+    pole = lags.poles(log_tau, regression.step_s)
+    return np.asarray(
+        filtered(
+            regression.signals, lags.signal[:n], pole[:n], lags.start[:n], own, lags.lead[:n], lead, regression.rows
+        )
+    )
 
 
 @dataclass(frozen=True)
-class _Filters:
-    """Signal, mode and state at the start of the filter of each column of `all_columns`, (p,) each.
+class Lags:
+    """Signal, mode, first lag of its actuator and state at the start of each column of `all_columns`, (p,) each.
 
     See `recursions.filtered`. Modes are the r of the operator, the fastest of the initial state, the q free
-    ones, and one that never decays.
+    ones, and one that never decays; `tau` (p,): which time constant of the operator it is, −1 if none.
     """
 
     signal: NDArray[np.intp]
     mode: NDArray[np.intp]
+    lead: NDArray[np.intp]
     start: Array
+    tau: NDArray[np.intp]
 
     @staticmethod
     @cache
-    def of(r: int, K: int, is_pair: bool) -> _Filters:
-        """Those of an operator of order r with K other actuators."""
+    def of(r: int, K: int) -> Lags:
+        """Those of an operator of order r with K other actuators, first those of the actuators, r each."""
         q = _DEFAULT_FREE_LOG_TAU.size
         weather, free = len(FREE_PRIOR), r + 1 + np.arange(q)
-        signal, mode = np.repeat(np.arange(1 + K), r), np.tile(np.arange(r), 1 + K)
-        start = np.zeros(signal.size)
-        if not is_pair:
-            # The level, which stays, and the initial states, which decay, have no signal.
-            alone = [r + 1 + q, r, *free]
-            signal = np.concatenate(
-                [signal, np.repeat(1 + K + np.arange(weather), q), np.full(len(alone), 1 + K + weather)]
-            )
-            mode = np.concatenate([mode, np.tile(free, weather), alone])
-            start = np.concatenate([start, np.zeros(weather * q), np.ones(len(alone))])
-        return _Filters(signal.astype(np.intp), mode.astype(np.intp), start)
+        # The level, which stays, and the initial states, which decay, have no signal.
+        alone = [r + 1 + q, r, *free]
+        signal = [
+            np.repeat(np.arange(1 + K), r),
+            np.repeat(1 + K + np.arange(weather), q),
+            np.full(len(alone), 1 + K + weather),
+        ]
+        mode = np.concatenate([np.tile(np.arange(r), 1 + K), np.tile(free, weather), alone])
+        lead, start = np.zeros(mode.size, dtype=np.intp), np.zeros(mode.size)
+        lead[: (1 + K) * r] = np.repeat(np.arange(1 + K) * r, r)
+        start[-len(alone) :] = 1.0
+        tau = np.full(r + q + 2, -1)
+        tau[:r] = np.arange(r)
+        tau[r] = 0 if r > 1 else -1
+        if r == _SHARED:
+            tau[r + 1 : r + q] = np.arange(1, r)
+        return Lags(np.concatenate(signal), mode, lead, start, tau[mode])
+
+    def poles(self, log_tau: Array, step_s: float) -> Array:
+        """The pole per step of each column (p,)."""
+        fastest = log_tau[:1] if log_tau.size > 1 else _DEFAULT_FASTEST_LOG_TAU
+        return poles(np.concatenate([log_tau, fastest, free_time_constants(log_tau), _NEVER]), step_s)[self.mode]
 
 
 def free_time_constants(log_tau: Array) -> Array:
     """Return ln τ of the free modes: the slow modes of an operator of order 3 (or of its prior), and the ground."""
-    if log_tau.size != 3:
+    if log_tau.size != _SHARED:
         return _DEFAULT_FREE_LOG_TAU
     return np.concatenate([log_tau[1:], _DEFAULT_FREE_LOG_TAU[-1:]])
 

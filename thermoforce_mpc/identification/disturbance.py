@@ -16,12 +16,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.recursions import (
-    covariance,
-    innovation_effects,
-    innovation_form,
-    innovations,
-)
+from thermoforce_mpc.identification.recursions import covariance, innovation_effects, innovation_form, innovations
 
 
 @dataclass(frozen=True)
@@ -61,13 +56,13 @@ class Disturbance:
 
     def factor(self, first: int = 0) -> Array:
         """L of the rows from `first` on (m, m), K: the effect of their innovations on them."""
-        gain, decay, sd = self._filter
+        gain, decay, sd = self.innovations
         return np.asarray(innovation_effects(gain[first:], decay[first:], sd[first:]))
 
     def whitened(self, values: Array) -> Array:
         """Innovations of `values` (rows, ...) K in standard deviations: L⁻¹ values, where L Lᵀ is the covariance."""
         columns = np.ascontiguousarray(values, dtype=np.float64).reshape(values.shape[0], -1)
-        return np.asarray(innovations(columns, *self._filter)).reshape(values.shape)
+        return np.asarray(innovations(columns, *self.innovations)).reshape(values.shape)
 
     @cached_property
     def _decay(self) -> Array:
@@ -76,6 +71,7 @@ class Disturbance:
         return np.asarray(np.exp(-lag_h[:, None] / self.hours))
 
     @cached_property
-    def _filter(self) -> tuple[Array, Array, Array]:
+    def innovations(self) -> tuple[Array, Array, Array]:
+        """Gains and decays (rows, k), standard deviations (rows,) K; see `recursions.innovations`."""
         gain, sd = innovation_form(self.sd_K**2, self._decay, self.noise_sd_K**2)
         return gain, self._decay, sd

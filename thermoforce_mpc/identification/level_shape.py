@@ -17,9 +17,10 @@ from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.bounded import BoundedLeastSquares
 from thermoforce_mpc.identification.columns import forced_columns
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import ModeFit, system
+from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
+from thermoforce_mpc.identification.system import System
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 from thermoforce_mpc.model.machine.part_load import COST, COST_SD, HEAT, HEAT_SD, LEVEL
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -38,7 +39,6 @@ _TOLD = 0.7
 # Steps at part load from which their heat is estimated.
 _LEAST_STEPS = 4
 _ROUNDS = 8
-_STEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -97,20 +97,15 @@ def estimate(
     k, log_tau = shape.mean, fit.log_tau
     for _ in range(_ROUNDS):
         driven, slopes = ([_driven(e, f, k) for e in used] for f in (shape.drive, shape.slope))
-        whole, variables, rows = system(driven, log_tau, priors, sign)
-        design, target = whole[:, :-1], whole[:, -1]
-        values = BoundedLeastSquares(whole, variables).values
+        system = System(driven, r, sign)
+        rows = system.rows(log_tau, priors)
+        design, target = rows[:, :-1], rows[:, -1]
+        values = BoundedLeastSquares(rows, system.variables).values
         by_k = np.zeros(target.size)
-        by_k[:rows] = np.concatenate(
+        by_k[: system.n_data] = np.concatenate(
             [e.disturbance.whitened(forced_columns(e, log_tau, sign) @ values[:r]) for e in slopes]
         )
-        shifts = _STEP * np.eye(r)
-        by_tau = [
-            (system(driven, log_tau + d, priors, sign)[0] - system(driven, log_tau - d, priors, sign)[0])[:, :-1]
-            @ values
-            for d in shifts
-        ]
-        jacobian = np.column_stack([by_k, *(column / (2.0 * _STEP) for column in by_tau), design])
+        jacobian = np.column_stack([by_k, system.slopes(log_tau, priors, values), design])
         prior = np.zeros(jacobian.shape[1])
         prior[0], prior[1 : 1 + r] = shape.sd**-2, priors.log_tau_sd**-2
         hessian = jacobian.T @ jacobian + np.diag(prior)

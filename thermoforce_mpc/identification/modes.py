@@ -142,16 +142,18 @@ def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np
     Row t is the state before step t, starting from zero; only `rows`, increasing, where they are given.
     """
     rows = np.arange(drive.size + 1) if rows is None else rows
-    signals, nothing = np.ascontiguousarray(drive, dtype=np.float64)[:, None], np.zeros(log_tau.size)
-    return from_filters(filtered(signals, nothing.astype(np.intp), poles(log_tau, step_s), nothing, rows), log_tau)
+    signals = np.ascontiguousarray(drive, dtype=np.float64)[:, None]
+    first, nothing = np.zeros(log_tau.size, dtype=np.intp), np.zeros(log_tau.size)
+    own, lead = lags_of_gains(log_tau)
+    return np.asarray(filtered(signals, first, poles(log_tau, step_s), nothing, own, first, lead, rows))
 
 
-def from_filters(states: Array, log_tau: Array) -> Array:
-    """Forced response (..., r) per unit of [slope, G_2 … G_r] from that of lags of gain 1 with these time constants."""
+def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:
+    """What a unit of each of [slope, G_2 … G_r] is of lags of gain 1: of its own mode and of the first, (r,) each."""
     tau = np.exp(log_tau)
-    columns = states - tau[0] / tau * states[..., :1]
-    columns[..., 0] = tau[0] * states[..., 0]
-    return np.asarray(columns)
+    own, lead = np.ones(tau.size), -tau[0] / tau
+    own[0], lead[0] = tau[0], 0.0
+    return own, lead
 
 
 def to_operator(

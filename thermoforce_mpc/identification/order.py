@@ -16,8 +16,8 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import ModeFit, fit_modes
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.reduction import Reduction
 from thermoforce_mpc.identification.regression_data import RegressionData, follows_action
+from thermoforce_mpc.identification.system import System
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A lower order is chosen only if it is better on held-out rows with this probability (Student's t) and by this share of
@@ -59,15 +59,16 @@ def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
     )
 
 
-def training_data(cases: Sequence[Case], splits: Sequence[Split], sign: int) -> Reduction:
-    """Return the training rows of all cases."""
-    return Reduction([_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size], sign)
+def training_data(cases: Sequence[Case], splits: Sequence[Split], order: int, sign: int) -> System:
+    """Return the training rows of all cases for operators of an order."""
+    parts = [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
+    return System(parts, order, sign)
 
 
 def fit_and_judge(
     cases: Sequence[Case],
     splits: Sequence[Split],
-    training: Reduction,
+    training: System,
     priors: ModePriors,
     config: IdentificationConfig,
 ) -> Fitted:

@@ -21,9 +21,9 @@ from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.bounded import BoundedLeastSquares
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.couplings import area_of, other_actuator, others_of, share_of
-from thermoforce_mpc.identification.joint import system
 from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors
 from thermoforce_mpc.identification.regression_data import RegressionData, calibrated, run_regression
+from thermoforce_mpc.identification.system import System
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, kinds_for
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
@@ -125,9 +125,10 @@ def _log_evidence(
 
 def _solved(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:
     """Log evidence of the linear part at the prior time constants (Laplace), and RMS of its whitened residual."""
-    whole, variables, rows = system(regressions, priors.log_tau, priors, sign)
-    found = BoundedLeastSquares(whole, variables)
+    system = System(regressions, priors.order, sign)
+    rows = system.rows(priors.log_tau, priors)
+    found = BoundedLeastSquares(rows, system.variables)
     log_evidence = -0.5 * (found.squares + found.log_determinant)
     log_evidence -= float(np.log(priors.gains_at(priors.log_tau)[1]).sum())
-    residual = whole[:rows, :-1] @ found.values - whole[:rows, -1]
+    residual = (rows[:, :-1] @ found.values - rows[:, -1])[: system.n_data]
     return log_evidence, float(np.sqrt(np.mean(residual**2)))

@@ -10,16 +10,26 @@ from thermoforce_mpc.data import Array
 
 
 @njit(cache=True)
-def filtered(signals: Array, signal_of: NDArray[np.intp], poles: Array, start: Array, rows: NDArray[np.intp]) -> Array:
-    """First-order lags of steady gain 1 of `signals` (n, s): filter c of signal `signal_of[c]` with `poles[c]`.
+def filtered(
+    signals: Array,
+    signal_of: NDArray[np.intp],
+    poles: Array,
+    start: Array,
+    own: Array,
+    lead_of: NDArray[np.intp],
+    lead: Array,
+    rows: NDArray[np.intp],
+) -> Array:
+    """Sums of first-order lags of steady gain 1 of `signals` (n, s).
 
     Args:
         signals: input of each step.
-        signal_of, poles, start: signal, pole per step and state before the first step of each filter, (c,).
+        signal_of, poles, start: signal, pole per step and state before the first step of each lag, (c,).
+        own, lead_of, lead: sum c is `own[c]` times lag c plus `lead[c]` times lag `lead_of[c]`, (c,).
         rows: steps, increasing, up to n (m,).
 
     Returns:
-        The states before the steps `rows`, (m, c).
+        The sums before the steps `rows`, (m, c).
     """
     n = signals.shape[0]
     state = start.copy()
@@ -27,11 +37,50 @@ def filtered(signals: Array, signal_of: NDArray[np.intp], poles: Array, start: A
     at = 0
     for t in range(n + 1):
         if at < rows.size and rows[at] == t:
-            out[at] = state
+            for c in range(state.size):
+                out[at, c] = own[c] * state[c] + lead[c] * state[lead_of[c]]
             at += 1
         if t < n:
             for c in range(state.size):
                 state[c] = poles[c] * state[c] + (1.0 - poles[c]) * signals[t, signal_of[c]]
+    return out
+
+
+@njit(cache=True)
+def filter_slopes(
+    signals: Array, weights: Array, turned: Array, start: Array, poles: Array, rows: NDArray[np.intp]
+) -> Array:
+    """Derivatives by ln τ of a sum of lags of steady gain 1, one of each time constant τ.
+
+    Args:
+        signals: input of each step (n, s).
+        weights: of the signals in the input of each lag (r, s).
+        turned: derivatives by each ln τ of the weights of the first lag (r, s).
+        start: state of each lag before the first step (r,).
+        poles: per step, exp(−step/τ) (r,).
+        rows: steps, increasing, up to n (m,).
+
+    Returns:
+        The derivatives before the steps `rows`, (m, r).
+    """
+    (n, s), r = signals.shape, poles.size
+    state, slope, first, decay = start.copy(), np.zeros(r), np.zeros(r), -np.log(poles)
+    out = np.empty((rows.size, r))
+    at = 0
+    for t in range(n + 1):
+        if at < rows.size and rows[at] == t:
+            for i in range(r):
+                out[at, i] = slope[i] + first[i]
+            at += 1
+        if t < n:
+            for i in range(r):
+                drive, turn = 0.0, 0.0
+                for k in range(s):
+                    drive += weights[i, k] * signals[t, k]
+                    turn += turned[i, k] * signals[t, k]
+                slope[i] = poles[i] * (slope[i] + decay[i] * (state[i] - drive))
+                state[i] = poles[i] * state[i] + (1.0 - poles[i]) * drive
+                first[i] = poles[0] * first[i] + (1.0 - poles[0]) * turn
     return out
 
 

@@ -179,7 +179,9 @@ def likely_scale(residual_scale: float) -> float:
 
 def scaled(regressions: Sequence[RegressionData], scale: float) -> list[RegressionData]:
     """Return the regressions with disturbances of runs times `scale`; pairs are unchanged."""
-    return [e if e.is_pair else replace(e, disturbance=e.disturbance.scaled(scale)) for e in regressions]
+    return [
+        e if e.is_pair or scale == 1.0 else replace(e, disturbance=e.disturbance.scaled(scale)) for e in regressions
+    ]
 
 
 def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:

@@ -170,11 +170,11 @@ def _joint_model(
     """The joint estimator as a zone's model, and its fit: order by held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
     splits = held_out(cases, config)
-    training = training_data(cases, splits, sign)
+    training = {order: training_data(cases, splits, order, sign) for order in config.orders()}
 
     def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
         priors = (mode_priors(order, chosen, heat_input, floor_area_m2, share) for order in chosen.orders())
-        return {of.order: fit_and_judge(cases, splits, training, of, config) for of in priors}
+        return {of.order: fit_and_judge(cases, splits, training[of.order], of, config) for of in priors}
 
     def error_K(found: dict[int, Fitted]) -> float:
         best = found[choose_order(found)]
