@@ -56,7 +56,7 @@ def modulate(
 ) -> tuple[OperatorParameters, dict[str, float]]:
     """Train m(x) on the training rows; if it improves the held-out rows, train on all data, else keep m = 1.
 
-    Returns the operator and its held-out scores.
+    With too few held-out hours to decide, m = 1 without a try. Returns the operator and its held-out scores.
     """
     from thermoforce_mpc.identification.train import train
 
@@ -83,14 +83,16 @@ def modulate(
             return priors
         return centred_priors(priors, fit.log_tau, fit.gains, _LINEAR_HELD_SD)
 
+    judged_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
+    if judged_h < _LEAST_JUDGED_H[base.heat_input.kind]:
+        return replace(started(final), feedback=config.feedback), {"modulation_kept": 0.0}
     search = train(started(part_fit), regressions(part_fit, splits), known(part_fit), config)
     scores = {
         "held_out_linear": search.linear_score,
         "held_out_neural": search.score,
         "neural_improvement_in_standard_errors": search.improvement_in_standard_errors,
     }
-    judged_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
-    scores["modulation_kept"] = float(search.worth_it and judged_h >= _LEAST_JUDGED_H[base.heat_input.kind])
+    scores["modulation_kept"] = float(search.worth_it)
     if not scores["modulation_kept"]:
         return replace(started(final), feedback=config.feedback), scores
     everything = [whole(c.regression) for c in cases]

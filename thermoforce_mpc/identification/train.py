@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from scipy.optimize import minimize
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import Array
@@ -28,8 +28,8 @@ _MODULATION_SD = {"identity": 0.15, "heat": 0.05}
 # The network is kept if it predicts the held-out rows better than m = 1 by this many standard errors and this factor.
 # With little data it may be better by chance and fit weather errors.
 _SIGNIFICANT, _RELEVANT = 1.0, 0.98
-# L-BFGS: history size; convergence tolerances of the gradient's largest element and of the change of the loss.
-_MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-8
+# L-BFGS: history size; convergence tolerances of the gradient's largest element and of the loss's relative change.
+_MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,6 @@ class TrainingResult:
         return self.improvement_in_standard_errors > _SIGNIFICANT and self.score < _RELEVANT * self.linear_score
 
 
-def evaluation(parameters: Tensor, misfit: Misfit) -> Callable[[], Tensor]:
-    """`misfit` at `parameters` (P,) for `minimise`."""
-
-    def evaluate() -> Tensor:
-        value, gradient = misfit(parameters.detach().numpy())
-        parameters.grad = torch.from_numpy(gradient)
-        return torch.tensor(value, dtype=torch.float64)
-
-    return evaluate
-
-
 def train(
     start: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
 ) -> TrainingResult:
@@ -91,46 +80,39 @@ def train(
             operator.output.weight.zero_()
             operator.output.bias.zero_()
     misfit = Misfit(start, regressions, priors, modulation_sd)
-    parameters = torch.nn.Parameter(parameters_to_vector(operator.parameters()).detach())
-    linear = misfit.judged(parameters.detach().numpy())
-    losses = minimise(evaluation(parameters, misfit), [parameters], config)
-    judged = misfit.judged(parameters.detach().numpy())
-    vector_to_parameters(parameters.detach(), operator.parameters())
-    return TrainingResult(operator.numpy(), linear, judged, np.array(losses))
+    begin = parameters_to_vector(operator.parameters()).detach().numpy()
+    end, losses = minimise(misfit, begin, config)
+    vector_to_parameters(torch.from_numpy(end), operator.parameters())
+    return TrainingResult(operator.numpy(), misfit.judged(begin), misfit.judged(end), np.array(losses))
 
 
-def minimise(evaluate: Callable[[], Tensor], parameters: list[Tensor], config: IdentificationConfig) -> list[float]:
-    """Minimise with the configured optimiser; return the loss of each epoch (evaluation of loss and gradient).
+def minimise(
+    misfit: Callable[[Array], tuple[float, Array]], start: Array, config: IdentificationConfig
+) -> tuple[Array, list[float]]:
+    """Minimise `misfit`, loss and gradient (P,), from `start` (P,) with the configured optimiser.
 
-    `evaluate` returns the loss and sets the gradients of `parameters`.
+    Returns the end (P,) and the loss of each epoch (evaluation of loss and gradient).
     """
     losses: list[float] = []
 
-    def closure() -> Tensor:
-        value = evaluate()
-        losses.append(float(value.detach()))
-        return value
+    def evaluate(parameters: Array) -> tuple[float, Array]:
+        value, gradient = misfit(parameters)
+        losses.append(value)
+        return value, gradient
 
     if config.optimiser == "adam":
-        optimiser: torch.optim.Optimizer = torch.optim.Adam(parameters, lr=config.learning_rate)
+        parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
+        optimiser = torch.optim.Adam([parameters], lr=config.learning_rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.epochs)
         for _ in range(config.epochs):
-            closure()
+            parameters.grad = torch.from_numpy(evaluate(parameters.detach().numpy())[1])
             optimiser.step()
             schedule.step()
-        return losses
+        return parameters.detach().numpy(), losses
     # The loss is smooth and deterministic, so L-BFGS needs a fraction of the steps (Nocedal 1980).
-    optimiser = torch.optim.LBFGS(
-        parameters,
-        max_iter=config.epochs,
-        max_eval=config.epochs,
-        history_size=_MEMORY,
-        tolerance_grad=_FLAT,
-        tolerance_change=_SETTLED,
-        line_search_fn="strong_wolfe",
-    )
-    optimiser.step(closure)
-    return losses
+    options = {"maxcor": _MEMORY, "maxiter": config.epochs, "maxfun": config.epochs, "gtol": _FLAT, "ftol": _SETTLED}
+    found = minimize(evaluate, start, jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(found.x), losses
 
 
 def _rms(residual: Array) -> float:

@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.utils import parameters_to_vector
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.likelihood import Residuals, Split
 from thermoforce_mpc.identification.misfit import Misfit, TrainingData
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData
-from thermoforce_mpc.identification.train import evaluation, minimise
+from thermoforce_mpc.identification.train import minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator import OperatorParameters
@@ -113,27 +113,24 @@ def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> 
     config = IdentificationConfig(optimiser="adam", epochs=epochs)
     began = perf_counter()
 
-    def by_loop() -> Tensor:
-        plain.zero_grad()
+    def by_loop(parameters: Array) -> tuple[float, Array]:
+        vector_to_parameters(torch.from_numpy(parameters), plain.parameters())
         found = task.loop(plain)
-        found.backward()
-        return found
+        gradients = torch.autograd.grad(found, list(plain.parameters()))
+        return float(found.detach()), torch.cat([gradient.ravel() for gradient in gradients]).numpy()
 
-    aim = min(minimise(by_loop, list(plain.parameters()), config))
+    aim = min(minimise(by_loop, _vector(plain).numpy(), config)[1])
     plain_s = perf_counter() - began
 
+    def value(parameters: Array) -> tuple[float, Array]:
+        found = task.misfit(parameters)
+        if found[0] <= aim:
+            raise _Reached
+        return found
+
     def train() -> None:
-        parameters = torch.nn.Parameter(_vector(task.start()))
-        evaluate = evaluation(parameters, task.misfit)
-
-        def value() -> Tensor:
-            found = evaluate()
-            if float(found.detach()) <= aim:
-                raise _Reached
-            return found
-
         try:
-            minimise(value, [parameters], IdentificationConfig(epochs=5000))
+            minimise(value, _vector(task.start()).numpy(), IdentificationConfig(epochs=5000))
         except _Reached:
             return
         raise ArithmeticError(f"training: L-BFGS ended above the loss that Adam reached, {aim:g}")
