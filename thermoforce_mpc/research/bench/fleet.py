@@ -52,27 +52,29 @@ def run_fleet_bench(
 def _identify(quick: bool, progress: Progress) -> tuple[list[Row], list[Target]]:
     found = measure(4 if quick else 100, progress=progress)
     joint = found.joint
+    compared = [
+        (f"{found.houses} houses with all defaults", found.one_by_one_s, found.many_s, found.difference),
+        ("joint estimation alone, plain: search to 0.01", joint.plain_s, joint.package_s, None),
+        ("the same, plain: search to 1e-8", joint.settled_s, joint.package_s, joint.difference),
+    ]
     rows = [
         {
-            "identify": f"{found.houses} houses with all defaults",
-            "one by one, s a house": found.one_by_one_s,
-            "together, s a house": found.many_s,
-            "times": found.one_by_one_s / found.many_s,
-            "largest difference": found.difference,
-        },
-        {
-            "identify": f"joint estimation alone, {joint.houses} houses, beside its plain formulation",
-            "one by one, s a house": joint.plain_s,
-            "together, s a house": joint.package_s,
-            "times": joint.ratio,
-            "largest difference": joint.difference,
-        },
+            "identify": what,
+            "one by one, s a house": one_by_one_s,
+            "together, s a house": together_s,
+            "times": one_by_one_s / together_s,
+            "largest difference": difference,
+        }
+        for what, one_by_one_s, together_s, difference in compared
     ]
     return rows, [
-        Target("joint estimation: times faster than its plain formulation", joint.ratio, 10.0, "at least"),
         Target(
-            "identified together: times faster than one by one", found.one_by_one_s / found.many_s, 10.0, "at least"
+            f"joint estimation of {joint.houses} houses: times faster than plain, one after another",
+            joint.ratio,
+            10.0,
+            "at least",
         ),
+        Target("joint estimation: largest difference of ln τ and gains from plain", joint.difference, 1e-6),
         Target("identified together: largest difference of poles and gains", found.difference, 1e-6),
     ]
 
