@@ -211,7 +211,8 @@ class ThermoForceMPC(FallingBack):
             meters=self._meters.begin,
         )
         try:
-            return (yield from self._decided(observation, before, actuation))
+            rooms = replace(observation, history=self._base.model.in_rooms(observation.history))
+            return (yield from self._decided(rooms, before, actuation))
         except Exception as error:  # whatever is wrong, the building is not left without control
             return self._released(before, actuation, f"no decision was made ({said(error)})")
 

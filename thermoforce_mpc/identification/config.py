@@ -70,6 +70,9 @@ class IdentificationConfig(StrictModel):
         "set from the test case",
     )
     cross_effects: bool = Field(True, description="effects of an actuator on zones other than its home")
+    sun_on_sensor: bool = Field(
+        True, description="look for sun on the zone sensor, and take it off the readings where there is any"
+    )
     modulation: Literal["neural", "linear"] = Field("neural", description="gain m(x) of the paper, or m = 1")
     feedback: bool = Field(
         False,

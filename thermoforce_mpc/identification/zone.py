@@ -30,6 +30,7 @@ from thermoforce_mpc.identification.regression_data import (
     pair_regression,
     run_regression,
 )
+from thermoforce_mpc.identification.sunlit_sensor import sun_on_sensor
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
@@ -94,8 +95,14 @@ def identify_zone(
         DataError: the action explains too little (where it is alone), or its effect has no proven sign.
     """
     runs, pairs, sign, notes = task.runs, task.pairs, task.sign, list(task.notes)
-    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     grid_K = resolution_K(runs)
+    sun = None
+    if runs and config.sun_on_sensor:
+        sun = sun_on_sensor(runs, task.heat_input, config, grid_K, task.others)
+    if sun is not None:
+        runs = [replace(h, T_zone_C=h.T_zone_C - sun.part_K(h.time_s, h.solar_W_m2)) for h in runs]
+        notes.append(sun.in_words())
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     if grid_K:
         # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
         sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
@@ -112,9 +119,10 @@ def identify_zone(
     else:
         model, fit = _joint_model(
             runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, task.share, sign, task.step_s,
-            task.source, notes, say, task.power, task.level_sd,
+            task.source, notes, say, task.power, task.level_sd, grid_K,
         )  # fmt: skip
     model = _accepted(model, cases, sign, task.alone)
+    model = replace(model, card=replace(model.card, sun_on_sensor=sun))
     say(f"identified an operator of order {model.operator.order}")
     return model, fit
 
@@ -166,6 +174,7 @@ def _joint_model(
     say: Callable[[str], None],
     power: PowerModel | None,
     level_sd: float,
+    grid_K: float,
 ) -> tuple[ZoneModel, JointFit]:
     """The joint estimator as a zone's model, and its fit: order by held-out data, modulation trained where it pays."""
     histories = [h for case in cases for h in case.histories]
@@ -220,7 +229,7 @@ def _joint_model(
         operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
         scores |= neural
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s, level_sd) | {"sensor_resolution_K": resolution_K(runs)}
+    certainty = uncertainty(final, operator.step_s, level_sd) | {"sensor_resolution_K": grid_K}
     shape: dict[str, float] = {}
     if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
         regressions = [_by_level(case, heat_input) for case in cases]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,7 @@ class ModelCard:
     `data` maps the name of each record to its SHA-256, `ranges` each signal to the (low, high) of the identification
     data, `scores` and `uncertainty` hold numbers by name, `config` is the configuration of the identification.
     `competence` is the verdict on held-out data; None: not judged (older files, pairs only, two-stage method).
+    `sun_on_sensor` is the sun in the readings of the zone sensor, which is no warmth of the room; None: none was found.
     """
 
     source: str = "given"
@@ -26,3 +28,4 @@ class ModelCard:
     config: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     competence: Competence | None = None
+    sun_on_sensor: SunOnSensor | None = None

@@ -17,6 +17,7 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.stored_values import keyed, listed, number, number_or_nan, text, truth, whole
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 _OPERATOR_ARRAYS = (
     "poles",
@@ -179,7 +180,14 @@ def _card(data: Mapping[str, Any]) -> ModelCard:
         config=keyed(data["config"]),
         notes=tuple(text(note) for note in listed(data["notes"])),
         competence=_competence(data["competence"]),
+        sun_on_sensor=_sun_on_sensor(data.get("sun_on_sensor")),
     )
+
+
+def _sun_on_sensor(data: Mapping[str, Any] | None) -> SunOnSensor | None:
+    if data is None:
+        return None
+    return SunOnSensor(**{item.name: number(data[item.name]) for item in dataclasses.fields(SunOnSensor)})
 
 
 def _competence(data: Mapping[str, Any] | None) -> Competence | None:

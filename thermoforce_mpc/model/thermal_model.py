@@ -21,6 +21,7 @@ from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -138,6 +139,19 @@ class ThermalModel:
             raise DataError(f"the model has {self.names}: name the zone and the actuator")
         return self.actuator(0)
 
+    def in_rooms(self, record: Record) -> Record:
+        """`record` with the temperatures of the rooms: without the sun on sensors that the model found in the sun."""
+        parts: dict[int, SunOnSensor] = {}
+        for a, card in enumerate(self.cards):
+            if card.sun_on_sensor is not None:
+                parts.setdefault(self.operator.home[a], card.sun_on_sensor)
+        if not parts:
+            return record
+        T = np.array(record.T_zone_C)
+        for z, sun in parts.items():
+            T[z] -= sun.part_K(record.time_s, record.solar_W_m2)
+        return replace(record, T_zone_C=T)
+
     def predict(
         self,
         record: Record,
@@ -164,7 +178,7 @@ class ThermalModel:
         levels = np.asarray(u, dtype=np.float64)
         if levels.ndim == 0:
             levels = np.full((len(self.operator.actuators), weather.n_steps), levels)
-        return Predictor(self.operator, methods).context(Observation(record, weather)).predict(levels)
+        return Predictor(self.operator, methods).context(Observation(self.in_rooms(record), weather)).predict(levels)
 
     def summary(self) -> str:
         """The model in a few lines: source, operator, effect of a day with its uncertainty, verdict, notes."""

@@ -1,0 +1,170 @@
+"""Whether the sun shines on the zone sensor, from records of heating and weather.
+
+Sun on a sensor enters its reading at once and leaves it behind the next cloud, while a room follows the sun through its
+surfaces and structure. The records are explained twice: by the modes of the free and the forced response and the sun
+that warms the surfaces within half an hour, and by these and the irradiance on one facade, which enters the reading
+with the lag of a sensor. Both are linear with Gaussian priors, so that their evidence is exact; it is summed over the
+time constants and disturbances, and over facade, latitude and lag. Air, floor and sensors of 0.5 K are thereby weighed
+by what they hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.special import expit, logsumexp
+from scipy.stats import norm
+
+from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.identification.columns import free_prior, free_time_constants, other_prior, start_sd
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.disturbance import Disturbance
+from thermoforce_mpc.identification.reduction import whitened_rows
+from thermoforce_mpc.identification.regression_data import OtherActuator, RegressionData, run_regression
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
+
+# What is tried: facades, latitudes °, lags of sensors s; time constants of the building h; disturbances as a share of
+# the assumed ones.
+_AZIMUTHS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0)
+_LATITUDES_DEG = (40.0, 50.0, 60.0)
+_LAGS_S = (120.0, 540.0, 1080.0)
+_TIME_CONSTANTS_H = tuple(product((0.1, 0.25, 0.6), (2.0, 4.0), (50.0,)))
+_SCALES = (0.1, 0.3, 1.0)
+# Prior standard deviation of the reading in full sun, and the most that a sensor shows, K.
+_FULL_SD_K, _MOST_K = 3.0, 8.0
+# Surfaces in the sun: their time constant, s, and the prior of what they do to the room, K per 100 W/m².
+_SURFACES_S, _SURFACES_SD_K = 1800.0, 0.3
+# Priors of the forced response at full level, initial slope in K/h and gains in K: from a slab to a fan coil.
+_GAINS_SD = (20.0, 5.0, 25.0)
+# Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
+_DAYLIGHT = 0.02
+# Least noise of readings, K: a sensor without any would make every explanation certain.
+_LEAST_NOISE_K = 0.02
+
+
+@dataclass(frozen=True)
+class _Explained:
+    """The records under one set of time constants and disturbances.
+
+    `without`: log evidence without sun on the sensor; `gained` (k,): log evidence that each candidate adds;
+    `full_K`, `sd_K` (k,): its posterior.
+    """
+
+    without: float
+    gained: Array
+    full_K: Array
+    sd_K: Array
+
+    @property
+    def odds(self) -> float:
+        """Log odds of sun on the sensor, at even odds before."""
+        return float(logsumexp(self.gained) - np.log(self.gained.size))
+
+    @property
+    def evidence(self) -> float:
+        """Log evidence with or without."""
+        return float(self.without + np.logaddexp(0.0, self.odds))
+
+
+def sun_on_sensor(
+    runs: Sequence[Record],
+    heat_input: HeatInput,
+    config: IdentificationConfig,
+    resolution_K: float = 0.0,
+    others: Sequence[OtherActuator] = (),
+) -> SunOnSensor | None:
+    """Return the sun in the readings of a zone sensor; None where there is more likely none, or no sun at all.
+
+    Args:
+        runs: records of the zone; the first level is that of its own actuator, the rest are those of `others`.
+        heat_input: what the own actuator delivers.
+        resolution_K: of the sensor, K; 0 for a fine one.
+        others: the other actuators of the building.
+    """
+    noon_s = _noon_s(runs)
+    if noon_s is None:
+        return None
+    regressions = [run_regression(run, heat_input, config, others) for run in runs]
+    sites = [(latitude, lag_s) for latitude in _LATITUDES_DEG for lag_s in _LAGS_S]
+    signals = [_signals(run, noon_s, sites)[e.rows] for run, e in zip(runs, regressions, strict=True)]
+    noise_K = float(np.hypot(max(config.sensor_sd_K, _LEAST_NOISE_K), resolution_K / np.sqrt(12.0)))
+    found = []
+    for scale in _SCALES:
+        disturbed = [_disturbed(e, scale, noise_K) for e in regressions]
+        white = np.concatenate([e.disturbance.whitened(s) for e, s in zip(disturbed, signals, strict=True)])
+        size = -sum(e.disturbance.log_determinant for e in disturbed)
+        found += [_explained(disturbed, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
+    best = max(found, key=lambda one: one.evidence)
+    if not best.odds > 0.0:
+        return None
+    at = int(np.argmax(best.gained))
+    (latitude, lag_s), azimuth = sites[at // len(_AZIMUTHS_DEG)], _AZIMUTHS_DEG[at % len(_AZIMUTHS_DEG)]
+    probability = float(expit(best.odds))
+    full_K = float(best.full_K[at])
+    # With a probability of less than one, the mean is less and the spread more than those of a sensor in the sun.
+    sd_K = np.sqrt(probability * best.sd_K[at] ** 2 + probability * (1.0 - probability) * full_K**2)
+    return SunOnSensor(probability * full_K, float(sd_K), probability, azimuth, lag_s, latitude, noon_s)
+
+
+def _noon_s(runs: Sequence[Record]) -> float | None:
+    """Mean solar noon on the records' clock, s, the middle of their hours of daylight; None without irradiance."""
+    solar, time_s = (np.concatenate(x) for x in zip(*((r.solar_W_m2, r.time_s) for r in runs), strict=True))
+    daylight = solar > _DAYLIGHT * solar.max(initial=0.0)
+    if not daylight.any():
+        return None
+    # Angles of the true solar time at a site whose noon is at 12 h, so that the equation of time is taken off.
+    angle = sun_at(time_s, 0.0, 0.5 * DAY_S).hour_angle
+    centre = np.angle(np.exp(1j * angle[daylight]).sum())
+    return float((0.5 + centre / (2.0 * np.pi)) * DAY_S)
+
+
+def _signals(run: Record, noon_s: float, sites: Sequence[tuple[float, float]]) -> Array:
+    """Sun on the surfaces (3) in 100 W/m², and on the sensor (sites times azimuths) in full suns, at all boundaries."""
+    time_s, solar = run.time_s, run.solar_W_m2
+    wave = 2.0 * np.pi * (time_s - noon_s) / DAY_S
+    surfaces = solar[:, None] / 100.0 * np.stack([np.ones_like(wave), np.cos(wave), np.sin(wave)], axis=1)
+    facades = {
+        latitude: facade_W_m2(sun_at(time_s, latitude, noon_s), time_s, solar, _AZIMUTHS_DEG) / FULL_SUN_W_M2
+        for latitude in _LATITUDES_DEG
+    }
+    parts = [lagged(surfaces, time_s, _SURFACES_S)]
+    parts += [lagged(facades[latitude], time_s, lag_s) for latitude, lag_s in sites]
+    return np.concatenate(parts, axis=1)
+
+
+def _disturbed(regression: RegressionData, scale: float, noise_K: float) -> RegressionData:
+    assumed = regression.disturbance
+    return replace(regression, disturbance=Disturbance(assumed.time_s, scale * assumed.sd_K, assumed.hours, noise_K))
+
+
+def _explained(regressions: Sequence[RegressionData], signals: Array, log_tau: Array, size: float) -> _Explained:
+    """Evidence of the records for these time constants; `signals` whitened, `size`: log density of the whitening."""
+    rows = np.concatenate(whitened_rows(regressions, log_tau, 1))
+    surfaces, sensor = signals[:, :3], signals[:, 3:]
+    mean, sd = _priors(regressions, log_tau)
+    known = np.concatenate([np.concatenate([rows[:, :-1], surfaces], axis=1), np.diag(1.0 / sd)])
+    target = np.concatenate([rows[:, -1], mean / sd])
+    q, triangle = np.linalg.qr(known)
+    left = target - q @ (q.T @ target)
+    seen = np.concatenate([sensor, np.zeros((sd.size, sensor.shape[1]))])
+    seen -= q @ (q.T @ seen)
+    precision = (seen**2).sum(axis=0) + _FULL_SD_K**-2.0
+    full_K, sd_K = seen.T @ left / precision, precision**-0.5
+    gained = 0.5 * full_K**2 * precision - 0.5 * np.log(precision * _FULL_SD_K**2)
+    gained += np.log(2.0) + norm.logcdf(full_K / sd_K)  # the sun only adds
+    without = size - 0.5 * float(left @ left) - float(np.log(np.abs(np.diag(triangle))).sum() + np.log(sd).sum())
+    return _Explained(without, np.where(full_K <= _MOST_K, gained, -np.inf), full_K, sd_K)
+
+
+def _priors(regressions: Sequence[RegressionData], log_tau: Array) -> tuple[Array, Array]:
+    """Prior mean and standard deviation of all columns but those of the sensor."""
+    modes = free_time_constants(log_tau).size
+    free_mean, free_sd, _ = free_prior(modes)
+    other_mean, other_sd = other_prior(regressions[0], log_tau)
+    starts = np.tile(start_sd(modes + 1), len(regressions))
+    mean = [np.zeros(len(_GAINS_SD)), other_mean, free_mean, np.zeros(starts.size + 3)]
+    return np.concatenate(mean), np.concatenate([_GAINS_SD, other_sd, free_sd, starts, np.full(3, _SURFACES_SD_K)])

@@ -1,0 +1,101 @@
+"""Sun that shines on a zone sensor: the part of its reading that the room does not share.
+
+Only the value that travels with the model; `identification.sunlit_sensor` finds it. A record holds global horizontal
+irradiance alone, so that on the sensor's facade is computed: diffuse share by Erbs et al. (1982), isotropic sky, sun
+position of a nominal site.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+
+if TYPE_CHECKING:  # pvlib is loaded only where the sun is asked for
+    from thermoforce_mpc.boundary.weather.solar import Sun
+
+# Full sun on a facade, and the most that a vertical plane receives, W/m².
+FULL_SUN_W_M2, _MOST_W_M2 = 800.0, 1000.0
+# Beam is not extrapolated from a lower sun than this, °.
+_LOWEST_SUN_DEG = 5.0
+
+
+@dataclass(frozen=True)
+class SunOnSensor:
+    """Sun in the reading of a zone sensor.
+
+    `full_K`: how much too high it reads in full sun on its facade (800 W/m²), K, the mean over what the record leaves
+    open, and `sd_K` its standard deviation. `probability` that the sensor stands in the sun at all. `azimuth_deg` of
+    the facade, clockwise from north; `lag_s` of the sensor in the sun, s. `latitude_deg` and `noon_s`, time of day of
+    the solar noon on the record's clock, s: the site that explains the record best.
+    """
+
+    full_K: float
+    sd_K: float
+    probability: float
+    azimuth_deg: float
+    lag_s: float
+    latitude_deg: float
+    noon_s: float
+
+    def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
+        """Sun in the readings at the instants `time_s` (n,), equally spaced, K, from irradiance (n,), W/m².
+
+        Instants without irradiance take it from their neighbours.
+        """
+        known = np.isfinite(solar_W_m2)
+        if not known.any():
+            return np.zeros(len(time_s))
+        solar_W_m2 = np.interp(time_s, np.asarray(time_s)[known], np.asarray(solar_W_m2)[known])
+        sun = sun_at(time_s, self.latitude_deg, self.noon_s)
+        facade = facade_W_m2(sun, time_s, solar_W_m2, (self.azimuth_deg,))
+        return np.asarray(self.full_K / FULL_SUN_W_M2 * lagged(facade, time_s, self.lag_s)[:, 0])
+
+    def in_words(self) -> str:
+        """One line."""
+        side = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+        return (
+            f"the zone sensor stands in the sun from the {side[round(self.azimuth_deg / 45.0) % 8]} (probability "
+            f"{self.probability:.2g}): {self.full_K:.1f} ± {self.sd_K:.1f} K in full sun are taken off its readings"
+        )
+
+
+def sun_at(time_s: Array, latitude_deg: float, noon_s: float) -> Sun:
+    """Sun position at `time_s` where the mean solar noon is at `noon_s` of the clock."""
+    from thermoforce_mpc.boundary.weather.solar import sun_position
+
+    return sun_position(time_s, latitude_deg, 0.0, noon_s / HOUR_S - 12.0)
+
+
+def facade_W_m2(sun: Sun, time_s: Array, solar_W_m2: Array, azimuths_deg: tuple[float, ...]) -> Array:
+    """Irradiance on vertical planes (n, planes) from that on the horizontal (n,), W/m²."""
+    from pvlib import irradiance
+
+    zenith, azimuth = np.rad2deg(sun.zenith), np.rad2deg(sun.azimuth)
+    split = irradiance.erbs(
+        np.maximum(solar_W_m2, 0.0), zenith, np.asarray(time_s) / DAY_S + 1.0, max_zenith=90.0 - _LOWEST_SUN_DEG
+    )
+    planes = [
+        irradiance.get_total_irradiance(90.0, plane, zenith, azimuth, split["dni"], solar_W_m2, split["dhi"])
+        for plane in azimuths_deg
+    ]
+    found = np.stack([np.asarray(plane["poa_global"]) for plane in planes], axis=-1)
+    return np.asarray(np.clip(np.nan_to_num(found), 0.0, _MOST_W_M2))
+
+
+def lagged(signals: Array, time_s: Array, lag_s: float) -> Array:
+    """First-order lag of `signals` (n, k), piecewise linear between equally spaced `time_s` (n,), at these instants."""
+    from scipy.signal import lfilter
+
+    if len(time_s) < 2:
+        return signals
+    steps = float(time_s[1] - time_s[0]) / lag_s
+    kept = np.exp(-steps)
+    first = (1.0 - kept) / steps
+    weights = np.array([1.0 - first, first - kept])
+    # The signal stood still before.
+    begin = (weights[1] + kept) * signals[:1]
+    return np.asarray(lfilter(weights, [1.0, -kept], signals, axis=0, zi=begin)[0])
