@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.actuators import Actuators
 from controllers.backoff import backoff_K
@@ -15,6 +16,9 @@ from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Share of the highest level from which an actuator counts as fully used.
+_FULLY_USED = 0.95
 
 
 class Assembly:
@@ -53,6 +57,7 @@ class Assembly:
         history: Record,
         peak_W: float,
         offset_K: Array,
+        missed_K: Array | None = None,
     ) -> MPCProblem:
         """Return the instance of one step.
 
@@ -62,6 +67,7 @@ class Assembly:
             history: the record until now, for the return water.
             peak_W: highest mean power of the building over a step so far, W.
             offset_K: added to the free response (Z,), K.
+            missed_K: reserve learned inside the lower and the upper bound (2, Z), K; by default none.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -83,7 +89,7 @@ class Assembly:
                 for weight, m in zip(self._layout.weights, layout.machine_of, strict=True)
             ]
         )
-        lower_C, upper_C = self._bounds_C(operator, context)
+        lower_C, upper_C = self._bounds_C(operator, context, missed_K)
         cap_kW = aims.power_cap_kW
         return MPCProblem(
             forced_state_K=context.forced_K,
@@ -105,7 +111,20 @@ class Assembly:
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
         )
 
-    def _bounds_C(self, operator: BuildingOperator, context: PredictionContext) -> tuple[Array, Array]:
+    def spare(self, used: Array) -> NDArray[np.bool_]:
+        """Whether actuators that protect the lower and the upper bound of each zone had more to give (2, Z).
+
+        `used` (A,): mean level of the last step. Those that keep a reserve count.
+        """
+        more = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
+        for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
+            if self._keeps_reserve(a) and used[a] < _FULLY_USED * self._actuators.each[a].highest:
+                more[0 if sign > 0 else 1, z] = True
+        return more
+
+    def _bounds_C(
+        self, operator: BuildingOperator, context: PredictionContext, missed_K: Array | None
+    ) -> tuple[Array, Array]:
         """Comfort bounds at the end of each step with all margins inside, (Z, N) each, °C."""
         c, boundary = self._config, context.boundary
         rows = []
@@ -129,7 +148,8 @@ class Assembly:
                 upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
             # Margins wider than half the band would swap the bounds.
             half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
-            inside = {sign: self._reserve_K(operator, z, sign) for sign in (1, -1)}
+            learned = np.zeros(2) if missed_K is None else missed_K[:, z]
+            inside = {sign: self._reserve_K(operator, z, sign) + learned[i] for i, sign in enumerate((1, -1))}
             rows.append(
                 (
                     lower_C + np.minimum(c.comfort_margin_K + below + inside[1], half),
@@ -143,9 +163,12 @@ class Assembly:
         found = [
             reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
             for a in self._layout.actuators_of(z)
-            if self._layout.signs[a] == sign and self._config.reserve and not self._actuators.each[a].by_rooms
+            if self._layout.signs[a] == sign and self._keeps_reserve(a)
         ]
         return max(found, default=0.0)
+
+    def _keeps_reserve(self, a: int) -> bool:
+        return self._config.reserve and not self._actuators.each[a].by_rooms
 
     def _cooling(self, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (M, N), currency/kWh; None where there are none."""

@@ -18,6 +18,7 @@ from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
 from controllers.machinery import Machinery
 from controllers.meters import Meters
+from controllers.missed import learned_K
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_record
 from controllers.planner import MPCState, Planner
@@ -207,6 +208,7 @@ class ThermoForceMPC(FallingBack):
             adaptation=(None,) * actuators,
             watch=(WatchState(),) * actuators,
             offset_K=np.zeros(zones),
+            missed_K=np.zeros((2, zones)),
             sensors=(SensorState(),) * zones,
             meters=self._meters.begin,
         )
@@ -243,6 +245,7 @@ class ThermoForceMPC(FallingBack):
             before,
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
+            missed_K=self._missed_K(before, observation),
             actuation=actuation,
             sensors=sensors,
             meters=meters,
@@ -304,7 +307,7 @@ class ThermoForceMPC(FallingBack):
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
             contexting = planner.predictor.contexting(self._ahead(observation), predictor)
             context = yield from within(limits.forecast_s, contexting)
-            problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K)
+            problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K, now.missed_K)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return fallen_back(f"no prediction ({said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
@@ -398,6 +401,15 @@ class ThermoForceMPC(FallingBack):
         # The plan held the offset of its time: what it missed comes on top.
         found = before.offset_K + weight * np.where(np.isfinite(error), error, 0.0)
         return np.clip(found, -_OFFSET_K, _OFFSET_K)
+
+    def _missed_K(self, before: MPCState, observation: Observation) -> Array:
+        """Reserve learned inside the lower and the upper bound (2, Z), K, after the last step, which a plan decided."""
+        good, allowed_K = before.good, self.config.backoff_violation_K
+        if allowed_K is None or good is None or good.age(observation.time_s, self.step_s) != 1:
+            return before.missed_K
+        T_C, now, used = observation.T_zone_C, observation.boundary, observation.history.u[:, -1]
+        beyond_K = np.stack([now.lower_C[:, 0] - T_C, T_C - now.upper_C[:, 0]])
+        return learned_K(before.missed_K, beyond_K, self._assembly.spare(used), allowed_K, self.step_s)
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
         """Highest mean power of the building over a step since the first plan, W."""

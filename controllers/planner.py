@@ -26,7 +26,8 @@ class MPCState:
     `first_s`: time of the first plan, s; `peak_W`: highest mean power of the building over a step since, W; `good`:
     last solved plan; `predictor`: state of the predictor. Of each actuator (A,): `actuation` (state of its machine),
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
-    recent mean error of the zone temperatures planned for the end of a step. `sensors` (Z,): what is known of the zone
+    recent mean error of the zone temperatures planned for the end of a step. `missed_K` (2, Z): reserve learned inside
+    the lower and the upper bound. `sensors` (Z,): what is known of the zone
     sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
     gaps. `failures`: failed plans on end.
     """
@@ -39,6 +40,7 @@ class MPCState:
     adaptation: tuple[AdaptationState | None, ...] = (None,)
     watch: tuple[WatchState, ...] = (WatchState(),)
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
+    missed_K: Array = field(default_factory=lambda: np.zeros((2, 1)))
     sensors: tuple[SensorState, ...] = (SensorState(),)
     meters: tuple[MeterState, ...] = ()
     boundary: Boundary | None = None

@@ -1,6 +1,6 @@
 """Reserve inside the comfort bound for what a plan cannot see in a fast zone.
 
-A plan knows the zone at the ends of its steps. In a zone that an hour at full level moves by more than 1 K, on/off
+A plan knows the zone at the ends of its steps. In a zone that an hour at full level moves by more than 0.6 K, on/off
 blocks let it swing in between, the model's error of the next hour is felt at once, and a coarse sensor hides both.
 """
 
@@ -14,7 +14,7 @@ from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
-_FAST_K = 1.0
+_FAST_K = 0.6
 # Mean share of on-time that is assumed for the swing.
 _SHARE = 0.35
 # Share of the held-out error one hour ahead: half of it is felt below the bound.
@@ -24,7 +24,7 @@ _MOST_K = 0.3
 
 
 def is_fast(operator: OperatorParameters) -> bool:
-    """Whether an hour at full level moves the zone by more than 1 K."""
+    """Whether an hour at full level moves the zone by more than 0.6 K."""
     return _hour_K(operator) > _FAST_K
 
 

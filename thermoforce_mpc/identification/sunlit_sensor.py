@@ -36,8 +36,9 @@ _TIME_CONSTANTS_H = tuple(product((0.1, 0.25, 0.6), (2.0, 4.0), (50.0,)))
 _SCALES = (0.1, 0.3, 1.0)
 # Prior standard deviation of the reading in full sun, and the most that a sensor shows, K.
 _FULL_SD_K, _MOST_K = 3.0, 8.0
-# Surfaces in the sun: their time constant, s, and the prior of what they do to the room, K per 100 W/m².
-_SURFACES_S, _SURFACES_SD_K = 1800.0, 0.3
+# Surfaces in the sun through the windows of east, south and west: their time constant, s, latitude, °, and the prior of
+# what they do to the room in full sun, K.
+_SURFACES_S, _SURFACES_LATITUDE_DEG, _SURFACES_SD_K = 1800.0, 50.0, 0.5
 # Priors of the forced response at full level, initial slope in K/h and gains in K: from a slab to a fan coil.
 _GAINS_SD = (20.0, 5.0, 25.0)
 # Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
@@ -123,15 +124,13 @@ def _noon_s(runs: Sequence[Record]) -> float | None:
 
 
 def _signals(run: Record, noon_s: float, sites: Sequence[tuple[float, float]]) -> Array:
-    """Sun on the surfaces (3) in 100 W/m², and on the sensor (sites times azimuths) in full suns, at all boundaries."""
+    """Sun on the surfaces (3) and on the sensor (sites times azimuths) in full suns, at all boundaries."""
     time_s, solar = run.time_s, run.solar_W_m2
-    wave = 2.0 * np.pi * (time_s - noon_s) / DAY_S
-    surfaces = solar[:, None] / 100.0 * np.stack([np.ones_like(wave), np.cos(wave), np.sin(wave)], axis=1)
     facades = {
         latitude: facade_W_m2(sun_at(time_s, latitude, noon_s), time_s, solar, _AZIMUTHS_DEG) / FULL_SUN_W_M2
         for latitude in _LATITUDES_DEG
     }
-    parts = [lagged(surfaces, time_s, _SURFACES_S)]
+    parts = [lagged(facades[_SURFACES_LATITUDE_DEG][:, ::2], time_s, _SURFACES_S)]
     parts += [lagged(facades[latitude], time_s, lag_s) for latitude, lag_s in sites]
     return np.concatenate(parts, axis=1)
 
