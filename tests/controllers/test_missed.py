@@ -1,0 +1,106 @@
+"""The reserve that is learned from readings beyond a bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.missed import MOST_K, learned_K
+from controllers.mpc import MPCState
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+
+ALLOWED_K = 0.0135
+
+
+def learned(beyond_K: float, spare: bool = True, before_K: float = 0.1) -> float:
+    return float(learned_K(np.array(before_K), np.array(beyond_K), np.array(spare), ALLOWED_K, 900.0))
+
+
+def test_it_grows_where_readings_are_beyond_the_bound_and_fades_inside():
+    assert learned(0.2) > 0.1
+    assert learned(0.4) > learned(0.2), "by more where more is missed"
+    assert learned(ALLOWED_K) == pytest.approx(0.1), "what a plan may expect is no miss"
+    assert learned(-1.0) < 0.1
+    assert learned(-1.0) == learned(-0.1), "how far inside says nothing"
+
+
+def test_nothing_is_learned_where_there_was_no_more_to_give_or_no_reading():
+    assert learned(0.2, spare=False) == 0.1
+    assert learned(-0.2, spare=False) == 0.1
+    assert learned(float("nan")) == 0.1
+
+
+def test_it_stays_between_nothing_and_what_a_thermostat_keeps():
+    assert learned(50.0, before_K=MOST_K) == MOST_K
+    assert learned(-1.0, before_K=0.0) == 0.0
+    K = 0.0
+    for _ in range(96):
+        K = learned(0.05 + ALLOWED_K, before_K=K)
+    assert 0.1 < K <= MOST_K, "a day of 0.05 K too much"
+
+
+def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boundary]:
+    """State of the plan after a first one, with the zone at `T_C` after a step at level `used`."""
+    config = MPCConfig(step_s=None, horizon_h=24.0, **options)
+    mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 24 * HOUR_S)
+    first = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)))
+    house.advance(used, HOUR_S)
+    history = house.past(HOUR_S)
+    T = history.T_zone_C.copy()
+    T[0, -1] = T_C
+    boundary = house.forecast(mpc.horizon_s, HOUR_S)
+    plan = mpc.plan(Observation(replace(history, T_zone_C=T), boundary), first.state)
+    assert isinstance(plan.state, MPCState)
+    return plan.state, boundary
+
+
+def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
+    state, boundary = second_plan(20.8, 0.3)
+    expected = 0.25 * (boundary.lower_C[0, 0] - 20.8 - ALLOWED_K)
+    assert state.missed_K[:, 0].tolist() == pytest.approx([expected, 0.0])
+    assert not second_plan(20.8, 1.0)[0].missed_K.any(), "the machine had no more to give"
+    assert not second_plan(24.5, 0.3)[0].missed_K.any(), "no actuator protects the upper bound of a heated house"
+    assert not second_plan(20.8, 0.3, reserve=False)[0].missed_K.any()
+    assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].missed_K.any()
+
+
+def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 24 * HOUR_S)
+    seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
+    context = mpc.predictor.context(seen)
+    plain, kept = (
+        mpc._assembly.problem(mpc.model.operator, context, seen.history, 0.0, np.zeros(1), missed)
+        for missed in (None, np.array([[0.2], [0.0]]))
+    )
+    np.testing.assert_allclose(kept.lower_C - plain.lower_C, 0.2)
+    np.testing.assert_array_equal(kept.upper_C, plain.upper_C)
+
+
+class ColdBetweenReadings(SimpleHouse):
+    """The simple house under a draught that comes and goes: 0.25 K off every other hour, which no forecast sees."""
+
+    def _advance(self, u: float | None, duration_s: float) -> Measurement:
+        hour = round(self.now_s / HOUR_S)
+        self.T += 0.25 if hour % 2 else -0.25
+        return super()._advance(u, duration_s)
+
+
+def test_a_swing_that_no_plan_sees_costs_less_comfort_once_it_was_seen():
+    def discomfort_Kh(reserve: bool) -> float:
+        config = MPCConfig(step_s=None, horizon_h=24.0, reserve=reserve)
+        mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+        house = ColdBetweenReadings()
+        period = replace(house.period("x"), scored_s=4 * DAY_S)
+        return run_closed_loop(house, mpc, period).kpis["tdis_tot"]
+
+    assert discomfort_Kh(True) < 0.7 * discomfort_Kh(False)
