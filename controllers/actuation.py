@@ -3,7 +3,9 @@
 A heat pump with a large fixed loss while on is efficient only near full speed. In `duty` mode the plan therefore
 decides the on-time share of each step; power and heat are linear in it. This module converts the share into blocks
 that respect minimum on and off times across steps, and carries the unrealised remainder over to the next step. In
-`modulating` mode (the paper's setting) one level is held for the whole step: zero, or at least the lowest level.
+`modulating` mode (the paper's setting) one level is held for the whole step: zero, or at least the lowest level. In
+`supply` mode the level is the heat that the machine's water gives, which all its valves share: one that needs less is
+open for a part of the step.
 """
 
 from __future__ import annotations
@@ -27,11 +29,12 @@ _OFF = 1e-3
 class ActuationConfig(StrictModel):
     """Options of the conversion from planned level to actuator signal."""
 
-    mode: Literal["auto", "duty", "modulating", "room_setpoints"] = Field(
+    mode: Literal["auto", "duty", "modulating", "supply", "room_setpoints"] = Field(
         "auto",
         description="duty: on/off blocks; modulating: one level held for the step; auto: decided by what the "
-        "identified laws of power and heat say of part load (duty where there are none); room_setpoints: the plant's "
-        "own loops keep the planned temperature (test cases of that kind)",
+        "identified laws of power and heat say of part load (duty where there are none); supply: water as warm as the "
+        "neediest valve asks for (test cases whose machine has `supply`); room_setpoints: the plant's own loops keep "
+        "the planned temperature (test cases of that kind)",
     )
     level: float = Field(1.0, gt=0, le=1, description="duty: level while on")
     block_s: float = Field(300.0, ge=30, description="duty: on and off times are multiples of this, s")
@@ -41,7 +44,8 @@ class ActuationConfig(StrictModel):
         0.3,
         ge=0,
         le=1,
-        description="modulating: lowest level while on; a planned level below half of it is off (auto: from the laws)",
+        description="modulating: lowest level while on; a planned level below half of it is off (auto: from the "
+        "laws); supply: level below which valves open for a part of the step instead",
     )
 
     @model_validator(mode="after")
@@ -84,7 +88,12 @@ class Actuation:
     @property
     def modulates(self) -> bool:
         """Whether a level is held for the step, rather than on/off blocks."""
-        return self.config.mode == "modulating"
+        return self.config.mode in ("modulating", "supply")
+
+    @property
+    def by_supply(self) -> bool:
+        """Whether the plan sets the machine's water."""
+        return self.config.mode == "supply"
 
     @property
     def by_rooms(self) -> bool:
@@ -101,7 +110,7 @@ class Actuation:
         """Levels below this cost and heat as their share of it; `highest` where all levels do."""
         if not self.modulates:
             return self.config.level
-        if self._proportional and self.config.lowest_level == 0:
+        if self.by_supply or (self._proportional and self.config.lowest_level == 0):
             return self.highest
         return max(self.config.lowest_level, 1e-3)
 
@@ -110,6 +119,8 @@ class Actuation:
         """The actuation in a few words."""
         if self.by_rooms:
             return "room set-points, kept by the plant's own loops"
+        if self.by_supply:
+            return "water as warm as the neediest valve asks for"
         if not self.modulates:
             return f"on/off blocks at {self.config.level:.2f}"
         if self.config.lowest_level == 0:
@@ -119,7 +130,7 @@ class Actuation:
     def check_step(self, step_s: float) -> None:
         """Raise `ControllerConfigError` where a step of `step_s` seconds is shorter than two blocks."""
         c = self.config
-        if not self.modulates and step_s < 2 * c.block_s:
+        if (self.by_supply or not self.modulates) and step_s < 2 * c.block_s:
             raise ControllerConfigError(
                 f"controller.options.actuation.block_s: blocks of {c.block_s:g} s cannot share a step of"
                 f" {step_s:g} s; use shorter blocks or mode: modulating"
@@ -153,17 +164,41 @@ class Actuation:
         return _UNKNOWN  # full before, or unknown: may have switched off in the last step
 
     def realise(
-        self, u: float | None, step_s: float, state: ActuationState
+        self, u: float | None, step_s: float, state: ActuationState, water: float = 0.0
     ) -> tuple[tuple[Block, ...], ActuationState]:
         """Blocks of total length `step_s` whose mean level is as near to `u` (in [0, `highest`]) as the limits allow.
 
-        `u` None is native control. Returns the blocks and the machine's state after them.
+        `u` None is native control; `water`: level of an open valve, by `supply` (0: as this one asks for).
+        Returns the blocks and the machine's state after them.
         """
         if u is None:
             return (Block(None, step_s),), ActuationState(native=True)
+        if self.by_supply:
+            return self._open_for(u, step_s, state, water or self.water(u))
         if self.modulates:
             return (Block(self._held_level(u), step_s),), state
         return self._duty_blocks(u, step_s, state)
+
+    def water(self, u: float) -> float:
+        """Least level at which an open valve can give `u` over a step."""
+        return min(max(u, self.config.lowest_level, _OFF), 1.0)
+
+    def _open_for(
+        self, u: float, step_s: float, state: ActuationState, water: float
+    ) -> tuple[tuple[Block, ...], ActuationState]:
+        """Open for about the share of the step in which level `water` gives `u`.
+
+        A valve that was open closes in the step, one that was closed opens in it, so that it moves once. What it gives
+        too much or too little is not carried over: closing a valve may stop a machine that hardly runs for the others,
+        and the next plan knows the zone.
+        """
+        c = self.config
+        within = np.arange(c.min_on_s, step_s - c.min_off_s + 1e-6, c.block_s)
+        wanted_s = u / water * step_s if u > _OFF else 0.0
+        on_s = min([0.0, *within.tolist(), step_s], key=lambda open_s: abs(open_s - wanted_s))
+        parts = ((water, on_s), (0.0, step_s - on_s)) if state.on else ((0.0, step_s - on_s), (water, on_s))
+        blocks = tuple(Block(level, t) for level, t in parts if t > 0)
+        return blocks, ActuationState(bool(blocks[-1].u[0]), blocks[-1].duration_s)
 
     def _held_level(self, u: float) -> float:
         lowest = max(self.config.lowest_level, _OFF)

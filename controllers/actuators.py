@@ -3,7 +3,8 @@
 Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie together, so that the machine
 runs no longer than the longest of them: all at the start of a step while the machine runs, all at its end while it
 stands. Two such steps in a row join to one run. Minimum on and off times are those of the machine, whichever of its
-actuators is on: a valve may open and close while it runs.
+actuators is on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm
+as the valve that asks for most needs it when it is open for all of the step.
 
 Of actuators that exclude one another one acts in a step, whoever asked: one that must stay on for its minimum time,
 else the one that is asked for most.
@@ -50,7 +51,9 @@ class Actuators:
 
     def __init__(self, layout: Layout, actuations: Sequence[Actuation]) -> None:
         self.layout, self.each = layout, tuple(actuations)
-        self._shared = [layout.fed_by(m) for m in range(len(layout.names.machines)) if len(layout.fed_by(m)) > 1]
+        fed_by = [layout.fed_by(m) for m in range(len(layout.names.machines))]
+        self._shared = [fed for fed in fed_by if len(fed) > 1]
+        self._water = [fed for fed in fed_by if all(self.each[a].by_supply for a in fed)]
 
     def check_step(self, step_s: float) -> None:
         """Raise `ControllerConfigError` where a step of `step_s` seconds is too short for blocks."""
@@ -81,6 +84,11 @@ class Actuators:
             if len(levels) > 1:
                 for a, one in self._aligned(levels, step_s, states, excluded).items():
                     found[a] = one
+        for fed in self._water:
+            asked = {a: float(level) for a in fed if isinstance(level := demands[a], float | int)}
+            water = max((self.each[a].water(level) for a, level in asked.items()), default=0.0)
+            for a, level in asked.items():
+                found[a] = self.each[a].realise(level, step_s, states[a], water)
         # Exclusion comes before minimum times, for which one may be on that nobody asked for.
         acts = [
             None if demands[a] is None else any(block.u[0] for block in blocks) * (1.0 + (wanted[a] or 0.0))

@@ -49,6 +49,15 @@ class Assembly:
             tuple(power.load.lowest_level if power.load.lowest_level < 1.0 else 0.0 for power in self.power),
             layout.exclusive,
         )
+        aims = config.objective
+        # Choices, rows of power and Ipopt take power as linear in u: its chord, which is too high at part load.
+        self._straight = (
+            aims.peak_price_per_kW > 0
+            or aims.power_cap_kW is not None
+            or config.solver in ("milp", "ipopt")
+            or bool(self.machinery.held.any() or layout.exclusive)
+            or model.operator.of_actuator(0).feedback_active
+        )
 
     def problem(
         self,
@@ -81,7 +90,8 @@ class Assembly:
             carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:, :-1]
         price = boundary.heating_price_per_kWh[:, :-1] + carbon
         T_out = boundary.T_out_C[:-1]
-        parts = [power.parts(T_out, self._return_water_C(m, context, history)) for m, power in enumerate(self.power)]
+        water_C = [self._return_water_C(m, context, history) for m in range(len(self.power))]
+        parts = [power.parts(T_out, back_C) for power, back_C in zip(self.power, water_C, strict=True)]
         fixed_W = np.stack([np.broadcast_to(fixed, T_out.shape) for fixed, _ in parts])
         per_u_W = np.stack(
             [
@@ -89,6 +99,14 @@ class Assembly:
                 for weight, m in zip(self._layout.weights, layout.machine_of, strict=True)
             ]
         )
+        bends = [
+            np.broadcast_to(power.curve_W(back_C), T_out.shape)
+            for power, back_C in zip(self.power, water_C, strict=True)
+        ]
+        per_u2_W = np.stack([weight * bends[m] for weight, m in zip(layout.weights, layout.machine_of, strict=True)])
+        if self._straight:
+            per_u_W = per_u_W + per_u2_W
+        bent = bool(per_u2_W.any()) and not self._straight
         lower_C, upper_C = self._bounds_C(operator, context, missed_K)
         cap_kW = aims.power_cap_kW
         return MPCProblem(
@@ -109,6 +127,7 @@ class Assembly:
             power_cap=None
             if cap_kW is None
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
+            power_per_u2_W=per_u2_W if bent else None,
         )
 
     def spare(self, used: Array) -> NDArray[np.bool_]:

@@ -6,7 +6,7 @@ For zones z, actuators a and machines m, over steps k,
                 −  Σ_za λ_za' F_za,N
     subject to  F_za,k+1 = A_za F_za,k + g_za m(x_ak) v(u_ak)     forced response of each pair (paper eq:operator)
                 lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   u_min,a ≤ u_ak ≤ u_max,a
-                P_mk = fixed_mk · on_mk + Σ_{a of m} per_u_ak u_ak
+                P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + per_u2_ak u_ak²)
                 on_mk = max( min_{θ ≥ 0} θ + Σ_{a of m} w_a max(on_ak − θ, 0),  Σ_{a of m} share_a u_ak )
                 on_ak = min(u_ak / lowest_a, 1)
                 Σ_{a of m} share_a u_ak ≤ 1                      capacity of a machine
@@ -165,9 +165,10 @@ class MPCProblem:
     `machinery`: levels, machines and capacities. `terminal_price_per_K` (Z, A, r): value of one kelvin of each mode at
     the end, currency/K; `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels
     below 0 cost; None where there are none. `power_cap`: None without one. `held_steps` as in `ProblemShape`: after
-    them an actuator runs for the share u / u_max of a step.
+    them an actuator runs for the share u / u_max of a step. `power_per_u2_W` (A, N): power over u², where it grows
+    faster than heat; None where it does not, as with peak price, cap and choices, whose rows are linear.
 
-    A shared machine's fixed part earns nothing while its price is negative: it would be worth running it for nothing.
+    A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
     Raises:
         DataError: an array has another shape; says which.
@@ -189,6 +190,7 @@ class MPCProblem:
     cooling: Cooling | None = None
     power_cap: PowerCap | None = None
     held_steps: int | None = None
+    power_per_u2_W: Array | None = None
 
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
@@ -211,6 +213,10 @@ class MPCProblem:
             ]
         if self.power_cap is not None:
             expected.append(("power_cap.limit_W", self.power_cap.limit_W, (n,)))
+        if self.power_per_u2_W is not None:
+            expected.append(("power_per_u2_W", self.power_per_u2_W, (A, n)))
+            if self.weights.peak or self.power_cap is not None:
+                raise DataError("MPC problem: with a peak price or a power cap, power is linear in u")
         if np.ndim(self.weights.comfort):
             expected.append(("weights.comfort", self.weights.comfort, (Z,)))
         for name, value, shape in expected:
@@ -238,6 +244,13 @@ class MPCProblem:
         cost = self.price_per_W * self.power_fixed_W
         shared = self.machinery.shared
         return np.where(shared[:, None], np.maximum(cost, 0.0), cost) if shared.any() else np.asarray(cost)
+
+    @cached_property
+    def curve_cost(self) -> Array:
+        """Energy cost over each step per unit of u², currency, shape (A, N), or (1, 1) where power has no such part."""
+        if self.power_per_u2_W is None:
+            return np.zeros((1, 1))
+        return np.asarray(np.maximum(self.price_per_W, 0.0)[self.machinery.machine_of] * self.power_per_u2_W)
 
     @property
     def cooling_cost_per_u(self) -> Array:
@@ -285,6 +298,8 @@ class MPCProblem:
         per_u = self.power_per_u_W * self._heating(u)
         if self.cooling is not None:
             per_u = per_u + self.cooling.power_per_u_W * np.maximum(-u, 0.0)
+        if self.power_per_u2_W is not None:
+            per_u = per_u + self.power_per_u2_W * u**2
         return np.asarray(self.power_fixed_W * self.running(u) + self.machinery.fed_by @ per_u)
 
     def energy_cost(self, u: Array) -> Array:
@@ -292,6 +307,8 @@ class MPCProblem:
         per_u = self.price_per_W[self.machinery.machine_of] * self.power_per_u_W * self._heating(u)
         if self.cooling is not None:
             per_u = per_u + self.cooling_cost_per_u * np.maximum(-u, 0.0)
+        if self.power_per_u2_W is not None:
+            per_u = per_u + self.curve_cost * u**2
         return np.asarray((self.fixed_cost * self.running(u)).sum(axis=-2) + per_u.sum(axis=-2))
 
     def forced_K(self, operator: BuildingOperator, u: Array) -> Array:
@@ -336,6 +353,8 @@ class MPCProblem:
             arrays += [self.cooling.price_per_kWh, self.cooling.power_per_u_W]
         if self.power_cap is not None:
             arrays.append(self.power_cap.limit_W)
+        if self.power_per_u2_W is not None:
+            arrays.append(self.power_per_u2_W)
         return bool(np.isfinite(np.concatenate([array.ravel() for array in arrays])).all())
 
     def unfit(self, u: Array) -> str:

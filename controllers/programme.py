@@ -393,6 +393,8 @@ class Programme:
         curvature = np.zeros(self.n_variables)
         of_moves = 2.0 * p.weights.curvature * self._counts
         curvature[self._v_at] = np.tile(of_moves, self._v.shape[0])
+        if p.power_per_u2_W is not None:
+            curvature[self._v_at] += 2.0 * np.add.reduceat(p.curve_cost, firsts, axis=1).ravel()
         if self._signed.size:
             curvature[self._n] = of_moves
         # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.

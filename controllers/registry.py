@@ -7,7 +7,7 @@ docs/how-to/plugins.md.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -124,6 +124,9 @@ _ROOM_SETPOINTS: dict[str, Any] = {
     "actuation": {"mode": "room_setpoints", "block_s": 60.0},
 }
 
+# Valves whose machine's water the plan sets: a machine cycles by itself below a load, so low levels are of use too.
+_SUPPLY: dict[str, Any] = {"mode": "supply", "lowest_level": 0.2}
+
 _OWN: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
         "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
@@ -225,6 +228,8 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
         defaults["mode"] = "cooling" if testcase.layout.mode(0) == "cooling" else "heating"
     points = testcase.points
     actuators = [one.actuator for one in points.actuators]
+    named = zip(points.layout.names.actuators, points.layout.machine_of, strict=True)
+    behind = [actuator for actuator, m in named if points.machines[m].supply is not None]
     if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
         if entry.needs_model:
             own = {"actuation": testcase.defaults.actuation} if testcase.defaults.actuation else {}
@@ -234,6 +239,10 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
         kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]
         defaults["actuation"] = testcase.defaults.actuation or kinds[0]
+        if len(behind) == len(actuators):
+            defaults["actuation"] = {**_SUPPLY, **testcase.defaults.actuation}
+        elif behind and "actuations" in entry.config().model_fields:
+            defaults["actuations"] = dict.fromkeys(behind, _SUPPLY)
     if name == "thermostat":
         set_points = {
             actuator: zone.thermostat_C
@@ -244,7 +253,21 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
             defaults["setpoint_C"] = testcase.thermostat_C
         elif set_points:
             defaults["setpoints_C"] = set_points
-    return validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
+    config = validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
+    _check_supply(config, points.layout.names.actuators, behind)
+    return config
+
+
+def _check_supply(config: StrictModel, actuators: Sequence[str], behind: Collection[str]) -> None:
+    """Refuse actuation mode supply for actuators that are not `behind` water that a plan can set."""
+    common, own = getattr(config, "actuation", None), getattr(config, "actuations", {})
+    for actuator in actuators:
+        actuation = own.get(actuator, common)
+        if actuation is not None and actuation.mode == "supply" and actuator not in behind:
+            raise ControllerConfigError(
+                f"controller.options.actuation.mode: supply is for valves whose machine has `supply` in the test case "
+                f"file, which that of {actuator} has not; use auto"
+            )
 
 
 def has_gate(name: str, options: Mapping[str, Any], testcase: TestCase) -> bool:

@@ -67,8 +67,8 @@ def level_fault(asked: Sequence[tuple[float, float]], history: Record) -> str:
     hours = history.step_s / HOUR_S
     for window_h in _WINDOWS_H:
         begin = float(history.time_s[-1]) - window_h * HOUR_S - 1.0
-        want, got, _ = _steps([item for item in asked if item[0] > begin], history)
-        off = np.abs(got - want)
+        want, got, index = _steps([item for item in asked if item[0] > begin], history)
+        off = np.abs(_hourly(got - want, index, hours))
         off_h = float(off[off > _SAME].sum()) * hours
         if off_h >= max(_DIFFERENT_H, _DIFFERENT_SHARE * float(np.maximum(want, got).sum()) * hours):
             return (
@@ -120,6 +120,15 @@ def _found(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array
     known = step < history.n_steps
     known[known] = np.abs(history.time_s[step[known]] - time_s[known]) <= half_s
     return level[known], step[known]
+
+
+def _hourly(values: Array, index: NDArray[np.intp], hours: float) -> Array:
+    """`values` (n,) at steps `index` of `hours`, each replaced by the mean of its hour.
+
+    A level that is metered heat swings about what was asked for where its machine runs on and off by itself.
+    """
+    of = index // max(1, round(1.0 / hours))
+    return np.asarray((np.bincount(of, values) / np.maximum(np.bincount(of), 1))[of]) if values.size else values
 
 
 def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, NDArray[np.intp]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,7 +38,10 @@ def model() -> ThermalModel:
     heat = HEAT_MAP.heat
     assert heat is not None
     return ThermalModel.single(
-        random_operator(1, 3, heat_input=HEAT_MAP), PowerModel(heat, 12.0, 0.99, "fitted"), free, card
+        random_operator(1, 3, heat_input=HEAT_MAP),
+        PowerModel(replace(heat, curve_W=250.0), 12.0, 0.99, "fitted"),
+        free,
+        card,
     )
 
 

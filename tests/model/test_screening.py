@@ -127,3 +127,12 @@ def test_a_record_is_screened_like_its_readings_one_by_one():
         grown = grown.extended(screened(Measurement(**values), HOUSE, grown)[0])
     np.testing.assert_equal(vars(grown), vars(found))
     assert screened_history(history, HOUSE) == (history, ())
+
+
+def test_power_that_is_only_a_curve_is_believed():
+    model = simple_model()
+    load = MachineLoad((0.0, 0.0, 1e-3, 0.0), (-10.0, 20.0), curve_W=1200.0)
+    curved = replace(model, power=tuple(replace(power, load=load) for power in model.power))
+    low, high = Limits.of(curved).range("power_W")
+    assert low < 0.0
+    assert high > 1200.0

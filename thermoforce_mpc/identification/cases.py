@@ -107,7 +107,8 @@ def power_of_machine(
     if not _power_is_known(records):
         return None
     u, weights = np.concatenate([h.u[fed] for h in histories], axis=1), layout.weights[fed]
-    return fit_power(records, running=_running(u, weights, config.lowest_level))
+    squares = weights @ u**2 if config.power_curve else None
+    return fit_power(records, running=_running(u, weights, config.lowest_level), squares=squares)
 
 
 def _running(u: Array, weights: Array, lowest_level: float | None) -> list[tuple[float, Array]]:
@@ -139,7 +140,8 @@ def power_model(
         return None
     if signed:
         return fit_signed_power(histories)
-    return fit_power(histories, lowest_level=config.lowest_level)
+    squares = np.concatenate([h.u[0] for h in histories]) ** 2 if config.power_curve else None
+    return fit_power(histories, lowest_level=config.lowest_level, squares=squares)
 
 
 def machine_record(record: Record, layout: Layout, machine: int) -> Record:

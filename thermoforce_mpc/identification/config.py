@@ -69,6 +69,10 @@ class IdentificationConfig(StrictModel):
         description="exponent of the radiator map with which the levels were recorded: it is then estimated; "
         "set from the test case",
     )
+    power_curve: bool = Field(
+        False,
+        description="fit power that grows faster than heat, by a term in u²; set where the plan sets a machine's water",
+    )
     cross_effects: bool = Field(True, description="effects of an actuator on zones other than its home")
     sun_on_sensor: bool = Field(
         True, description="look for sun on the zone sensor, and take it off the readings where there is any"

@@ -210,7 +210,8 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
 def _load(data: Mapping[str, Any]) -> MachineLoad:
     c0, c1, c2, c3 = (number(c) for c in data["coefficients"])
     low, high = (number(T) for T in data["T_out_range_C"])
-    return MachineLoad((c0, c1, c2, c3), (low, high), number(data["lowest_level"]), truth(data["levels_seen"]))
+    lowest, seen = number(data["lowest_level"]), truth(data["levels_seen"])
+    return MachineLoad((c0, c1, c2, c3), (low, high), lowest, seen, number(data.get("curve_W", 0.0)))
 
 
 def _water(data: Mapping[str, Any] | None) -> ReturnWater | None:

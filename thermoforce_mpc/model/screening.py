@@ -66,7 +66,7 @@ class Limits:
             found = replace(found, heat_W=(min(ends), max(ends)))
         if all(power is not None for power in model.power):
             most_W = max(
-                float(np.sum(load.parts(np.array(load.T_out_range_C)), axis=0).max())
+                float(load(np.ones(2), np.array(load.T_out_range_C)).max())
                 for power in model.power
                 for load in (power.load, power.cooling)  # type: ignore[union-attr]
                 if load is not None

@@ -9,13 +9,15 @@ import numpy as np
 
 from thermoforce_mpc.data import ACTING, Array, Block, Boundary, Measurement, Record
 from thermoforce_mpc.plants.checks import plant_inputs
-from thermoforce_mpc.scenario.building import BuildingPoints, Price
+from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.scenario.building import BuildingPoints, Machine, Price
 from thermoforce_mpc.scenario.heat import HeatMeter, weighted_sum
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 
 _KELVIN = 273.15
-# Applied value above which the signal of a machine's pump or fan means that it runs.
-_RUNS = 1e-3
+# Applied value above which the signal of a machine's pump or fan means that it runs, and share from which a valve is
+# open.
+_RUNS, _OPEN = 1e-3, 0.5
 
 
 def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float], edges: Array) -> Array:
@@ -45,13 +47,15 @@ def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied
     """Return the levels (A, n) of n samples: from the `applied` values of the points that the actuators sense.
 
     Where room set-points act it is the heat to the room over full heat, in range. While a machine does not run, the
-    levels of its actuators are 0.
+    levels of its actuators are 0. Where the plan sets a machine's water, it is the heat of each valve over full heat.
     """
     rows = []
     for one, home, m in zip(points.actuators, points.layout.home, points.layout.machine_of, strict=True):
         actuator, running = one.actuator, points.machines[m].running
         if isinstance(actuator, RoomSetpoints):
             level = np.clip(one.heat.heat_W(record) / actuator.heating_W, actuator.lowest, 1.0)
+        elif one.full_W is not None:
+            level = np.clip(one.heat.heat_W(record) / one.full_W, 0.0, 1.0)
         else:
             room_C = record[points.zones[home].temperature] - _KELVIN
             level = actuator.level(applied[actuator.point], room_C, applied)
@@ -154,18 +158,58 @@ def boundary(
     )
 
 
-def inputs(points: BuildingPoints, block: Block, T_zone_C: Array) -> dict[str, float]:
+def inputs(points: BuildingPoints, block: Block, T_zone_C: Array, last: Measurement | None = None) -> dict[str, float]:
     """Return the inputs of all actuators for a block with the zones at `T_zone_C` (Z,), °C.
 
     A point that one actuator holds and another releases stays held. The points of a machine come after its actuators'.
+    Where the plan sets a machine's water, its valves are open or closed, and the water follows from the heat that is
+    asked of the neediest and what it gave in the `last` block.
 
     Raises:
         InputError: see `plant_inputs`.
     """
     out: dict[str, float] = {}
-    for a, (one, home) in enumerate(zip(points.actuators, points.layout.home, strict=True)):
-        for name, value in plant_inputs(one.actuator, block.u[a], block.band_C[a], float(T_zone_C[home])).items():
+    layout = points.layout
+    rooms_C = [float(T_zone_C[home]) for home in layout.home]
+    for a, (one, m) in enumerate(zip(points.actuators, layout.machine_of, strict=True)):
+        u = block.u[a]
+        if points.machines[m].supply is not None and u:
+            u = 1.0
+        for name, value in plant_inputs(one.actuator, u, block.band_C[a], rooms_C[a]).items():
             out[name] = max(out.get(name, value), value) if name.endswith("_activate") else value
     for m, machine in enumerate(points.machines):
-        out |= machine.inputs([block.u[a] for a in points.layout.fed_by(m)])
+        fed = layout.fed_by(m)
+        acting = {a: u for a in fed if (u := block.u[a])}
+        supply_K = math.nan
+        if machine.supply is not None and acting:
+            neediest = max(acting, key=lambda a: acting[a])
+            supply_K = _supply_K(points, machine, neediest, acting[neediest], rooms_C[neediest], last)
+        out |= machine.inputs([block.u[a] for a in fed], supply_K)
     return out
+
+
+def _supply_K(
+    points: BuildingPoints, machine: Machine, a: int, u: float, room_C: float, last: Measurement | None
+) -> float:
+    """Set-point of the water of a machine with `supply`, K, for level `u` of its valve `a`, room at `room_C` °C.
+
+    A floor whose valve was closed is at least as warm as the room; the water that last came back tells more.
+    """
+    assert machine.supply is not None  # where it is called
+    one, floor_C, before_K, gave_W = points.actuators[a], room_C, math.nan, math.nan
+    if last is not None and last.heat_W.size and _open(one.actuator, last):
+        before_K, gave_W = _applied(last, machine.supply.point), float(last.heat_W[a])
+    elif last is not None and machine.return_water is not None:
+        floor_C = float(np.fmax(last.points.get(machine.return_water, math.nan) - _KELVIN, room_C))
+    return machine.supply.value(u * (one.full_W or 0.0), floor_C, before_K, gave_W)
+
+
+def _open(valve: Actuator | RoomSetpoints, last: Measurement) -> bool:
+    """Whether a valve was open in the last block; False where the plant does not tell."""
+    assert isinstance(valve, Actuator)  # checked by the test case
+    return (_applied(last, valve.point) - valve.minimum) / (valve.maximum - valve.minimum) > _OPEN
+
+
+def _applied(last: Measurement, point: str) -> float:
+    """Value of an overwrite point in the last block; NaN where the plant does not tell."""
+    return float(last.points.get(f"{point}_y", last.points.get(f"{point}_u", math.nan)))

@@ -14,6 +14,7 @@ from thermoforce_mpc.scenario.actuator import Actuator
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel
+from thermoforce_mpc.scenario.supply import Supply
 
 Price = Literal["constant", "dynamic", "highly_dynamic"]
 PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
@@ -57,6 +58,11 @@ class Machine(StrictModel):
         "signal of its pump: their level is 0 otherwise, whatever native control does to them",
     )
     return_water: PointName | None = Field(None, description="return water temperature of the emitters, K")
+    supply: Supply | None = Field(
+        None,
+        description="set-point of the water that it delivers, where the plan sets it: its actuators are then valves, "
+        "open while u is above 0, and the one with the highest u says how warm the water is",
+    )
     price: dict[Price, PointName] = Field(ELECTRICITY, description="forecast points of the price, per tariff")
     heating_price: dict[Price, PointName] | None = Field(
         None,
@@ -69,19 +75,31 @@ class Machine(StrictModel):
         for name in self.idle:
             if name not in self.held:
                 raise ValueError(f"idle: '{name}' is not one of the points in held")
+        if self.supply is not None and self.supply.point in self.held:
+            raise ValueError(f"supply: '{self.supply.point}' is one of the points in held")
         return self
 
-    def inputs(self, levels: Sequence[float | None]) -> dict[str, float]:
-        """Return the plant inputs of the held points for the `levels` of the machine's actuators (None: native).
+    @property
+    def points(self) -> tuple[str, ...]:
+        """All its overwrite points."""
+        return (*self.held, *([] if self.supply is None else [self.supply.point]))
+
+    def inputs(self, levels: Sequence[float | None], supply_K: float = math.nan) -> dict[str, float]:
+        """Return the plant inputs of its points for the `levels` of its actuators (None: native).
 
         While some are native and none acts, the points are native too: native control may need the machine.
+        `supply_K`: set-point of its water while one acts.
         """
         if any(level is not None and level != 0 for level in levels):
             values = dict(self.held)
+            if self.supply is not None:
+                values[self.supply.point] = supply_K
         elif any(level is None for level in levels):
-            return {f"{name}_activate": 0.0 for name in self.held}
+            return {f"{name}_activate": 0.0 for name in self.points}
         else:
             values = {**self.held, **self.idle}
+            if self.supply is not None:
+                values[self.supply.point] = self.supply.minimum
         return {f"{name}_u": value for name, value in values.items()} | {f"{name}_activate": 1.0 for name in values}
 
 
@@ -92,6 +110,9 @@ class ZoneActuator(Actuator):
     machine: str = Field(description="the machine that feeds it")
     mode: Literal["heating", "cooling"] = Field("heating", description="sign of its effect")
     heat: Heat = Field((), description=HEAT_IS)
+    full_W: float | None = Field(
+        None, gt=0, description="valve whose machine has `supply`: heat at u = 1, W; its level is metered heat over it"
+    )
     share: float | None = Field(
         None, gt=0, description="share of its machine's capacity at full level; by default equal shares"
     )
@@ -124,11 +145,15 @@ AnyZoneActuator = Annotated[
 
 @dataclass(frozen=True)
 class ActuatorPoints:
-    """An actuator, what tells its heat, and `key`, where it stands in the test case file."""
+    """An actuator, what tells its heat, and `key`, where it stands in the test case file.
+
+    `full_W`: full heat of a valve behind water that the plan sets.
+    """
 
     actuator: Actuator | RoomSetpoints
     heat: HeatMeter
     key: str
+    full_W: float | None = None
 
 
 @dataclass(frozen=True)
@@ -152,7 +177,10 @@ class BuildingPoints:
     def sensed(self) -> tuple[str, ...]:
         """Points whose applied values give the levels."""
         names = [name for one in self.actuators for name in one.actuator.sensed]
-        return tuple(dict.fromkeys([*names, *(machine.running for machine in self.machines if machine.running)]))
+        for machine in self.machines:
+            names += [machine.running] if machine.running else []
+            names += [machine.supply.point] if machine.supply else []
+        return tuple(dict.fromkeys(names))
 
     @property
     def flows(self) -> tuple[str, ...]:

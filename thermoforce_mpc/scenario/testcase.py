@@ -21,6 +21,8 @@ from thermoforce_mpc.scenario.building import (
     Machine,
     Price,
     Zone,
+    ZoneActuator,
+    ZoneRoomSetpoints,
     layout_of,
 )
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
@@ -163,7 +165,12 @@ class TestCase(StrictModel):
                 layout_of(self.zones, self.actuators, self.machines, self.exclusive),
                 tuple(self.zones.values()),
                 tuple(
-                    ActuatorPoints(one, HeatMeter(one.heat, self.zones[one.zone].temperature), f"actuators.{name}")
+                    ActuatorPoints(
+                        one,
+                        HeatMeter(one.heat, self.zones[one.zone].temperature),
+                        f"actuators.{name}",
+                        one.full_W if isinstance(one, ZoneActuator) else None,
+                    )
                     for name, one in self.actuators.items()
                 ),
                 tuple(self.machines.values()),
@@ -230,16 +237,27 @@ class TestCase(StrictModel):
 
     def _check_held(self, key: str, machine: Machine) -> None:
         """Refuse points of a machine that something else sets too, or that a plant of our own would ignore."""
-        others = {f"machines.{name}": tuple(each.held) for name, each in self.machines.items() if each is not machine}
+        others = {f"machines.{name}": each.points for name, each in self.machines.items() if each is not machine}
         others |= {f"actuators.{name}": one.points for name, one in self.actuators.items()}
-        for point in machine.held:
+        for point in machine.points:
             for other, points in others.items():
                 if point in points:
-                    raise ValueError(f"{key}.held: '{point}' is a point of {other} as well")
-        if self.plant is not None and (machine.held or machine.running):
+                    what = "held" if point in machine.held else "supply"
+                    raise ValueError(f"{key}.{what}: '{point}' is a point of {other} as well")
+        if self.plant is not None and (machine.points or machine.running):
             raise ValueError(
-                f"{key}: the plant '{self.plant}' has no overwrite points, it would ignore held and running"
+                f"{key}: the plant '{self.plant}' has no overwrite points, it would ignore held, supply and running"
             )
+        for name, one in self.actuators.items():
+            if self.machines.get(one.machine) is not machine:
+                continue
+            if machine.supply is not None and not _is_valve(one):
+                raise ValueError(
+                    f"actuators.{name}: {key}.supply asks for valves with heat and full_W, of kind level and map "
+                    "linear, without held points"
+                )
+            if machine.supply is None and isinstance(one, ZoneActuator) and one.full_W is not None:
+                raise ValueError(f"actuators.{name}: full_W belongs to a machine with supply, which {key} has not")
 
     def _of_one_zone(self, actuator: Actuator | RoomSetpoints, measurements: Measurements) -> TestCase:
         room = isinstance(actuator, RoomSetpoints)
@@ -265,3 +283,10 @@ class TestCase(StrictModel):
                     f"leave it out or write {plain}, or leave `{plant}` out and run with --url or --fmu"
                 )
         return self
+
+
+def _is_valve(one: ZoneActuator | ZoneRoomSetpoints) -> bool:
+    """Whether an actuator can be left open while the water of its machine says what it gives, and its heat is known."""
+    if not isinstance(one, ZoneActuator) or one.full_W is None or not one.heat:
+        return False
+    return one.kind == "level" and one.map == "linear" and not one.held

@@ -246,7 +246,7 @@ def identification_settings(
     spec, name = scenario.identification, controller or scenario.controller.name
     actuation = getattr(controller_config(name, controller_options(scenario, name), testcase), "actuation", None)
     defaults: dict[str, Any] = {}
-    if actuation is not None and actuation.mode == "modulating":
+    if actuation is not None and actuation.mode in ("modulating", "supply"):
         # Probe the intermediate levels that a plan can use.
         defaults["levels"] = (0.0, *np.linspace(actuation.lowest_level, 1.0, 5).round(3).tolist())
     elif actuation is not None:
@@ -265,6 +265,8 @@ def identification_settings(
         ours["lowest_level"] = min(between)  # these levels are held, not made by cycling
     if probing.trial_levels and not all(one.heat.units for one in testcase.points.actuators):
         ours["part_load"] = True
+    if any(machine.supply is not None for machine in testcase.machines.values()):
+        ours["power_curve"] = True
     if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator":
         ours["radiator_exponent"] = testcase.actuator.exponent
     options = merge(merge(ours, own.identification), spec.options)

@@ -30,6 +30,19 @@ def test_levels_recover_fixed_and_proportional_part():
     np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)], rtol=1e-3)
 
 
+def test_power_that_grows_faster_than_heat_is_told_apart():
+    rng = np.random.default_rng(5)
+    u, T = rng.choice([0, 0.2, 0.4, 0.7, 1.0], 400), rng.uniform(-5, 12, 400)
+    power = u * (800 - 10 * T) + 1200 * u**2
+    model = fit_power([machine_history(u, T, power_W=power)], squares=u**2)
+    assert model.load.curve_W == pytest.approx(1200.0, rel=0.02)
+    np.testing.assert_allclose(model(np.array([0.5, 1.0]), 3.0), [685.0, 1970.0], rtol=0.01)
+    two = model.of_actuators(np.array([[0.6], [0.2]]), np.array([0.5, 0.5]), np.array([3.0]))
+    assert two[0] == pytest.approx(0.4 * 770.0 + 1200.0 * 0.5 * (0.36 + 0.04), rel=0.01)
+    with pytest.raises(DataError, match="bends downwards"):
+        replace(model.load, curve_W=-1.0)
+
+
 def test_duty_data_give_a_load_proportional_to_the_share_of_time():
     rng = np.random.default_rng(1)
     u, T = rng.choice([0, 1 / 3, 2 / 3, 1.0], 300), rng.uniform(-5, 12, 300)

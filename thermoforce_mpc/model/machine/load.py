@@ -3,6 +3,8 @@
 A machine with a fixed part while it runs has the load `on·(c0 + c1·T_out) + u·(c2 + c3·T_out)`. Below `lowest_level` a
 mean level u is made by cycling, so the share of time it runs is `on = min(u / lowest_level, 1)`: 1.0 is a pure on/off
 machine, with a load proportional to u; a small value is a modulating machine.
+
+Where the plan sets the temperature of the water, a heat pump's power grows faster than the heat: a term `curve·u²`.
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ from thermoforce_mpc.errors import DataError
 
 @dataclass(frozen=True)
 class MachineLoad:
-    """Load `on(u)·(c0 + c1·T) + u·(c2 + c3·T)`, W: common form of a machine's heat and electric power.
+    """Load `on(u)·(c0 + c1·T) + u·(c2 + c3·T) + curve·u²`, W: common form of a machine's heat and electric power.
 
     `coefficients` are (c0, c1, c2, c3) in W, W/K, W, W/K. `T_out_range_C` is their valid outdoor range; outside, T_out
     is held at the nearer end, since an affine law may become negative. `levels_seen`: whether the data had intermediate
-    levels, which separate c0 from c2.
+    levels, which separate c0 from c2. `curve_W`: 0 but for the power of a machine whose water the plan sets.
 
     Raises:
         DataError: the load decreases in u at an end of the range, or a number is not finite.
@@ -31,11 +33,14 @@ class MachineLoad:
     T_out_range_C: tuple[float, float]
     lowest_level: float = 1.0
     levels_seen: bool = True
+    curve_W: float = 0.0
 
     def __post_init__(self) -> None:
         low, high = self.T_out_range_C
-        if not np.isfinite([*self.coefficients, low, high, self.lowest_level]).all():
+        if not np.isfinite([*self.coefficients, low, high, self.lowest_level, self.curve_W]).all():
             raise DataError(f"load of the actuator is not finite: {self}")
+        if self.curve_W < 0.0:
+            raise DataError(f"load of the actuator bends downwards: {self.curve_W:g} W at full level")
         if not low <= high:
             raise DataError(f"outdoor range of the actuator is reversed: {low} to {high} °C")
         if not 0.0 < self.lowest_level <= 1.0:
@@ -62,7 +67,8 @@ class MachineLoad:
     def __call__(self, u: Array, T_out_C: Array) -> Array:
         """Return the load for `u` in [0, 1] at `T_out_C` °C (shapes broadcast), W."""
         fixed, per_u = self.parts(T_out_C)
-        return np.asarray(self.on_share(u) * fixed + np.asarray(u, dtype=np.float64) * per_u)
+        u = np.asarray(u, dtype=np.float64)
+        return np.asarray(self.on_share(u) * fixed + u * per_u + self.curve_W * u**2)
 
     def slope_bounds(self) -> tuple[float, float]:
         """Return the smallest and largest ∂load/∂u over u in [0, 1] and the outdoor range, W."""
@@ -71,7 +77,7 @@ class MachineLoad:
             fixed, slope = self.parts(T)
             below = fixed / self.lowest_level + slope
             above = slope if self.lowest_level < 1.0 else below
-            slopes += [float(below), float(above)]
+            slopes += [float(below), float(above) + 2.0 * self.curve_W]
         return min(slopes), max(slopes)
 
     def at_lowest_level(self, lowest_level: float) -> MachineLoad:

@@ -87,7 +87,7 @@ class EndValues:
         """Return slope − `mean_per_K` times the value in the middle, as weights of the end values, shape (2,)."""
         return np.array([-1.0, 1.0]) / (self.high_C - self.low_C) - mean_per_K * self.weights(self.middle_C)
 
-    def load(self, ends_W: Array, lowest_level: float) -> MachineLoad:
+    def load(self, ends_W: Array, lowest_level: float, curve_W: float = 0.0) -> MachineLoad:
         """Return the load with end values `ends_W` of its parts: (fixed, per u), or per u only for on/off machines."""
         laws = []
         for at_low, at_high in np.reshape(ends_W, (-1, 2)):
@@ -99,6 +99,7 @@ class EndValues:
             T_out_range_C=(self.low_C, self.high_C),
             lowest_level=lowest_level,
             levels_seen=len(laws) == 2,
+            curve_W=curve_W,
         )
 
 

@@ -2,7 +2,8 @@
 
 P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor if the
 return water temperature is measured (`return_water.py`). Without the fixed part the model underestimates the power at
-part load; on a machine with speed-independent losses that costs a controller 25 % of the energy.
+part load; on a machine with speed-independent losses that costs a controller 25 % of the energy. Where the plan sets
+the temperature of the water, power per heat rises with the level instead, and a term in u² is fitted.
 """
 
 from __future__ import annotations
@@ -87,13 +88,18 @@ class PowerModel:
         """
         fixed, per_u = self.parts(T_out_C)
         runs = running_share(u, np.minimum(np.asarray(weights) / self.load.lowest_level, 1.0))
-        return np.asarray(fixed * runs + per_u * np.minimum(weights @ u, 1.0))
+        linear = fixed * runs + per_u * np.minimum(weights @ u, 1.0)
+        return np.asarray(linear + self.load.curve_W * (weights @ np.asarray(u) ** 2))
 
     def parts(self, T_out_C: Array, T_return_C: Array | float = float("nan")) -> tuple[Array, Array]:
         """Return the fixed part while on and the part per unit of u, both W; see `MachineLoad.parts`."""
         fixed, per_u = self.load.parts(T_out_C)
         factor = self._factor(T_return_C)
         return np.asarray(fixed * factor), np.asarray(per_u * factor)
+
+    def curve_W(self, T_return_C: Array | float = float("nan")) -> Array:
+        """Return the part per unit of u², W; see `MachineLoad`."""
+        return np.asarray(self.load.curve_W * self._factor(T_return_C))
 
     def at_lowest_level(self, lowest_level: float) -> PowerModel:
         """Return the same machine with another lowest level, see `MachineLoad.at_lowest_level`."""
@@ -115,6 +121,7 @@ def fit_power(
     lowest_level: float | None = None,
     slope: SlopePrior = POWER_SLOPE,
     running: Sequence[tuple[float, Array]] | None = None,
+    squares: Array | None = None,
 ) -> PowerModel:
     """Fit the power model to the measured power of records; see `fit_load` for arguments and errors."""
     u, T_out, power, T_return, T_zone = (
@@ -131,7 +138,15 @@ def fit_power(
     def fit(factor: Array) -> LoadFit:
         what = "electric power"
         return fit_load(
-            u, T_out, power, what=what, lowest_level=lowest_level, slope=slope, factor=factor, running=running
+            u,
+            T_out,
+            power,
+            what=what,
+            lowest_level=lowest_level,
+            slope=slope,
+            factor=factor,
+            running=running,
+            squares=squares,
         )
 
     plain = fit(np.ones_like(u))
@@ -220,6 +235,7 @@ def fit_load(
     slope: SlopePrior | None = None,
     factor: Array | None = None,
     running: Sequence[tuple[float, Array]] | None = None,
+    squares: Array | None = None,
 ) -> LoadFit:
     """Fit a `MachineLoad` by least squares, both parts nonnegative over its outdoor range.
 
@@ -233,6 +249,7 @@ def fit_load(
         slope: prior of the dependence on T_out; default: none.
         factor: known factor on the load in each step, shape (n,); default: 1.
         running: lowest levels to try instead, each with the share of each step that the machine runs, shape (n,).
+        squares: mean square of the level over each step, shape (n,), where the load may grow faster than it.
 
     Raises:
         DataError: fewer than ten usable steps, or the load was on in fewer than five.
@@ -243,22 +260,30 @@ def fit_load(
         runs = [(lowest, np.minimum(steps.u / lowest, 1.0)) for lowest in levels_to_try(steps, lowest_level)]
     else:
         runs = [(lowest, share[steps.kept]) for lowest, share in running]
-    fits = [_fit_at(steps, times, lowest, on, slope) for lowest, on in runs]
+    bent = None if squares is None else np.asarray(squares, dtype=np.float64)[steps.kept]
+    fits = [_fit_at(steps, times, lowest, on, slope, bent) for lowest, on in runs]
     return min(fits, key=lambda fit: fit.quality.rmse_W)
 
 
-def _fit_at(steps: Steps, times: Array, lowest_level: float, on: Array, slope: SlopePrior | None) -> LoadFit:
+def _fit_at(
+    steps: Steps, times: Array, lowest_level: float, on: Array, slope: SlopePrior | None, squares: Array | None
+) -> LoadFit:
     ends = EndValues.around(steps)
     on, level = times * on, times * steps.u
     carriers = [on, level] if lowest_level < 1.0 else [level]
     design = np.concatenate([c[:, None] * ends.weights(steps.T_out_C) for c in carriers], axis=1)
+    bends = np.zeros((steps.u.size, 0)) if squares is None else (times * squares)[:, None]
+    design = np.hstack([design, bends])
     full = float(np.max(steps.load_W[steps.running]))
     rows: list[Array] = [design / (RESIDUAL_SCALE * full)]
     values: list[Array] = [steps.load_W / (RESIDUAL_SCALE * full)]
     if slope is not None:
         # Prior of the slope, scaled by the size of the load.
         per_part = slope.sd_per_K * full / len(carriers)
-        rows.append(np.asarray(np.kron(np.eye(len(carriers)), ends.sloping(slope.mean_per_K)) / per_part))
+        flat = np.kron(np.eye(len(carriers)), ends.sloping(slope.mean_per_K)) / per_part
+        rows.append(np.hstack([flat, np.zeros((len(carriers), bends.shape[1]))]))
         values.append(np.zeros(len(carriers)))
     solution = lsq_linear(np.concatenate(rows), np.concatenate(values), bounds=(LEAST_W, np.inf)).x
-    return LoadFit(ends.load(solution, lowest_level), Quality.of(design @ solution, steps))
+    parts = 2 * len(carriers)
+    curve_W = float(solution[parts:].sum())
+    return LoadFit(ends.load(solution[:parts], lowest_level, curve_W), Quality.of(design @ solution, steps))

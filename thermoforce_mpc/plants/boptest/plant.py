@@ -99,6 +99,7 @@ class BoptestPlant:
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0
         self._T_zone_C: Array = np.full(len(self._points.zones), math.nan)
+        self._last: Measurement | None = None
         self._end_s = math.inf
         self._final_kpis: dict[str, float] | None = None
         self._missed: dict[str, float] = {}
@@ -180,7 +181,7 @@ class BoptestPlant:
         """
         layout = self._points.layout
         block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
-        applied = inputs(self._points, block, self._T_zone_C)
+        applied = inputs(self._points, block, self._T_zone_C, self._last)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
                 f"the service's scenario ends at day {self._end_s / DAY_S:g}: a step of {duration_s:g} s "
@@ -268,7 +269,7 @@ class BoptestPlant:
         scenario = warmup_s == _SCENARIO_WARMUP_S and start_s in named.values()
         self._now_s, self._begin_s = last.time_s, max(start_s - warmup_s, 0.0)
         self._end_s = start_s + _SCENARIO_LENGTH_S if scenario else math.inf
-        self._T_zone_C = last.T_zone_C
+        self._T_zone_C, self._last = last.T_zone_C, last
         with _failures():
             self._step_s = self._client.step()
             self._missed = self._client.go_on_from(self._now_s, self._step_s)
@@ -363,6 +364,7 @@ class BoptestPlant:
         """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
         found = measurement(self._now_s, points, self._points, acting)
         self._T_zone_C = np.where(np.isfinite(found.T_zone_C), found.T_zone_C, self._T_zone_C)
+        self._last = found
         return found
 
     def _watched_names(self) -> list[str]:

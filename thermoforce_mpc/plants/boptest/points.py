@@ -71,6 +71,11 @@ def check_points(
             wanted.append(_Wanted(f"{of}.running", f"{machine.running}_u", inputs))
         for held in machine.held:
             wanted += [_Wanted(f"{of}.held.{held}", f"{held}_{end}", inputs) for end in ("u", "activate")]
+        if machine.supply:
+            wanted += [
+                _Wanted(f"{of}.supply.point", f"{machine.supply.point}_{end}", inputs, unit)
+                for end, unit in (("u", _KELVIN), ("activate", None))
+            ]
     wrong = [problem for item in wanted if (problem := _problem(item, plant))]
     values = [
         (f"{one.key}.{key}", name, value)
@@ -80,6 +85,9 @@ def check_points(
     for machine, name in zip(points.machines, points.layout.names.machines, strict=True):
         for group, at in (("held", machine.held), ("idle", machine.idle)):
             values += [(f"machines.{name}.{group}.{held}", held, value) for held, value in at.items()]
+        if machine.supply:
+            ends = (("minimum", machine.supply.minimum), ("maximum", machine.supply.maximum))
+            values += [(f"machines.{name}.supply.{end}", machine.supply.point, value) for end, value in ends]
     for key, name, value in values:
         known = inputs.get(f"{name}_u")
         if known is not None:

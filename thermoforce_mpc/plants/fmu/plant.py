@@ -82,6 +82,7 @@ class FmuPlant:
         self._price: Price = "constant"
         self._worker: WorkerProcess | None = None
         self._T_zone_C: Array = np.full(len(p.zones), math.nan)
+        self._last: Measurement | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
         try:
             (Path(self._folder.name) / "fmu").mkdir()
@@ -158,7 +159,7 @@ class FmuPlant:
         layout = self._points.layout
         block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
         before_s = self._now_s if self._worker else 0.0
-        stretch = self._run(inputs(self._points, block, self._T_zone_C), block.duration_s)
+        stretch = self._run(inputs(self._points, block, self._T_zone_C, self._last), block.duration_s)
         edges = np.array([before_s, self._now_s])
         previous = self._stretches[-2]
         record = self._columns(
@@ -213,7 +214,7 @@ class FmuPlant:
     def _measured(self, stretch: Stretch, acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement at the end of `stretch`; its zone temperature serves the actuator's map next."""
         found = measurement(self._now_s, stretch.final, self._points, acting)
-        self._T_zone_C = found.T_zone_C
+        self._T_zone_C, self._last = found.T_zone_C, found
         return found
 
     def _stop(self) -> None:

@@ -1,0 +1,106 @@
+"""A machine whose water the plan sets: valves that share it, and power that grows faster than heat."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpc_problems import N, machinery_of, random_building, random_building_problem
+
+from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.actuators import Actuators
+from controllers.errors import ControllerConfigError
+from controllers.problem import PowerCap, ProblemShape, every_step
+from controllers.qp import QPSolver
+from controllers.qp_backends import QPConfig
+from controllers.registry import controller_config
+from controllers.watch_checks import level_fault
+from thermoforce_mpc.data import Layout, Names, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.scenario.scenario import load_testcase
+
+STEP_S = 900.0
+
+
+def valves() -> Actuators:
+    names = Names(("a", "b"), ("valve a", "valve b"), ("heat pump",))
+    layout = Layout(names, (1, 1), (0, 1), (0, 0), (0.0, 0.0), (0.5, 0.5), (20.0, 20.0))
+    config = ActuationConfig(mode="supply", lowest_level=0.2)
+    return Actuators(layout, [Actuation(config)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("asked", "levels"),
+    [
+        ((0.6, 0.5), (0.6, 0.6)),
+        ((0.6, 0.2), (0.6, 0.0)),
+        ((0.15, 0.15), (0.2, 0.2)),
+        ((0.05, 0.0), (0.0, 0.0)),
+        ((0.0, 0.0), (0.0, 0.0)),
+        ((1.0, None), (1.0, None)),
+    ],
+    ids=str,
+)
+def test_open_valves_share_the_water_that_the_neediest_asks_for(asked, levels):
+    acted = valves().realise(asked, STEP_S, (ActuationState(), ActuationState()))
+    assert [(block.u, block.duration_s) for block in acted.together()] == [(levels, STEP_S)]
+
+
+def test_in_a_longer_step_a_valve_that_asks_for_less_is_open_for_its_share():
+    states = (ActuationState(on=True), ActuationState(on=True))
+    blocks = valves().realise((0.8, 0.4), 3600.0, states).together()
+    assert [(block.u, block.duration_s) for block in blocks] == [((0.8, 0.8), 1800.0), ((0.8, 0.0), 1800.0)]
+
+
+def test_valves_of_such_a_machine_are_run_that_way_unless_something_else_is_named():
+    apartment = load_testcase("twozone_apartment_hydronic")
+    assert controller_config("thermoforce_mpc", {}, apartment).actuation.mode == "supply"
+    assert controller_config("pi", {}, apartment).actuation.mode == "supply"
+    named = controller_config("thermoforce_mpc", {"actuation": {"mode": "duty"}}, apartment)
+    assert named.actuation.mode == "duty"
+    other = load_testcase("house:3rooms")
+    with pytest.raises(ControllerConfigError, match="mode: supply"):
+        controller_config("thermoforce_mpc", {"actuation": {"mode": "supply"}}, other)
+
+
+def curved_problem(rng: np.random.Generator):
+    operator = random_building(rng, 2, (1, 1))
+    problem = random_building_problem(rng, operator, machinery_of(operator, (0, 0), share=np.array([0.6, 0.6])))
+    # Zones that a moderate level holds inside the band, so that cost is mostly energy.
+    problem = replace(problem, T_free_C=np.full((2, N), 15.0), lower_C=np.full((2, N), 17.0))
+    return operator, replace(problem, power_per_u2_W=np.repeat(rng.uniform(500.0, 1500.0, (2, 1)), N, axis=1))
+
+
+@pytest.mark.parametrize("backend", ["piqp", "clarabel"])
+def test_no_other_levels_cost_less_where_power_grows_faster_than_heat(backend):
+    rng = np.random.default_rng(4)
+    operator, problem = curved_problem(rng)
+    solution = QPSolver(operator, ProblemShape(every_step(N), problem.machinery), QPConfig(backends=(backend,))).solve(
+        problem
+    )
+    assert solution.ok, solution.problem
+    best = float(problem.cost(operator, solution.u))
+    others = np.clip(solution.u + rng.normal(0.0, 0.1, (300, 2, N)) * (rng.random((300, 1, N)) < 0.1), 0.0, 1.0)
+    others *= np.minimum(1.0, 1.0 / (0.6 * others.sum(axis=1, keepdims=True) + 1e-9))
+    assert problem.cost(operator, others).min() >= best * (1.0 - 1e-6)
+    straight = replace(problem, power_per_u2_W=None, power_per_u_W=problem.power_per_u_W + problem.power_per_u2_W)
+    flat = QPSolver(operator, ProblemShape(every_step(N), problem.machinery), QPConfig()).solve(straight)
+    assert best < 0.999 * float(problem.cost(operator, flat.u)), "levels are spread over time"
+
+
+def test_rows_of_power_are_linear_in_the_level():
+    rng = np.random.default_rng(4)
+    _, problem = curved_problem(rng)
+    with pytest.raises(DataError, match="power is linear in u"):
+        replace(problem, power_cap=PowerCap(np.full(N, 3000.0), 0.5))
+
+
+@pytest.mark.parametrize(("measured", "fault"), [((0.62, 0.02), False), ((0.0, 0.0), True)], ids=["swings", "stuck"])
+def test_a_level_that_swings_about_what_was_asked_for_is_no_fault(measured, fault):
+    n = 32
+    asked = [(k * STEP_S, 0.32) for k in range(n)]
+    u = np.resize(np.array(measured), n)
+    edges = np.arange(n + 1) * STEP_S
+    history = Record(edges, np.full(n + 1, 21.0), np.zeros(n + 1), np.zeros(n + 1), u, np.zeros(n), np.zeros(n))
+    assert bool(level_fault(asked, history)) is fault
