@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from thermoforce_mpc.data import Block, Measurement
+from thermoforce_mpc.data import DAY_S, Block, Measurement
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.records import inputs, recorded_levels
 from thermoforce_mpc.scenario.scenario import load_testcase
@@ -95,3 +96,21 @@ def test_what_does_not_fit_is_refused_by_key(change, message):
     content = read_yaml(find_config("testcases", "twozone_apartment_hydronic"))
     with pytest.raises(ConfigError, match=message):
         validate(TestCase, merge(content, change), "file")
+
+
+FMU = Path(__file__).resolve().parents[3] / "shared" / "boptest_more" / "fmu" / "twozone_apartment_hydronic.fmu"
+
+
+@pytest.mark.skipif(not FMU.is_file(), reason=f"{FMU} is not there")
+def test_the_heat_pump_of_the_apartment_gives_what_is_asked_with_cooler_water_than_its_own_curve():
+    from thermoforce_mpc.plants.fmu.plant import FmuPlant
+
+    with FmuPlant(FMU, APARTMENT) as plant:
+        plant.reset(20 * DAY_S, 0.0)
+        asked = [plant.advance((0.4, 0.4), 900.0) for _ in range(8)]
+        released = plant.advance(None, 900.0)
+    assert [now.u.mean() for now in asked[-3:]] == pytest.approx([0.4] * 3, abs=0.06)
+    assert asked[-1].heat_W == pytest.approx(asked[-1].u * 2500.0)
+    own_curve_K = released.points[f"{WATER}_y"]
+    assert asked[-1].points[f"{WATER}_y"] < own_curve_K - 5.0
+    assert own_curve_K == pytest.approx(316.15 - 21.0 / 22.0 * released.T_out_C, abs=1.0)
