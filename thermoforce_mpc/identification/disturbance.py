@@ -67,7 +67,7 @@ class Disturbance:
     @property
     def log_determinant(self) -> float:
         """Sum of the logarithms of the innovations' standard deviations, K: half that of the covariance."""
-        return float(np.log(self._filter[2]).sum())
+        return float(np.log(self.innovations[2]).sum())
 
     @cached_property
     def _decay(self) -> Array:

@@ -22,8 +22,8 @@ from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.identification.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.reduction import whitened_rows
 from thermoforce_mpc.identification.regression_data import OtherActuator, RegressionData, run_regression
+from thermoforce_mpc.identification.whitened import blocks_of, whitened_columns
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
 
@@ -142,11 +142,12 @@ def _disturbed(regression: RegressionData, scale: float, noise_K: float) -> Regr
 
 def _explained(regressions: Sequence[RegressionData], signals: Array, log_tau: Array, size: float) -> _Explained:
     """Evidence of the records for these time constants; `signals` whitened, `size`: log density of the whitening."""
-    rows = np.concatenate(whitened_rows(regressions, log_tau, 1))
     surfaces, sensor = signals[:, :3], signals[:, 3:]
     mean, sd = _priors(regressions, log_tau)
-    known = np.concatenate([np.concatenate([rows[:, :-1], surfaces], axis=1), np.diag(1.0 / sd)])
-    target = np.concatenate([rows[:, -1], mean / sd])
+    columns = np.zeros((signals.shape[0], sd.size - surfaces.shape[1]))
+    whitened_columns(blocks_of(regressions, log_tau.size, 1), log_tau, columns)
+    known = np.concatenate([np.concatenate([columns, surfaces], axis=1), np.diag(1.0 / sd)])
+    target = np.concatenate([*(e.disturbance.whitened(e.target) for e in regressions), mean / sd])
     q, triangle = np.linalg.qr(known)
     left = target - q @ (q.T @ target)
     seen = np.concatenate([sensor, np.zeros((sd.size, sensor.shape[1]))])
