@@ -127,8 +127,10 @@ def _hourly(values: Array, index: NDArray[np.intp], hours: float) -> Array:
 
     A level that is metered heat swings about what was asked for where its machine runs on and off by itself.
     """
+    if not values.size:
+        return values
     of = index // max(1, round(1.0 / hours))
-    return np.asarray((np.bincount(of, values) / np.maximum(np.bincount(of), 1))[of]) if values.size else values
+    return np.asarray((np.bincount(of, values) / np.maximum(np.bincount(of), 1))[of])
 
 
 def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, NDArray[np.intp]]:
