@@ -127,7 +127,7 @@ def _hourly(values: Array, index: NDArray[np.intp], hours: float) -> Array:
 
     A level that is metered heat swings about what was asked for where its machine runs on and off by itself.
     """
-    if not values.size:
+    if not values.size:  # before the first step its length is unknown
         return values
     of = index // max(1, round(1.0 / hours))
     return np.asarray((np.bincount(of, values) / np.maximum(np.bincount(of), 1))[of])

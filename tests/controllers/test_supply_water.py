@@ -104,3 +104,4 @@ def test_a_level_that_swings_about_what_was_asked_for_is_no_fault(measured, faul
     edges = np.arange(n + 1) * STEP_S
     history = Record(edges, np.full(n + 1, 21.0), np.zeros(n + 1), np.zeros(n + 1), u, np.zeros(n), np.zeros(n))
     assert bool(level_fault(asked, history)) is fault
+    assert level_fault(asked, history.last(0)) == "", "nothing was measured yet"
