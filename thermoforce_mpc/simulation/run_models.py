@@ -78,6 +78,8 @@ def _identify(
             f"Operator{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
             f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
         )
+        if zone.card.sun_on_sensor is not None:
+            display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
         verdict = zone.card.competence
         if verdict is not None:
             advice = [f"  {advice}" for advice in verdict.advice]
