@@ -15,6 +15,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.identification.report import rollouts
 from thermoforce_mpc.identification.sunlit_sensor import sun_on_sensor
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, facade_W_m2, lagged, sun_at
@@ -78,6 +79,12 @@ def test_a_model_is_that_of_the_room_and_says_so(sunlit, tmp_path):
     blind = identify(record, config=IdentificationConfig(modulation="linear", sun_on_sensor=False))
     assert blind.only.card.sun_on_sensor is None
     assert blind.in_rooms(record) is record
+    plain = replace(model, cards=(replace(card, sun_on_sensor=None),))
+    shown, rooms = rollouts(model, record), rollouts(plain, model.in_rooms(record))
+    assert shown is not None
+    assert rooms is not None
+    np.testing.assert_array_equal(shown.predicted_C, rooms.predicted_C)
+    np.testing.assert_array_equal(shown.rmse_K, rooms.rmse_K)
 
 
 def test_a_controller_plans_from_the_room():

@@ -37,14 +37,14 @@ class Rollouts:
 def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> Rollouts | None:
     """Predict a record by consecutive rollouts of `hours`, each from the record before it with the measured weather.
 
-    Gaps in the record's weather and levels are bridged. Returns None if a zone has no linear free part (identified
-    from pairs only) or the record is too short.
+    Sun that the model found on a sensor is taken off the record. Gaps in the record's weather and levels are bridged.
+    Returns None if a zone has no linear free part (identified from pairs only) or the record is too short.
     """
     n = max(1, round(hours * HOUR_S / record.step_s))
     known = [free for free in model.free if free is not None]
     if len(known) < len(model.free) or record.n_steps < 2 * n:
         return None
-    record, _ = bridged(record)
+    record, _ = bridged(model.in_rooms(record))
     predictor = Predictor(model.operator, [RcFreeResponse(free) for free in known])
     predicted = np.full(record.T_zone_C.shape, np.nan)
     for start in range(n, record.n_steps, n):
@@ -67,11 +67,12 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     upper, lower = list(figure.subfigures(2, 1, squeeze=False, height_ratios=[3 * zones + 1, 3 * zones])[:, 0])
     courses = upper.subplots(zones + 1, 1, height_ratios=[3] * zones + [1], squeeze=False, sharex=True)[:, 0]
     days = record.time_s / DAY_S
-    found = rollouts(model, record)
+    found, rooms = rollouts(model, record), model.in_rooms(record)
+    measured = "measured" if rooms is record else "measured, without the sun on the sensor"
     for z, axes in enumerate(courses[:-1]):
         title = "Measured and predicted zone temperature" if zones == 1 else model.operator.zones[z]
         axes.set_title(title, loc="left")
-        axes.plot(days, record.T_zone_C[z], color="black", linewidth=1.2, label="measured")
+        axes.plot(days, rooms.T_zone_C[z], color="black", linewidth=1.2, label=measured)
         if found is not None:
             label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K[z]:.2f} K"
             axes.plot(days, found.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
