@@ -14,7 +14,7 @@ import executed_tasks as functions
 import pytest
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, TaskFailed, collect, execute
+from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, TaskFailed, collect, execute, local
 from thermoforce_mpc.execution.engine import Begun
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -175,6 +175,23 @@ def functions_payload(log: Path) -> bytes:
     from thermoforce_mpc.execution.engine import payload_of
 
     return payload_of(functions.hold, {"n": 0, "log": str(log)}, ())
+
+
+def test_an_interrupt_while_a_task_is_handed_over_ends_its_worker(tmp_path, log, monkeypatch):
+    submit = local._Process.submit
+
+    def interrupted(process, key, payload):
+        submit(process, key, payload)
+        while "1" not in functions.begun(log):
+            time.sleep(0.02)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(local._Process, "submit", interrupted)
+    with LocalEngine(1) as engine:
+        with pytest.raises(KeyboardInterrupt):
+            list(execute([task(1, log, functions.hold)], engine))
+        assert (tmp_path / "released").exists()
+        assert engine.room == 1
 
 
 _CAMPAIGN = """

@@ -62,14 +62,14 @@ class LocalEngine:
 
     def submit(self, key: str, title: str, payload: bytes) -> None:
         """Run `payload` in a process."""
-        process = self._idle.pop() if self._idle else _Process(self._events)
+        # Known as busy before it is: an interrupt may come as soon as it has the task.
+        process = self._busy[key] = self._idle.pop() if self._idle else _Process(self._events)
         try:
             future = process.submit(key, payload)
         except BrokenProcessPool:  # it died since its last task
             process.leave()
-            process = _Process(self._events)
+            process = self._busy[key] = _Process(self._events)
             future = process.submit(key, payload)
-        self._busy[key] = process
         self._events.put(Begun(key))
         future.add_done_callback(lambda done: self._events.put((key, process, done)))
 
