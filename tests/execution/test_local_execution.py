@@ -195,12 +195,15 @@ def test_an_interrupt_while_a_task_is_handed_over_ends_its_worker(tmp_path, log,
 
 
 _CAMPAIGN = """
+import signal
 import sys
 from pathlib import Path
 import executed_tasks as functions
 from thermoforce_mpc.execution import JsonResults, LocalEngine, Task, execute
 
 if __name__ == "__main__":
+    # A shell ignores it for what it starts in the background, and that is inherited.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     folder, hold = Path(sys.argv[1]), sys.argv[2] == "hold"
     log = str(folder / "log")
     tasks = [Task(f"key{n}", f"task {n}", functions.total, {"n": n, "log": log}) for n in range(3)]
