@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import pytest
@@ -42,7 +43,13 @@ class Foreign:
     x: int = 1
 
 
-@pytest.mark.parametrize("value", [object(), {"f": len}, np.array([object()], dtype=object)])
+class Colour(Enum):
+    """Another one."""
+
+    RED = 1
+
+
+@pytest.mark.parametrize("value", [object(), {"f": len}, np.array([object()], dtype=object), Foreign(), Colour.RED])
 def test_what_is_no_value_is_not_written(tmp_path, value):
     with pytest.raises(TypeError, match="cannot be kept"):
         write_state(tmp_path / "state.npz", value)

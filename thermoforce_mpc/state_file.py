@@ -89,7 +89,15 @@ def _fields(value: Any) -> list[str] | None:
 
 
 def _name(value: Any) -> str:
-    return f"{type(value).__module__}:{type(value).__qualname__}"
+    """The name that `_class` finds the class of `value` by; raises `TypeError` for one of another package."""
+    module, path = type(value).__module__, type(value).__qualname__
+    if not _is_ours(module):
+        raise TypeError(f"a {module}.{path} cannot be kept")
+    return f"{module}:{path}"
+
+
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] in _PACKAGES
 
 
 def _built(content: Any, arrays: Any) -> Any:
@@ -117,7 +125,7 @@ def _built(content: Any, arrays: Any) -> Any:
 def _class(name: str, kind: type | None = None) -> Any:
     """The class of a name, one of this package that holds values."""
     module, _, path = name.partition(":")
-    if module.partition(".")[0] not in _PACKAGES:
+    if not _is_ours(module):
         raise ValueError(f"{name} is not of this package")
     found = getattr(importlib.import_module(module), path)
     holds = issubclass(found, kind) if kind else dataclasses.is_dataclass(found) or issubclass(found, tuple)
