@@ -20,7 +20,7 @@ from controllers.machinery import Machinery
 from controllers.meters import Meters
 from controllers.missed import learned_K
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
-from controllers.own_record import own_record
+from controllers.own_record import own_records
 from controllers.planner import MPCState, Planner
 from controllers.problem import MPCProblem, Solution
 from controllers.reason import reason_of
@@ -336,9 +336,10 @@ class ThermoForceMPC(FallingBack):
         if not self.config.adaptation.enabled:
             return now.adaptation
         forced_K = now.predictor.forced.forced_K if now.predictor and now.predictor.forced else None
+        records = own_records(self._base.model, history, forced_K)
         return tuple(
-            adaptation.update(now.adaptation[a], own_record(self._base.model, history, forced_K, a))
-            for a, adaptation in enumerate(self._adaptations)
+            adaptation.update(before, record)
+            for adaptation, before, record in zip(self._adaptations, now.adaptation, records, strict=True)
         )
 
     def _planner(self, adaptation: Sequence[AdaptationState | None]) -> Planner:

@@ -8,6 +8,7 @@ than the machine has: what it got is in its heat meter, if anywhere.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,21 +38,28 @@ def own_context(context: PredictionContext, a: int) -> OwnContext:
     return OwnContext(context.forced_K[z, a], free, context.features[z], context.boundary)
 
 
-def own_record(model: ThermalModel, history: Record, forced_K: Array | None, a: int) -> Record:
-    """The record of actuator `a` on its home zone.
+def own_records(model: ThermalModel, history: Record, forced_K: Array | None) -> tuple[Record, ...]:
+    """The record of each actuator on its home zone (A,).
 
     Args:
         model: the building.
         history: its record, n steps.
         forced_K: forced states (Z, A, k + 1, r) at its first k + 1 boundaries; beyond, the temperature is left out.
-        a: the actuator.
     """
+    shared = {m for m in model.machine_of if model.machine_of.count(m) > 1}
+    beyond = {m: _beyond_capacity(model, history, m) for m in shared}
+    return tuple(_own_record(model, history, forced_K, a, beyond) for a in range(len(model.operator.actuators)))
+
+
+def _own_record(
+    model: ThermalModel, history: Record, forced_K: Array | None, a: int, beyond: Mapping[int, NDArray[np.bool_]]
+) -> Record:
+    """See `own_records`; `beyond`: steps (n,) beyond the capacity of each machine that feeds several."""
     z = model.operator.home[a]
     m = model.machine_of[a]
-    alone = model.machine_of.count(m) == 1
-    part = history.part(z, [a], [m] if alone else [])
-    if not alone:
-        part = replace(part, u=np.where(_beyond_capacity(model, history, m), np.nan, part.u))
+    part = history.part(z, [a], [] if m in beyond else [m])
+    if m in beyond:
+        part = replace(part, u=np.where(beyond[m], np.nan, part.u))
     others = [b for b in range(len(model.operator.actuators)) if b != a and model.operator.pairs[z][b] is not None]
     if not others:
         return part
@@ -68,6 +76,8 @@ def _beyond_capacity(model: ThermalModel, history: Record, m: int) -> NDArray[np
     A level may be the share of a step in which an actuator is on, so all that act count in full. Where all are metered,
     what they take when it is cold is in the maps of their heat, and what the machine has is the most of an hour so far.
     """
+    if not history.n_steps:  # the length of a step is unknown
+        return np.zeros(0, dtype=bool)
     fed = [b for b, machine in enumerate(model.machine_of) if machine == m]
     acting = history.u[fed] > ROUNDING
     maps = [model.operator.of_actuator(b).heat_input.heat for b in fed]

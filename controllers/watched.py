@@ -1,6 +1,6 @@
 """The watch inside an MPC: what it is given before and after each plan, and predictions in the shadow.
 
-Each actuator is watched on its home zone (`own_record`), so that control of one may be handed back alone.
+Each actuator is watched on its home zone (`own_records`), so that control of one may be handed back alone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from controllers.errors import said
-from controllers.own_record import own_context, own_record
+from controllers.own_record import own_context, own_records
 from controllers.planner import MPCState, Planner
 from controllers.watch import Watch
 from controllers.watch_state import Track, WatchState
@@ -48,10 +48,10 @@ class WatchedPredictions:
     def judged(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
         """The state with the predictions that came due judged; where control returns, with the model that held.
 
-        `forced_K` (Z, A, n + 1, r): forced states until now, see `own_record`.
+        `forced_K` (Z, A, n + 1, r): forced states until now, see `own_records`.
         """
-        for a, watch in enumerate(self._watches):
-            record = own_record(self._model, history, forced_K, a)
+        records = own_records(self._model, history, forced_K)
+        for a, (watch, record) in enumerate(zip(self._watches, records, strict=True)):
             before = now.watch[a]
             try:
                 found = watch.judged(before, record, now.adaptation[a], now.predictor)

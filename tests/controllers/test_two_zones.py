@@ -10,7 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.own_record import own_record
+from controllers.own_record import own_records
 from controllers.pi import PIController
 from controllers.planner import MPCState
 from controllers.problem import Solution
@@ -292,16 +292,16 @@ def test_a_building_of_other_names_is_refused():
 def test_what_the_other_actuator_did_is_taken_out_of_a_zones_record():
     model, seen = two_model(), two_observation()
     forced_K = mpc(model).predictor.followed(seen.history).forced_K
-    apart = own_record(model, seen.history, forced_K, RADIATOR)
+    apart = own_records(model, seen.history, forced_K)[RADIATOR]
     np.testing.assert_array_equal(apart.T_zone_C[0], seen.history.T_zone_C[0])
     pair = model.operator.pairs[0][0]
     coupled = replace(model, operator=replace(model.operator, pairs=((pair, pair), (None, pair))))
     forced_K = mpc(coupled).predictor.followed(seen.history).forced_K
-    own = own_record(coupled, seen.history, forced_K, RADIATOR)
+    own = own_records(coupled, seen.history, forced_K)[RADIATOR]
     np.testing.assert_allclose(own.T_zone_C[0], seen.history.T_zone_C[0] - forced_K[0, FLOOR].sum(axis=-1))
     assert np.abs(own.T_zone_C - seen.history.T_zone_C[:1]).max() > 0.5
     assert own.names.actuators == ("radiator",)
-    assert np.isnan(own_record(coupled, seen.history, None, RADIATOR).T_zone_C).all(), "not known, so not judged"
+    assert np.isnan(own_records(coupled, seen.history, None)[RADIATOR].T_zone_C).all(), "not known, so not judged"
 
 
 @pytest.mark.parametrize("kind", [Thermostat, PIController])
@@ -336,8 +336,8 @@ def test_what_a_shared_machine_uses_is_in_no_actuators_record():
     seen = two_observation()
     boiler = replace(seen.history.names, machines=("boiler",))
     both = replace(seen.history, power_W=seen.history.power_W[:1], T_return_C=seen.history.T_return_C[:1], names=boiler)
-    assert np.isnan(own_record(two_model(shared=True), both, None, RADIATOR).power_W).all()
-    own = own_record(two_model(), seen.history, None, FLOOR)
+    assert np.isnan(own_records(two_model(shared=True), both, None)[RADIATOR].power_W).all()
+    own = own_records(two_model(), seen.history, None)[FLOOR]
     np.testing.assert_array_equal(own.power_W[0], seen.history.power_W[1])
 
 
@@ -359,7 +359,8 @@ def test_what_a_shared_machine_cannot_give_accuses_no_actuator(metered):
         model = replace(model, operator=operator)
     else:
         model = replace(model, shares=(0.7, 0.7))
-    own = own_record(model, seen, None, RADIATOR)
+    assert own_records(model, seen.slice(0, 0), None)[RADIATOR].n_steps == 0
+    own = own_records(model, seen, None)[RADIATOR]
     expected = u[RADIATOR].copy()
     expected[12:24] = np.nan
     np.testing.assert_array_equal(own.u[0], expected)
