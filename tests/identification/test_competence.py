@@ -11,8 +11,13 @@ from houses import House, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.cases import Case, held_out
 from thermoforce_mpc.identification.competence import MOST_ERROR_K, MOST_RELATIVE_SD, is_well_known
+from thermoforce_mpc.identification.modes import mode_priors
+from thermoforce_mpc.identification.order import earlier_fold
+from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 HOUSE = House()
@@ -57,6 +62,26 @@ def test_held_out_errors_are_those_of_the_predictor():
         steps = round(score.hours * 4)
         change = run.T_zone_C[0, first:] - run.T_zone_C[0, first - steps : -steps]
         assert score.persistence_K == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-9)
+
+
+def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
+    run = record(HOUSE, 3.0, noise_K=0.01)
+    verdict = _verdict(run)
+    assert verdict.held_out_h == pytest.approx(18.0, abs=0.3)
+    one = verdict.horizons[0]
+    assert one.blocks == 10  # two parts of 18 h in blocks of 4 h, the last of each shorter
+
+    case = Case(run_regression(run, HeatInput(), LINEAR), (run,), float(run.time_s[0]))
+    regression, priors = case.regression, mode_priors(2, LINEAR, HeatInput(), None)
+    fold = earlier_fold([case], held_out([case], LINEAR), priors, LINEAR, 1)
+    ((_, split),) = fold.runs
+    # Half of the rows are fitted to, the quarter after them is held out.
+    assert split.train.size == pytest.approx(regression.rows.size / 2, abs=1)
+    assert split.judged.size == pytest.approx(regression.rows.size / 4, abs=1)
+    later = np.arange(regression.rows.size) >= split.judged[0]
+    changed = replace(case, regression=replace(regression, target=regression.target + 3.0 * later))
+    again = earlier_fold([changed], held_out([changed], LINEAR), priors, LINEAR, 1)
+    assert again.fit.gains == pytest.approx(fold.fit.gains, rel=1e-12)
 
 
 @pytest.mark.slow

@@ -12,9 +12,10 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.cases import Case
 from thermoforce_mpc.identification.columns import forced_columns
+from thermoforce_mpc.identification.competence import Fold
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import ModeFit, fit_modes
-from thermoforce_mpc.identification.likelihood import Split, residuals
+from thermoforce_mpc.identification.likelihood import Split, residuals, split_run
 from thermoforce_mpc.identification.modes import ModePriors
 from thermoforce_mpc.identification.regression_data import RegressionData, follows_action
 from thermoforce_mpc.identification.system import System
@@ -63,6 +64,17 @@ def training_data(cases: Sequence[Case], splits: Sequence[Split], order: int, si
     """Return the training rows of all cases for operators of an order."""
     parts = [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
     return System(parts, order, sign)
+
+
+def earlier_fold(
+    cases: Sequence[Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> Fold:
+    """Return the runs as they were before their held-out rows, as many of the last rows held out anew, and the fit."""
+    runs = [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
+    before = [replace(case, regression=_part(case.regression, split.train)) for case, split in runs]
+    share = config.validation_share / (1.0 - config.validation_share)
+    anew = [split_run(case.regression, share, config.horizon_h) for case in before]
+    return Fold(before, anew, fit_modes(training_data(before, anew, priors.order, sign), priors, config))
 
 
 def fit_and_judge(

@@ -16,13 +16,20 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.cases import Case, held_out, normalisation, ranges
-from thermoforce_mpc.identification.competence import held_out_h, held_out_rmse_K, judge
+from thermoforce_mpc.identification.competence import Fold, held_out_h, held_out_rmse_K, judge
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.joint import JointFit, ModeFit, fit_joint
 from thermoforce_mpc.identification.level_shape import level_shape
 from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
 from thermoforce_mpc.identification.modulation import modulate, prove
-from thermoforce_mpc.identification.order import Fitted, choose_order, explained_share, fit_and_judge, training_data
+from thermoforce_mpc.identification.order import (
+    Fitted,
+    choose_order,
+    earlier_fold,
+    explained_share,
+    fit_and_judge,
+    training_data,
+)
 from thermoforce_mpc.identification.records import Pair, resolution_K
 from thermoforce_mpc.identification.regression_data import (
     OtherActuator,
@@ -236,9 +243,11 @@ def _joint_model(
         shape, told_of_shape = level_shape(histories, regressions, final, priors, config, power, sign)
         notes = [*notes, *told_of_shape]
     explained = explained_share(cases, operator)
-    verdict = judge(
-        cases, splits, candidates[order].fit, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0
-    )
+    verdict = None
+    if runs:
+        fold = Fold(cases, splits, candidates[order].fit)
+        earlier = earlier_fold(cases, splits, priors, config, sign)
+        verdict = judge(fold, earlier, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0)
     model = ZoneModel(
         operator=operator,
         power=power,

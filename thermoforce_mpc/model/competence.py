@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class HorizonScore:
-    """Held-out errors at one lead time, RMSE in K.
+    """Held-out errors at one lead time, RMSE in K, and tests, which count an earlier held-out part as well.
 
     `hours`: lead time, h. `model_K`: the model; `persistence_K`: the temperature stays as it is; `weather_K`: the same
     model fitted without the actuator. `better_t`: paired t statistic for the model being better than the weather alone,
