@@ -80,10 +80,11 @@ class Actuation:
     Args:
         config: options; `mode` auto, which only a model can decide (`actuation_choice`), is duty here.
         proportional: power and heat are proportional to the level, so that levels down to 0 need no law of their own.
+        part_levels: in `duty` mode a level between off and `level` may be held where blocks would not do.
     """
 
-    def __init__(self, config: ActuationConfig, *, proportional: bool = False) -> None:
-        self.config, self._proportional = config, proportional
+    def __init__(self, config: ActuationConfig, *, proportional: bool = False, part_levels: bool = False) -> None:
+        self.config, self._proportional, self.part_levels = config, proportional, part_levels
 
     @property
     def modulates(self) -> bool:

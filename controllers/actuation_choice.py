@@ -45,11 +45,13 @@ def choose_actuation(
     if config.mode != "auto":
         actuation = Actuation(config, proportional=proportional)
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured")
+    # Blocks are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
+    blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.heat is not None)
     if found is None:
-        actuation = Actuation(config.model_copy(update={"mode": "duty"}))
+        actuation = blocks
         return ActuationChoice(actuation, f"{actuation.in_words}: the data hold off and full level only")
     if found.at_half > 1.0 + _SWITCH_FROM:
-        actuation = Actuation(config.model_copy(update={"mode": "duty"}))
+        actuation = blocks
     else:
         lowest = 0.0 if proportional else found.lowest_seen
         chosen = config.model_copy(update={"mode": "modulating", "lowest_level": lowest})

@@ -1,10 +1,12 @@
 """The actuators of a building, acting together: levels of all become blocks of all.
 
-Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie together, so that the machine
-runs no longer than the longest of them: all at the start of a step while the machine runs, all at its end while it
-stands. Two such steps in a row join to one run. Minimum on and off times are those of the machine, whichever of its
-actuators is on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm
-as the valve that asks for most needs it when it is open for all of the step.
+Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie within those of the one that
+is on longest, so that the machine runs no longer: all at the start of a step while it runs, all at its end while it
+stands. Two such steps in a row join to one run. Within it they take turns as far as they can, so that no more is asked
+for at once than the machine has: beyond its capacity the water cools, and the warmest rooms go without. Where turns do
+not suffice, each holds a part level for all of the run. Minimum on and off times are those of the machine, whichever of
+its actuators is on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm as
+the valve that asks for most needs it when it is open for all of the step.
 
 Of actuators that exclude one another one acts in a step, whoever asked: one that must stay on for its minimum time,
 else the one that is asked for most.
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 from controllers.actuation import Actuation, ActuationState
 from thermoforce_mpc.data import Block, Layout, Record
@@ -131,15 +134,53 @@ class Actuators:
         blocks, after = self.each[lead].realise(levels[lead], step_s, replace(running, owed_s=states[lead].owed_s))
         runs_s = sum(block.duration_s for block in blocks if block.u[0])
         found = {lead: (blocks, after)}
-        for a in levels:
-            if a == lead:
-                continue
-            c = self.each[a].config
-            on_s = min(round(max(wanted_s[a], 0.0) / c.block_s) * c.block_s, runs_s)
-            parts = (Block(c.level, on_s), Block(0.0, step_s - on_s))
-            own = tuple(block for block in (parts if blocks[0].u[0] else parts[::-1]) if block.duration_s > _SAME_S)
-            owed_s = min(max(wanted_s[a] - on_s, -c.block_s), c.block_s)
+        block_s = {a: self.each[a].config.block_s for a in levels}
+        on_s = {a: min(round(max(wanted_s[a], 0.0) / block_s[a]) * block_s[a], runs_s) for a in levels if a != lead}
+        slots, most = self._spread(lead, on_s, runs_s)
+        acting = [lead, *(a for a, seconds in on_s.items() if seconds)]
+        if most > 1.0 and all(self.each[a].part_levels for a in acting):
+            return self._at_part_levels(levels, step_s, running, lead)
+        starts_on, idle = bool(blocks[0].u[0]), Block(0.0, step_s - runs_s)
+        for a, of_run in slots.items():
+            level, slot_s = self.each[a].config.level, runs_s / len(of_run)
+            run = [Block(level if on else 0.0, slot_s * len(list(same))) for on, same in groupby(of_run)]
+            parts = [*run, idle] if starts_on else [idle, *run[::-1]]
+            owed_s = min(max(wanted_s[a] - on_s[a], -block_s[a]), block_s[a])
+            own = tuple(part for part in parts if part.duration_s > _SAME_S)
             found[a] = own, replace(after, owed_s=owed_s)
+        return found
+
+    def _spread(self, lead: int, on_s: Mapping[int, float], runs_s: float) -> tuple[dict[int, list[bool]], float]:
+        """Whether each actuator beside the `lead` is on in each slot of a run, and the largest load of a slot.
+
+        The load, a share of the machine's capacity, is as even as can be: actuators that take most choose first, of
+        slots with equal load the first.
+        """
+        shares = self.layout.shares
+        loads = [shares[lead]] * max(1, round(runs_s / self.each[lead].config.block_s))
+        found: dict[int, list[bool]] = {}
+        for a in sorted(on_s, key=lambda a: -shares[a] * on_s[a]):
+            count = round(on_s[a] / runs_s * len(loads)) if runs_s else 0
+            chosen = sorted(range(len(loads)), key=lambda i: loads[i])[:count]
+            found[a] = [i in chosen for i in range(len(loads))]
+            loads = [load + shares[a] * on for load, on in zip(loads, found[a], strict=True)]
+        return found, max(loads)
+
+    def _at_part_levels(
+        self, levels: Mapping[int, float], step_s: float, running: ActuationState, lead: int
+    ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
+        """One run for all actuators of a machine, each at the level that gives its mean of `levels`.
+
+        The run is as long as the `lead` is to be on, and as the load of all needs at full capacity.
+        """
+        load = min(sum(self.layout.shares[a] * level for a, level in levels.items()), 1.0)
+        on = max(levels[lead], load * self.each[lead].config.level)
+        blocks, after = self.each[lead].realise(on, step_s, running)
+        runs_s = sum(block.duration_s for block in blocks if block.u[0])
+        after, found = replace(after, owed_s=0.0), {}
+        for a, level in levels.items():
+            held = min(level * step_s / runs_s, self.each[a].config.level) if runs_s else 0.0
+            found[a] = tuple(Block(held if block.u[0] else 0.0, block.duration_s) for block in blocks), after
         return found
 
 

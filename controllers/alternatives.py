@@ -181,6 +181,8 @@ class _Model:
         for k in range(u.shape[1] if m.exclusive else 0):
             u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
         asked = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
+        if self._problem.capacity is not None:
+            asked = asked / self._problem.capacity[:, :1]
         return np.asarray(u / np.maximum(asked, 1.0)[m.machine_of])
 
     def followed(self, law: _Law) -> Array:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.actuators import Actuators
 from controllers.backoff import backoff_K
+from controllers.kept_capacity import learned_share
 from controllers.machinery import Machinery
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
@@ -67,6 +70,7 @@ class Assembly:
         peak_W: float,
         offset_K: Array,
         missed_K: Array | None = None,
+        kept: Array | None = None,
     ) -> MPCProblem:
         """Return the instance of one step.
 
@@ -77,6 +81,7 @@ class Assembly:
             peak_W: highest mean power of the building over a step so far, W.
             offset_K: added to the free response (Z,), K.
             missed_K: reserve learned inside the lower and the upper bound (2, Z), K; by default none.
+            kept: share of each machine's capacity that is left unused (M,); by default none.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -128,6 +133,7 @@ class Assembly:
             if cap_kW is None
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
             power_per_u2_W=per_u2_W if bent else None,
+            capacity=self._capacity(operator, T_out, kept),
         )
 
     def spare(self, used: Array) -> NDArray[np.bool_]:
@@ -140,6 +146,43 @@ class Assembly:
             if self._keeps_reserve(a) and used[a] < _FULLY_USED * self._actuators.each[a].highest:
                 more[0 if sign > 0 else 1, z] = True
         return more
+
+    def kept_capacity(self, before: Array, operator: BuildingOperator, history: Record) -> Array:
+        """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""
+        kept = before.copy()
+        for m, fed, full in self._metered(operator, history.T_out_C[-2:-1]):
+            u, heat_W = history.u[fed, -1], history.heat_W[fed, -1]
+            maps = [operator.of_actuator(a).heat_input for a in fed]
+            full_W, share = full[:, 0] * np.array([one.reference_W for one in maps]), self.machinery.share[fed]
+            most_W = float(np.mean(np.array([one.reference_W for one in maps]) / share))
+            load = float((share * u * full[:, 0]).sum())
+            kept[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
+        return kept
+
+    def _capacity(self, operator: BuildingOperator, T_out_C: Array, kept: Array | None) -> Array | None:
+        """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
+
+        Metered actuators take more at full level the colder it is; their shares are those at 0 °C. What the machine has
+        is taken as constant, less the share `kept` (M,).
+        """
+        found = np.ones((len(self._layout.names.machines), T_out_C.size))
+        if kept is not None:
+            found *= 1.0 - kept[:, None]
+        for m, fed, full in self._metered(operator, T_out_C):
+            shares = self.machinery.share[fed]
+            found[m] *= shares.sum() / (shares @ full)
+        return None if (found == 1.0).all() else found
+
+    def _metered(self, operator: BuildingOperator, T_out_C: Array) -> Iterator[tuple[int, list[int], Array]]:
+        """Machines with known shares whose several actuators are all metered: number, actuators, heat at full level.
+
+        The heat (A of the machine, n) is relative to that at 0 °C outdoors.
+        """
+        for m in np.flatnonzero(self.machinery.shared).tolist():
+            fed = self._layout.fed_by(m)
+            maps = [operator.of_actuator(a).heat_input for a in fed]
+            if self.machinery.share[fed].all() and all(one.heat is not None for one in maps):
+                yield m, fed, np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
 
     def _bounds_C(
         self, operator: BuildingOperator, context: PredictionContext, missed_K: Array | None

@@ -78,7 +78,7 @@ class IpoptSolver:
             "F_now": ca.SX.sym("F_now", len(pairs) * r),
             "features": ca.SX.sym("features", Z * N_FEATURES, n),
             **{name: ca.SX.sym(name, Z, n) for name in ("T_free", "lower", "upper")},
-            **{name: ca.SX.sym(name, M, n) for name in ("price_W", "fixed", "fixed_cost")},
+            **{name: ca.SX.sym(name, M, n) for name in ("price_W", "fixed", "fixed_cost", "capacity")},
             **{name: ca.SX.sym(name, A, n) for name in ("per_u", "cold_power", "cold_cost")},
             "comfort": ca.SX.sym("comfort", Z),
             "weights": ca.SX.sym("weights", 3),
@@ -117,7 +117,7 @@ class IpoptSolver:
             else:
                 runs_m = on[fed[0]]
             if machinery.share[fed].any():
-                constraints.append(ca.vec(1.0 - loads))
+                constraints.append(ca.vec(given["capacity"][number, :] - loads))
             power += given["fixed"][number, :] * runs_m
             energy += given["fixed_cost"][number, :] * runs_m
             for a in fed:
@@ -214,6 +214,7 @@ class IpoptSolver:
             "price_W": p.price_per_W,
             "fixed": p.power_fixed_W,
             "fixed_cost": p.fixed_cost,
+            "capacity": np.ones(p.power_fixed_W.shape) if p.capacity is None else p.capacity,
             "per_u": p.power_per_u_W,
             "cold_power": np.zeros(p.power_per_u_W.shape) if cold is None else cold.power_per_u_W,
             "cold_cost": p.cooling_cost_per_u,

@@ -25,7 +25,7 @@ class Machinery:
         u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points).
         machine_of: number of the machine that feeds each actuator (A,).
         share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
-            the actuators of a machine of share · u is at most 1.
+            the actuators of a machine of share · u is at most 1 (`MPCProblem.capacity`: another limit by step).
         cycles_below: load below which each machine that feeds several cycles, as a share of its capacity, (M,); 0, the
             default: it runs in full as long as the longest of them acts (`model.machine.running`).
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.

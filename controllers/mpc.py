@@ -209,6 +209,7 @@ class ThermoForceMPC(FallingBack):
             watch=(WatchState(),) * actuators,
             offset_K=np.zeros(zones),
             missed_K=np.zeros((2, zones)),
+            kept=np.zeros(len(self._layout.names.machines)),
             sensors=(SensorState(),) * zones,
             meters=self._meters.begin,
         )
@@ -246,6 +247,7 @@ class ThermoForceMPC(FallingBack):
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
             missed_K=self._missed_K(before, observation),
+            kept=self._kept(before, observation),
             actuation=actuation,
             sensors=sensors,
             meters=meters,
@@ -307,7 +309,8 @@ class ThermoForceMPC(FallingBack):
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
             contexting = planner.predictor.contexting(self._ahead(observation), predictor)
             context = yield from within(limits.forecast_s, contexting)
-            problem = self._assembly.problem(planner.operator, context, history, now.peak_W, now.offset_K, now.missed_K)
+            learned = (now.peak_W, now.offset_K, now.missed_K, now.kept)
+            problem = self._assembly.problem(planner.operator, context, history, *learned)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return fallen_back(f"no prediction ({said(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
@@ -411,6 +414,13 @@ class ThermoForceMPC(FallingBack):
         T_C, now, used = observation.T_zone_C, observation.boundary, observation.history.u[:, -1]
         beyond_K = np.stack([now.lower_C[:, 0] - T_C, T_C - now.upper_C[:, 0]])
         return learned_K(before.missed_K, beyond_K, self._assembly.spare(used), allowed_K, self.step_s)
+
+    def _kept(self, before: MPCState, observation: Observation) -> Array:
+        """Share of each machine's capacity to be left unused (M,), learned from the last step, which a plan decided."""
+        good = before.good
+        if good is None or good.age(observation.time_s, self.step_s) != 1:
+            return before.kept
+        return self._assembly.kept_capacity(before.kept, self._base.operator, observation.history)
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
         """Highest mean power of the building over a step since the first plan, W."""

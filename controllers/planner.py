@@ -27,9 +27,9 @@ class MPCState:
     last solved plan; `predictor`: state of the predictor. Of each actuator (A,): `actuation` (state of its machine),
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
     recent mean error of the zone temperatures planned for the end of a step. `missed_K` (2, Z): reserve learned inside
-    the lower and the upper bound. `sensors` (Z,): what is known of the zone
-    sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
-    gaps. `failures`: failed plans on end.
+    the lower and the upper bound. `kept` (M,): share of each machine's capacity that plans leave unused. `sensors`
+    (Z,): what is known of the zone sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of
+    the boundary conditions without gaps. `failures`: failed plans on end.
     """
 
     first_s: float
@@ -41,6 +41,7 @@ class MPCState:
     watch: tuple[WatchState, ...] = (WatchState(),)
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
     missed_K: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    kept: Array = field(default_factory=lambda: np.zeros(1))
     sensors: tuple[SensorState, ...] = (SensorState(),)
     meters: tuple[MeterState, ...] = ()
     boundary: Boundary | None = None

@@ -17,7 +17,7 @@ For zones z, actuators a and machines m, over steps k,
                 held levels: u_ak = 0 or at least lowest_a; of actuators that exclude one another one acts in a step
 
 The free response T_free enters as fixed vectors. The slack s makes every instance feasible. λ is the value of the heat
-stored in the building at the end of the horizon. The on-blocks of a machine's actuators start together; w_a is the
+stored in the building at the end of the horizon. A machine's actuators are on within the longest on-time; w_a is the
 share of the time it runs while only actuator a is on (`model.machine.running`), and it runs at least as long as its
 capacity asks. With one actuator on_m is that actuator's share.
 """
@@ -166,7 +166,8 @@ class MPCProblem:
     the end, currency/K; `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels
     below 0 cost; None where there are none. `power_cap`: None without one. `held_steps` as in `ProblemShape`: after
     them an actuator runs for the share u / u_max of a step. `power_per_u2_W` (A, N): power over u², where it grows
-    faster than heat; None where it does not, as with peak price, cap and choices, whose rows are linear.
+    faster than heat; None where it does not, as with peak price, cap and choices, whose rows are linear. `capacity`
+    (M, N): what the actuators of a machine may take together, in the unit of their shares; None: 1.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -191,6 +192,7 @@ class MPCProblem:
     power_cap: PowerCap | None = None
     held_steps: int | None = None
     power_per_u2_W: Array | None = None
+    capacity: Array | None = None
 
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
@@ -217,6 +219,8 @@ class MPCProblem:
             expected.append(("power_per_u2_W", self.power_per_u2_W, (A, n)))
             if self.weights.peak or self.power_cap is not None:
                 raise DataError("MPC problem: with a peak price or a power cap, power is linear in u")
+        if self.capacity is not None:
+            expected.append(("capacity", self.capacity, (M, n)))
         if np.ndim(self.weights.comfort):
             expected.append(("weights.comfort", self.weights.comfort, (Z,)))
         for name, value, shape in expected:
@@ -355,6 +359,8 @@ class MPCProblem:
             arrays.append(self.power_cap.limit_W)
         if self.power_per_u2_W is not None:
             arrays.append(self.power_per_u2_W)
+        if self.capacity is not None:
+            arrays.append(self.capacity)
         return bool(np.isfinite(np.concatenate([array.ravel() for array in arrays])).all())
 
     def unfit(self, u: Array) -> str:
@@ -375,7 +381,8 @@ class MPCProblem:
         if unfit:
             return unfit
         if m.share.any():
-            load = (m.fed_by @ (m.share[:, None] * self._heating(u))).max(axis=-1)
+            asked = m.fed_by @ (m.share[:, None] * self._heating(u))
+            load = (asked if self.capacity is None else asked / self.capacity).max(axis=-1)
             for number in np.flatnonzero(load > 1.0 + _BOUND_TOLERANCE):
                 return f"u asks {load[number]:.4g} times the capacity of {m.machines[number]}"
         held = self.n_steps if self.held_steps is None else self.held_steps

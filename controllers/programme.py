@@ -178,6 +178,8 @@ class Programme:
             parts += [entries(rows + step, self._over, 1.0, 0), self._power(rows)]
             rows += n
         low, high = [np.full(rows, -np.inf)], [np.full(rows, np.inf)]
+        # Rows of the capacity of each machine that several share.
+        self._limited: list[tuple[int, slice]] = []
 
         def row(columns: list[Index], factors: list[float], at_least: float, at_most: float) -> None:
             """A row for each of the columns side by side: Σ factor · column between the two."""
@@ -191,9 +193,9 @@ class Programme:
         for i, number in enumerate(self._shared):
             fed = np.flatnonzero(machinery.machine_of == number)
             shares, moves = machinery.share[fed].tolist(), [self._v[a] for a in fed]
-            if float(np.dot(shares, machinery.u_max[fed])) > 1.0:
-                row(moves, shares, -np.inf, 1.0)
             if any(shares):
+                self._limited.append((int(number), slice(rows, rows + m)))
+                row(moves, shares, -np.inf, 1.0)
                 row([self._runs[i], *moves], [1.0, *(-share for share in shares)], 0.0, np.inf)
             self._runs_as_on(i, fed, row)
         later = np.arange(self._h, m)
@@ -386,6 +388,9 @@ class Programme:
             row += n
         if self.shape.capped and p.power_cap is not None:
             low[row : row + n] = -p.power_cap.limit_W / POWER_UNIT_W
+        for number, of_capacity in self._limited:
+            most = np.ones(n) if p.capacity is None else p.capacity[number]
+            high[of_capacity] = np.minimum.reduceat(most, firsts)
         if self.shape.peak or self.shape.capped:
             G = self._G.filled(self._bounds_entries.factor * self._power_numbers(p)[self._bounds_entries.of])
         else:

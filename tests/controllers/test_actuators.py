@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,3 +123,54 @@ def test_native_control_of_one_leaves_the_other_its_blocks():
     assert [block.u for block in acted.together()] == [(None, 0.0), (None, 1.0)]
     assert acted.states[0].native
     assert acted.states[1].on
+
+
+def sharing(shares: tuple[float, ...], part_levels: bool) -> Actuators:
+    """Valves of one machine, each with its share of the capacity, in blocks of 300 s."""
+    config = ActuationConfig(block_s=300.0, min_on_s=600.0, min_off_s=600.0)
+    of = replace(layout(len(shares), (0,) * len(shares)), shares=shares)
+    return Actuators(of, [Actuation(config, part_levels=part_levels)] * len(shares))
+
+
+def running(actuators: int) -> tuple[ActuationState, ...]:
+    return (ActuationState(on=True, held_s=3600.0),) * actuators
+
+
+@pytest.mark.parametrize("part_levels", [True, False])
+def test_valves_take_turns_where_all_at_once_would_ask_for_too_much(part_levels):
+    blocks = sharing((0.5, 0.4, 0.4), part_levels).realise([1.0, 1 / 3, 2 / 3], STEP_S, running(3)).together()
+    assert [(block.u, block.duration_s) for block in blocks] == [((1.0, 0.0, 1.0), 600.0), ((1.0, 1.0, 0.0), 300.0)]
+
+
+def test_valves_that_the_machine_can_feed_at_once_are_on_together():
+    blocks = sharing((0.5, 0.2, 0.2), True).realise([1.0, 1 / 3, 1 / 3], STEP_S, running(3)).together()
+    assert [block.u for block in blocks] == [(1.0, 1.0, 0.0), (1.0, 0.0, 1.0), (1.0, 0.0, 0.0)]
+
+
+def test_where_turns_do_not_suffice_each_holds_a_part_level():
+    levels = [1.0, 1.0, 0.6]
+    (only,) = sharing((0.5, 0.2, 0.5), True).realise(levels, STEP_S, running(3)).together()
+    assert only.u == pytest.approx(levels)
+    on_off = sharing((0.5, 0.2, 0.5), False).realise(levels, STEP_S, running(3)).together()
+    assert {u for block in on_off for u in block.u} == {0.0, 1.0}, "a level in between has never been seen"
+
+
+@given(
+    levels=st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4),
+    shares=st.lists(st.floats(0.05, 0.8), min_size=4, max_size=4),
+    on=st.booleans(),
+)
+@settings(max_examples=200, deadline=None)
+def test_plans_within_the_capacity_are_followed_within_it(levels, shares, on):
+    """What is asked for at once exceeds the capacity only by what whole blocks and minimum times force."""
+    load = float(np.dot(levels, shares))
+    levels = (np.array(levels) / max(load, 1.0)).tolist()
+    actuators = sharing(tuple(shares), True)
+    states = (ActuationState(on=on, held_s=3600.0),) * 4
+    acted = actuators.realise(levels, STEP_S, states)
+    blocks = acted.together()
+    assert sum(block.duration_s for block in blocks) == pytest.approx(STEP_S)
+    at_once = [float(np.dot(block.as_array(), shares)) for block in blocks]
+    longest = sum(block.duration_s for block in blocks if any(block.u))
+    # A run of whole blocks may be half a block shorter than the load of the step at full capacity.
+    assert max(at_once) <= 1.0 + 1e-9 or max(at_once) * longest <= STEP_S * min(load, 1.0) + 150.0 * max(at_once) + 1e-6

@@ -1,0 +1,128 @@
+"""What plans leave unused of a shared machine's capacity, and what they may ask for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpc_problems import N, machinery_of, random_building, random_building_problem
+from simple_house import OutdoorResponse
+from two_houses import TwoHouses, two_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.ipopt import IpoptConfig, IpoptSolver
+from controllers.kept_capacity import learned_share
+from controllers.problem import ProblemShape, every_step
+from controllers.qp import QPConfig, QPSolver
+from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+STEP_S = 900.0
+FULL_W, MOST_W = np.array([1700.0, 420.0, 1200.0]), 2850.0
+
+
+def learned(heat_W: list[float], u: list[float], before: float = 0.05) -> float:
+    expected_W = FULL_W * u
+    load = float(expected_W.sum() / MOST_W)
+    return learned_share(before, load, MOST_W, np.array(heat_W), expected_W, np.array(u), STEP_S)
+
+
+def test_it_grows_where_one_lacks_heat_at_the_limit_and_fades_where_none_does():
+    levels = [1.0, 1.0, 0.6]
+    assert learned([1850.0, 240.0, 740.0], levels) > 0.05, "what one takes too much another lacks"
+    assert learned([1700.0, 410.0, 720.0], levels) < 0.05
+    assert learned([1850.0, 0.0, 740.0], [1.0, 0.02, 0.6]) < 0.05, "a valve that is hardly open lacks nothing"
+
+
+def test_warm_floors_that_take_less_are_no_limit():
+    assert learned([1200.0, 300.0, 600.0], [1.0, 1.0, 0.6]) < 0.05
+
+
+def test_nothing_is_learned_far_from_the_limit_or_without_a_meter():
+    assert learned([850.0, 50.0, 0.0], [0.5, 1.0, 0.0]) == 0.05
+    assert learned([1850.0, float("nan"), 740.0], [1.0, 1.0, 0.6]) == 0.05
+
+
+def test_it_stays_between_nothing_and_a_quarter():
+    kept = 0.0
+    for _ in range(96):
+        kept = learned_share(kept, 1.0, MOST_W, np.array([2750.0, 100.0]), FULL_W[:2], np.ones(2), STEP_S)
+    assert kept == 0.25
+    assert learned([1700.0, 420.0, 720.0], [1.0, 1.0, 0.6], before=0.0) == 0.0, "not below nothing"
+
+
+@pytest.mark.parametrize("solver", ["qp", "ipopt"])
+def test_plans_ask_for_no_more_than_each_step_allows(solver):
+    rng = np.random.default_rng(3)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 0), share=np.array([0.9, 0.8]))
+    problem = random_building_problem(rng, operator, machinery)
+    capacity = np.where(np.arange(N) < N // 2, 0.5, 0.8)[None]
+    limited = replace(problem, capacity=capacity)
+    shape = ProblemShape(every_step(N), machinery)
+    made = QPSolver(operator, shape, QPConfig()) if solver == "qp" else IpoptSolver(operator, shape, IpoptConfig())
+    free, within = made.solve(problem), made.solve(limited)
+    assert free.ok, free.problem
+    assert within.ok, within.problem
+    load = machinery.share @ within.u
+    assert (load <= capacity[0] + 1e-5).all()
+    assert load.max() > 0.45, "the limit is used"
+    assert not problem.outside(free.u)
+    assert "times the capacity of machine 0" in limited.outside(free.u)
+    again = made.solve(problem)
+    np.testing.assert_allclose(again.u, free.u, atol=1e-5)
+
+
+def test_a_capacity_of_another_shape_is_refused():
+    rng = np.random.default_rng(3)
+    operator = random_building(rng, 2, (1, 1))
+    problem = random_building_problem(rng, operator, machinery_of(operator, (0, 0), share=np.array([0.9, 0.8])))
+    with pytest.raises(DataError, match="capacity has shape"):
+        replace(problem, capacity=np.ones(N))
+
+
+def metered() -> ThermoForceMPC:
+    """Control of two houses on one machine that cannot feed both at full level; their heat falls with T_out."""
+    model = two_model(shared=True)
+    heat = HeatInput(heat=MachineLoad((0.0, 0.0, 5000.0, -100.0), (-20.0, 20.0)))
+    operator = model.operator.map(lambda pair: replace(pair, heat_input=heat))
+    config = MPCConfig(step_s=None, horizon_h=24.0)
+    shares = (0.8, 0.6)
+    return ThermoForceMPC(replace(model, operator=operator, shares=shares), config, free_response=OutdoorResponse())
+
+
+def seen(plant: TwoHouses, mpc: ThermoForceMPC, levels: list[float], heat_W: list[float]) -> Observation:
+    """The plant now, after a last step with these levels and this heat."""
+    parts = [house.past(HOUR_S) for house in plant.houses]
+    rows = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("T_zone_C", "u", "heat_W")}
+    rows["u"][:, -1], rows["heat_W"][:, -1] = levels, heat_W
+    rows["power_W"] = sum(part.power_W for part in parts)
+    rows["T_return_C"] = parts[0].T_return_C
+    past = replace(parts[0], **rows, names=plant.names)
+    return Observation(past, plant.forecast(mpc.horizon_s, HOUR_S))
+
+
+def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
+    plant, mpc = TwoHouses(shared=True), metered()
+    plant.reset(10 * 86400.0, 2 * 86400.0)
+    first = mpc.plan(seen(plant, mpc, [0.5, 0.5], [2500.0, 2500.0]))
+    assert first.state.kept.tolist() == [0.0]
+    plant.advance([1.0, 0.4], HOUR_S)
+    # The capacity is 5000 W / 0.8 at 0 °C in one house and 5000 W / 0.6 in the other; all of their mean is given.
+    T_C = float(plant.houses[0].past(HOUR_S).T_out_C[-2])
+    full_W, most_W = 5000.0 - 100.0 * T_C, (5000.0 / 0.8 + 5000.0 / 0.6) / 2
+    lacking = [most_W - 0.5 * 0.7 * full_W, 0.5 * 0.7 * full_W]
+    observation = seen(plant, mpc, [1.0, 0.7], lacking)
+    kept = mpc.plan(observation, first.state).state.kept
+    assert kept.tolist() == pytest.approx([0.12])
+    enough = [0.9 * most_W - 0.7 * full_W, 0.7 * full_W]
+    assert mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state).state.kept.tolist() == [0.0]
+
+    context = mpc.predictor.context(observation)
+    nothing = np.zeros(2)
+    problem = mpc._assembly.problem(mpc.planning_operator, context, observation.history, 0.0, nothing, kept=kept)
+    ahead_C = observation.boundary.T_out_C[:-1]
+    np.testing.assert_allclose(problem.capacity[0], 0.88 / (1.0 - ahead_C / 50.0), rtol=1e-9)
