@@ -2,11 +2,11 @@
 
 Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie within those of the one that
 is on longest, so that the machine runs no longer: all at the start of a step while it runs, all at its end while it
-stands. Two such steps in a row join to one run. Within it they take turns as far as they can, so that no more is asked
-for at once than the machine has: beyond its capacity the water cools, and the warmest rooms go without. Where turns do
-not suffice, each holds a part level for all of the run. Minimum on and off times are those of the machine, whichever of
-its actuators is on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm as
-the valve that asks for most needs it when it is open for all of the step.
+stands. Two such steps in a row join to one run. Within it they take turns where more would be asked for at once than
+the machine has: beyond its capacity the water cools, and the warmest rooms go without. Where turns do not suffice, each
+holds a part level for all of the run. Minimum on and off times are those of the machine, whichever of its actuators is
+on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm as the valve that
+asks for most needs it when it is open for all of the step.
 
 Of actuators that exclude one another one acts in a step, whoever asked: one that must stay on for its minimum time,
 else the one that is asked for most.
@@ -153,15 +153,17 @@ class Actuators:
     def _spread(self, lead: int, on_s: Mapping[int, float], runs_s: float) -> tuple[dict[int, list[bool]], float]:
         """Whether each actuator beside the `lead` is on in each slot of a run, and the largest load of a slot.
 
-        The load, a share of the machine's capacity, is as even as can be: actuators that take most choose first, of
-        slots with equal load the first.
+        The load is a share of the machine's capacity. Actuators that take most choose first: the first slots in which
+        the machine can feed them too, since a machine that cycles at a low load runs least where all are on together,
+        then those with the least excess.
         """
         shares = self.layout.shares
         loads = [shares[lead]] * max(1, round(runs_s / self.each[lead].config.block_s))
         found: dict[int, list[bool]] = {}
         for a in sorted(on_s, key=lambda a: -shares[a] * on_s[a]):
             count = round(on_s[a] / runs_s * len(loads)) if runs_s else 0
-            chosen = sorted(range(len(loads)), key=lambda i: loads[i])[:count]
+            excess = [max(load + shares[a] - 1.0, 0.0) for load in loads]
+            chosen = sorted(range(len(loads)), key=lambda i: excess[i])[:count]
             found[a] = [i in chosen for i in range(len(loads))]
             loads = [load + shares[a] * on for load, on in zip(loads, found[a], strict=True)]
         return found, max(loads)

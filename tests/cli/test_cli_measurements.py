@@ -33,9 +33,9 @@ machines:
 LINEAR = ("--set", "identification.options.modulation=linear")
 
 
-def tabled(r: Record, path: Path) -> None:
+def tabled(r: Record, path: Path, begin: str = "2025-01-21") -> None:
     """Write a record with the units and names of someone who never heard of ours."""
-    at = pd.date_range("2025-01-21", periods=r.n_steps + 1, freq="15min", name="when")
+    at = pd.date_range(begin, periods=r.n_steps + 1, freq="15min", name="when")
     columns = {"room_K": r.T_zone_C[0] + 273.15, "out_F": r.T_out_C * 1.8 + 32, "sun": r.solar_W_m2}
     acting = {"percent": [*(100 * r.u[0]), np.nan], "kWh": [*(r.power_W[0] / 4000), np.nan]}
     pd.DataFrame(columns | acting, index=at).round(4).to_csv(path)
@@ -43,17 +43,17 @@ def tabled(r: Record, path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A probed house, three days of its own control, the map, and a forecast."""
+    """A probed house, two days of its own control, the map, and a forecast."""
     path = tmp_path_factory.mktemp("house")
     plant = EmbeddedPlant(synthetic_weather())
     tabled(probe(plant, 20 * DAY_S, 3.0, seed=1), path / "probed.csv")
     b = plant.forecast(1.5 * DAY_S, 3600.0)
     at = pd.date_range("2025-01-24", periods=b.n_steps + 1, freq="1h", name="when")
     pd.DataFrame({"out_F": b.T_out_C * 1.8 + 32, "sun": b.solar_W_m2}, index=at).to_csv(path / "ahead.csv")
-    record = Record.beginning(plant.reset(20 * DAY_S, 5 * DAY_S))
-    for _ in range(3 * 96):
+    record = Record.beginning(plant.reset(21 * DAY_S, 5 * DAY_S))
+    for _ in range(2 * 96):
         record = record.extended(plant.advance(None, 900.0))
-    tabled(record, path / "operated.csv")
+    tabled(record, path / "operated.csv", "2025-01-22")
     (path / "map.yaml").write_text(MAP, encoding="utf-8")
     return path
 

@@ -133,8 +133,8 @@ def test_schedules_that_nobody_can_run_are_refused(changes, message):
 @pytest.mark.slow
 def test_run_by_hand_the_schedule_tells_what_operation_did_not():
     plant = EmbeddedPlant(synthetic_weather())
-    record = Record.beginning(plant.reset(20 * DAY_S, 5 * DAY_S))
-    for _ in range(3 * 96):
+    record = Record.beginning(plant.reset(60 * DAY_S, 5 * DAY_S))
+    for _ in range(2 * 96):
         record = record.extended(plant.advance(None, 900.0))
     before = findings(record, HEATING)[0]
     assert not before.competent
