@@ -9,7 +9,8 @@ from simple_house import SimpleHouse, outdoor_C
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification import IdentificationConfig
+from thermoforce_mpc.identification import IdentificationConfig, competence
+from thermoforce_mpc.identification.competence import SETTLED_SD
 from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
@@ -73,6 +74,16 @@ def test_probing_goes_on_day_by_day_until_the_bar_is_reached():
     assert progress[-1].information_nats > progress[23].information_nats > progress[0].information_nats
     assert progress[-1].expected_sd < progress[0].expected_sd
     assert "not competent" in progress[-1].verdict
+
+
+def test_probing_goes_on_while_the_effect_is_hardly_known(monkeypatch):
+    model, record, _ = _identified(Watched(), 2.0, most_days=3.0)
+    assert record.n_steps == 192
+    assert 0.01 < model.only.card.competence.relative_sd <= SETTLED_SD
+    monkeypatch.setattr(competence, "SETTLED_SD", 0.01)
+    model, record, _ = _identified(Watched(), 2.0, most_days=3.0)
+    assert record.n_steps == 3 * 96
+    assert model.only.card.competence.competent, "it may be acted on all the same"
 
 
 def test_probing_never_enters_the_scored_window():

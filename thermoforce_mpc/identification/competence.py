@@ -51,6 +51,9 @@ EFFECT_H = 8
 # Probing ends early at this relative standard deviation. It is stricter than what three days of probing give on the
 # heat pump test case (0.08 to 0.10), so that they stay three days there.
 WELL_KNOWN_SD = 0.05
+# Probing goes on beyond the days that were asked for while it is larger than this: a model that may act is still a poor
+# one, and another day of probing is cheap beside a season of its plans.
+SETTLED_SD = 0.3
 # Blocks of the paired test, h; a short held-out part is divided into this many at least.
 _BLOCK_H, _LEAST_BLOCKS = 4.0, 4
 # Sizes of the disturbances tried, as a share of the assumed ones.
@@ -178,6 +181,11 @@ def judge(
     most_K = dict.fromkeys(JUDGED_H, math.inf) if own_loops else MOST_ERROR_K
     reasons, advice = _missed(verdict, last, [case.histories[0] for case, _ in fold.runs], most_K)
     return replace(verdict, competent=not reasons, reasons=reasons, advice=advice)
+
+
+def is_settled(verdict: Competence | None) -> bool:
+    """Whether probing need not go on: competent, and the effect is known to 30 %; or not judged."""
+    return verdict is None or (verdict.competent and verdict.relative_sd <= SETTLED_SD)
 
 
 def is_well_known(verdict: Competence | None) -> bool:

@@ -112,8 +112,9 @@ def identify_on(
     If they would begin before the start of the year, the last days of the year are probed instead.
 
     Args:
-        most_days: where the model is below the bar after `days`, probing goes on on the same run, day by day, until it
-            is not, this many days are over, or `before` (or a new year) begins; by default it does not.
+        most_days: where the model is below the bar after `days`, or its effect known to worse than 30 %, probing goes
+            on on the same run, day by day, until neither is so, this many days are over, or `before` (or a new year)
+            begins; by default it does not.
         end_early: end before `days`, not before 1.5 days, once a model is competent and its effect known well.
         testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
         step_s: step of the model; by default the test case's.
@@ -125,7 +126,7 @@ def identify_on(
         DataError: the record is not sufficient for identification; the message has numbers and advice.
         PlantError: the plant failed.
     """
-    from thermoforce_mpc.identification.competence import is_well_known
+    from thermoforce_mpc.identification.competence import is_settled, is_well_known
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.pipeline import identify
     from thermoforce_mpc.identification.probing.probe import Probing
@@ -171,7 +172,11 @@ def identify_on(
     run.go_on(days, enough=enough if end_early else None, on_step=told)
     model, refused = found(config)
     latest = min(most_days or days, (end_s - start_s) / DAY_S)
-    while (model is None or not may_act(model)) and run.days + 1.0 <= latest + 1e-9:
+
+    def settled(model: ThermalModel | None) -> bool:
+        return model is not None and all(is_settled(card.competence) for card in model.cards)
+
+    while not settled(model) and run.days + 1.0 <= latest + 1e-9:
         told.planned_days = run.days + 1.0
         run.go_on(1.0, on_step=told)
         model, refused = found(config)
@@ -182,7 +187,7 @@ def identify_on(
     if abs(run.days - days) < 1e-6:
         return model
     note = (
-        f"probing went on from {days:g} to {run.days:g} days, since the model was below the bar"
+        f"probing went on from {days:g} to {run.days:g} days, since the model was below the bar or poor"
         if run.days > days
         else f"probing ended after {run.days:g} of {days:g} days, since the effect was known well"
     )
