@@ -48,8 +48,7 @@ def choose_actuation(
     # Blocks are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.heat is not None)
     if found is None:
-        actuation = blocks
-        return ActuationChoice(actuation, f"{actuation.in_words}: the data hold off and full level only")
+        return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only")
     if found.at_half > 1.0 + _SWITCH_FROM:
         actuation = blocks
     else:

@@ -150,11 +150,10 @@ class Assembly:
     def kept_capacity(self, before: Array, operator: BuildingOperator, history: Record) -> Array:
         """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""
         kept = before.copy()
-        for m, fed, full in self._metered(operator, history.T_out_C[-2:-1]):
+        for m, fed, full, reference_W in self._metered(operator, history.T_out_C[-2:-1]):
             u, heat_W = history.u[fed, -1], history.heat_W[fed, -1]
-            maps = [operator.of_actuator(a).heat_input for a in fed]
-            full_W, share = full[:, 0] * np.array([one.reference_W for one in maps]), self.machinery.share[fed]
-            most_W = float(np.mean(np.array([one.reference_W for one in maps]) / share))
+            full_W, share = full[:, 0] * reference_W, self.machinery.share[fed]
+            most_W = float(np.mean(reference_W / share))
             load = float((share * u * full[:, 0]).sum())
             kept[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
         return kept
@@ -162,27 +161,29 @@ class Assembly:
     def _capacity(self, operator: BuildingOperator, T_out_C: Array, kept: Array | None) -> Array | None:
         """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
 
-        Metered actuators take more at full level the colder it is; their shares are those at 0 °C. What the machine has
-        is taken as constant, less the share `kept` (M,).
+        Metered actuators take more at full level the colder it is. Their shares, those of the record's mean, are taken
+        as those at 0 °C: after a mild record that asks for some too much, which `kept` (M,), the share to be left
+        unused, takes back. What the machine has is taken as constant.
         """
         found = np.ones((len(self._layout.names.machines), T_out_C.size))
         if kept is not None:
             found *= 1.0 - kept[:, None]
-        for m, fed, full in self._metered(operator, T_out_C):
+        for m, fed, full, _ in self._metered(operator, T_out_C):
             shares = self.machinery.share[fed]
             found[m] *= shares.sum() / (shares @ full)
         return None if (found == 1.0).all() else found
 
-    def _metered(self, operator: BuildingOperator, T_out_C: Array) -> Iterator[tuple[int, list[int], Array]]:
+    def _metered(self, operator: BuildingOperator, T_out_C: Array) -> Iterator[tuple[int, list[int], Array, Array]]:
         """Machines with known shares whose several actuators are all metered: number, actuators, heat at full level.
 
-        The heat (A of the machine, n) is relative to that at 0 °C outdoors.
+        The heat (A of the machine, n) is relative to that at the reference outdoors, 0 °C, which follows (A,), W.
         """
         for m in np.flatnonzero(self.machinery.shared).tolist():
             fed = self._layout.fed_by(m)
             maps = [operator.of_actuator(a).heat_input for a in fed]
             if self.machinery.share[fed].all() and all(one.heat is not None for one in maps):
-                yield m, fed, np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
+                full = np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
+                yield m, fed, full, np.array([one.reference_W for one in maps])
 
     def _bounds_C(
         self, operator: BuildingOperator, context: PredictionContext, missed_K: Array | None
