@@ -21,7 +21,8 @@ from forecasting import LEVELS, boundary_of, daily, history_of, hours
 from safetensors.torch import load_file, save_file
 
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
-from thermoforce_mpc.model.free_response.backbones import loading
+from thermoforce_mpc.model.free_response.backbones import bolt, loading
+from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -105,6 +106,36 @@ def test_the_control_is_never_seen(forecaster: ChronosFreeResponse) -> None:
         forecaster.forecast(free, history_of(free), boundary_of(240, 24)).quantiles_C,
         forecaster.forecast(free, other, boundary_of(240, 24)).quantiles_C,
     )
+
+
+def test_the_traced_model_gives_the_bits_of_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""
+    rng = np.random.default_rng(4)
+
+    def context(known: int, steps: int) -> Context:
+        free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
+        free[rng.integers(0, known, 5)] = np.nan
+        return Context(free, np.zeros((known + 1, 2)), np.zeros((steps, 2)))
+
+    sets = [[context(known, steps) for known, steps in of] for of in (
+        [(30, 5)], [(97, 24)], [(511, 64), (240, 24), (168, 48)], [(240, 24)] * 60, [(700, 64)], [(300, 24), (300, 90)],
+    )]  # fmt: skip
+    backbone = load_backbone("shipped")
+    assert isinstance(backbone, bolt.BoltBackbone)
+    monkeypatch.setattr(backbone, "_pass", backbone._by_library)
+    by_library = [backbone.quantiles_C(contexts) for contexts in sets]
+    pipeline = backbone._pipeline
+    for contexts, quantiles in zip(sets[:3], by_library, strict=False):
+        series = torch.from_numpy(padded_series(contexts))
+        expected, _ = pipeline.predict_quantiles(series, len(quantiles[0][0]), LEVELS.tolist())
+        np.testing.assert_allclose(quantiles[0], expected[0].T.numpy(), atol=1e-5)
+    monkeypatch.setattr(bolt, "_PASSES_BEFORE_TRACE", backbone._passes + 1)
+    backbone.quantiles_C(sets[0])
+    monkeypatch.setattr(backbone, "_by_library", None)  # what is forecast at once is not asked of the library any more
+    for _ in range(3):  # the first calls of a traced model are still being optimised
+        for contexts, quantiles in zip(sets, by_library, strict=True):
+            for now, before in zip(backbone.quantiles_C(contexts), quantiles, strict=True):
+                np.testing.assert_array_equal(now, before)
 
 
 def test_level_shifts_pass_through(forecaster: ChronosFreeResponse) -> None:

@@ -93,6 +93,7 @@ class GeneratedHousePlant:
         by_name = tariffs.by_name(highly_dynamic)
         self._tariffs = {name: _gas if house.machine == "boiler" else by_name[name] for name in by_name}
         self.testcase = house_testcase(house)
+        self._points = self.testcase.points
         self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
         self._grid = build_grid(house, self.weather)
         rng = np.random.default_rng([house.seed, house.index, 2])
@@ -147,7 +148,7 @@ class GeneratedHousePlant:
         self._rows[0] = self._first_row()
         if self._start_s > self._now_s:
             self._advance(math.nan, self._start_s - self._now_s)
-        return measurement(self._now_s, self._values(), self.testcase.points)
+        return measurement(self._now_s, self._values(), self._points)
 
     def advance(self, u: Levels, duration_s: float) -> Measurement:
         """Apply the level `u` in [0, 1] (None: the house's own control) for `duration_s`.
@@ -160,7 +161,7 @@ class GeneratedHousePlant:
         self._advance(float(block.as_array()[0]), block.duration_s)
         edges = np.array([before_s, self._now_s])
         record = self.recorded(before_s, self._now_s)
-        points = self.testcase.points
+        points = self._points
         acting = acting_means(record, points, interval_means(record, ["level"], edges)[None], edges)
         return measurement(self._now_s, self._values(), points, acting)
 
@@ -196,7 +197,7 @@ class GeneratedHousePlant:
         def levels(edges: Array) -> Array:
             return interval_means(record, ["level"], edges)[None]
 
-        return past_record(record, self.testcase.points, levels, self._now_s, step_s)
+        return past_record(record, self._points, levels, self._now_s, step_s)
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up; discomfort is that of the true temperature."""
@@ -258,7 +259,7 @@ class GeneratedHousePlant:
 
     def _values(self) -> dict[str, float]:
         """Measured points of the latest sample by name, K and W."""
-        p = self.testcase.points
+        p = self._points
         names = (*p.temperatures, p.outdoor_temperature, p.solar, *p.flows)
         return {name: float(self._rows[self._n - 1, _COLUMN[name]]) for name in names}
 

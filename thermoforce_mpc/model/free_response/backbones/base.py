@@ -50,9 +50,12 @@ class Backbone(Protocol):
         ...
 
 
-def padded_series(contexts: Sequence[Context]) -> NDArray[np.float32]:
-    """Return the series of all contexts in one array (contexts, longest), shorter ones padded on the left with NaN."""
-    longest = max(context.free_C.size for context in contexts)
+def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.float32]:
+    """Return the series of all contexts in one array (contexts, k), padded on the left with NaN.
+
+    k is the least multiple of `multiple` that holds the longest.
+    """
+    longest = -(-max(context.free_C.size for context in contexts) // multiple) * multiple
     series = np.full((len(contexts), longest), np.nan, dtype=np.float32)
     for row, context in zip(series, contexts, strict=True):
         row[longest - context.free_C.size :] = context.free_C
