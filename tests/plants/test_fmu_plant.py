@@ -21,6 +21,7 @@ from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, SIGNALS
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, WeatherError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
+from thermoforce_mpc.plants.fmu.process import missing_library
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 
@@ -122,6 +123,15 @@ def test_a_step_the_fmu_refuses_is_an_error_with_its_day(file, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_library_that_the_machine_lacks_is_named_with_what_to_do():
+    loader = "Failed to load shared library wrapped.so. {}: cannot open shared object file: No such file or directory"
+    assert "lacks: install it; on Debian" in missing_library(loader.format("libgfortran.so.5"))
+    assert missing_library(loader.format("libipopt.so.3")).endswith(
+        "libipopt.so.3, which this machine lacks: install it"
+    )
+    assert missing_library("Failed to instantiate FMU") == ""
+
+
 def test_a_forecast_over_new_year_repeats_the_year(file):
     with FmuPlant(file, TESTCASE) as plant:
         plant.reset(364.5 * DAY_S, 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -78,7 +79,8 @@ class WorkerProcess:
             raise PlantError(message) from error
         if isinstance(answer, Stretch):
             return answer
-        message = f"the FMU could not {doing} at day {self._now_s / DAY_S:g}: {answer}{self._last_words()}"
+        when = f"at day {self._now_s / DAY_S:g}"
+        message = f"the FMU could not {doing} {when}: {answer}{missing_library(str(answer))}{self._last_words()}"
         self.close()  # an incomplete step cannot be continued
         raise PlantError(message)
 
@@ -98,3 +100,12 @@ class WorkerProcess:
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
         text = said.decode(errors="replace").strip()
         return f"; its last output:\n{text}" if text else ""
+
+
+def missing_library(error: str) -> str:
+    """What to do about a system library that the loader did not find, or an empty string."""
+    found = re.search(r"(\S+\.so[.\d]*): cannot open shared object file", error)
+    if found is None:
+        return ""
+    package = "; on Debian and Ubuntu: apt-get install libgfortran5" if "libgfortran.so.5" in found[1] else ""
+    return f"; the FMU was compiled with {found[1]}, which this machine lacks: install it{package}"
