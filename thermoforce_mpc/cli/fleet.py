@@ -16,12 +16,20 @@ from rich.console import Console
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
-from thermoforce_mpc.simulation.fleet.dataset import check_dataset, read_dataset, row_of, write_dataset
+from thermoforce_mpc.simulation.fleet.dataset import (
+    check_dataset,
+    finished_rows,
+    read_dataset,
+    reused_rows,
+    row_of,
+    write_dataset,
+)
 from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
@@ -40,9 +48,16 @@ _SHOWN_FAILURES = 10
     type=click.Path(path_type=Path),
     help="Folder of the dataset; finished runs in it are reused.  [default: runs/fleet-NAME]",
 )
+@click.option(
+    "--reuse",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="Folder or runs.parquet of another fleet: its finished runs, where they have the same inputs, count as done. "
+    "Repeatable.",
+)
 @execution_options()
 @click.option("--quiet", is_flag=True, help="Print only the summary.")
-def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: bool) -> None:
+def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], engine: Opening, quiet: bool) -> None:
     """Run every building of a fleet in every window under every tariff with every controller and seed.
 
     FLEET.yaml names the buildings (generated houses, houses of rooms, test cases, or a table of your own) and the axes;
@@ -55,6 +70,7 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
       tf-mpc fleet small --count
       tf-mpc fleet small --out runs/small
       tf-mpc fleet portfolio.yaml --scheduler tcp://host:8786
+      tf-mpc fleet whole.yaml --reuse runs/north --reuse runs/south
 
     \b
     Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed (the others are kept), 7 the cluster is gone,
@@ -62,6 +78,9 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
     """
     console = Console(highlight=False, markup=False)
     file, path = load_fleet(fleet)
+    if reuse and file.trajectories:
+        raise ConfigError(f"{path}: trajectories: true goes without --reuse: rows of other datasets have none")
+    finished = finished_rows(reuse)
     buildings = buildings_of(file, path)
     measured = tasks_of_records(buildings)
     # Checked before anything is run: those with measurements get their model later.
@@ -78,19 +97,24 @@ def command(fleet: str, count: bool, out: Path | None, engine: Opening, quiet: b
         models = _identify(measured, results, console, engine, quiet)
         runs = runs_of(file, with_models(buildings, models), path)
     records = {run.cell.key: record for run in runs if (record := results.record(run)) is not None}
-    todo = [run for run in runs if run.cell.key not in records]
+    rows_of_others = reused_rows(finished, [run for run in runs if run.cell.key not in records])
+    own = [run for run in runs if run.cell.key not in rows_of_others]
+    todo = [run for run in own if run.cell.key not in records]
     if not quiet:
-        console.print(f"{len(records)} runs are done, {len(todo)} are left; {results.folder}", soft_wrap=True)
+        taken = f"{len(rows_of_others)} are taken from other datasets, " if reuse else ""
+        console.print(f"{len(records)} runs are done, {taken}{len(todo)} are left; {results.folder}", soft_wrap=True)
     try:
         if todo:
             _run(todo, results, records, console, engine, quiet)
     except KeyboardInterrupt:
         kept = sum(record["status"] == DONE for record in records.values())
-        click.echo(f"{kept} of {len(runs)} runs are kept in {results.folder}; repeat the command to resume", err=True)
+        click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
         raise
-    dataset = write_dataset(results.folder, [row_of(run, records[run.cell.key]) for run in runs])
+    dataset = write_dataset(
+        results.folder, [rows_of_others.get(run.cell.key) or row_of(run, records[run.cell.key]) for run in runs]
+    )
     rows = read_dataset(dataset)
-    verdicts = write_models(results.folder, results, runs, measured)
+    verdicts = write_models(results.folder, results, own, measured)
     page = results.folder / "index.html"
     said = shlex.join(["tf-mpc", "fleet", fleet])
     write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said))

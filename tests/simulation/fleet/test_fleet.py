@@ -80,6 +80,46 @@ def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_befo
 
 
 @pytest.mark.slow
+def test_parts_of_a_fleet_run_apart_come_together(tmp_path: Path) -> None:
+    """The same dataset and page as in one go, also where a variant has another name; nothing is run again."""
+    parts = []
+    for first in (0, 1):
+        (tmp_path / str(first)).mkdir()
+        part = _file(tmp_path / str(first), buildings=[{"generated": {"seed": 5, "count": 1, "first": first}}])
+        assert _fleet(part)[0] == 0
+        parts.append(part.parent / "out")
+    elsewhere = tmp_path / "sent.parquet"
+    elsewhere.write_bytes((parts[1] / "runs.parquet").read_bytes())
+    renamed = {"timer": RULES["thermostat"], "native": RULES["native"]}
+    path = _file(tmp_path, variants=renamed, reference="timer")
+    code, said = _fleet(path, "--reuse", str(parts[0]), "--reuse", str(elsewhere))
+    assert code == 0, said
+    assert "0 runs are done, 8 are taken from other datasets, 0 are left" in said
+    rows = read_dataset(tmp_path / "out")
+    assert set(rows["variant"]) == {"timer", "native"}
+    apart = pd.concat([read_dataset(part) for part in parts]).replace({"variant": {"thermostat": "timer"}})
+    columns = [name for name in SCHEMA.names if name != "variant"]
+    pd.testing.assert_frame_equal(
+        rows.sort_values("key", ignore_index=True)[columns], apart.sort_values("key", ignore_index=True)[columns]
+    )
+    assert "native against timer in 4 runs" in (tmp_path / "out" / "index.html").read_text()
+    (tmp_path / "more").mkdir()
+    more = _file(tmp_path / "more", buildings=[{"generated": {"seed": 5, "count": 3}}])
+    assert "8 are taken from other datasets, 4 are left" in _fleet(more, "--reuse", str(tmp_path / "out"))[1]
+
+
+def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"cost": [1.0]}), tmp_path / "other.parquet")
+    code, said = _fleet(_file(tmp_path), "--reuse", str(tmp_path / "other.parquet"))
+    assert (code, "other.parquet: its schema is none" in said) == (2, True)
+    code, said = _fleet(_file(tmp_path), "--reuse", str(tmp_path / "nowhere.parquet"))
+    assert (code, "nowhere.parquet: is missing" in said) == (2, True)
+    code, said = _fleet(_file(tmp_path, trajectories=True), "--reuse", str(tmp_path / "other.parquet"))
+    assert (code, "trajectories: true goes without --reuse" in said) == (2, True)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
 def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> None:
     path = _file(
         tmp_path,

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.runs import Run
 
 NAME = "runs.parquet"
@@ -40,23 +41,11 @@ SCHEMA = pa.schema(
 
 def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
     """The row of a run with its record; what a failed run has not is missing."""
-    building, cell = run.building, run.cell
+    cell = run.cell
     plans, kpis, seconds = (record.get(name) or {} for name in ("fallback_levels", "kpis", "seconds"))
     plant = record.get("plant") or {}
-    row = {
-        "building": building.name,
-        "source": building.source,
-        "emitter": building.emitter,
-        "machine": building.machine,
-        "mass": building.mass,
-        "description": building.description,
-        "area_m2": building.area_m2,
-        "window": cell.window,
-        "price": cell.price,
-        "uncertainty": cell.uncertainty,
-        "variant": cell.variant,
+    row = _place(run) | {
         "controller": cell.scenario.controller.name,
-        "seed": cell.scenario.seed,
         "days": cell.scenario.days,
         "status": record["status"],
         "reason": record["reason"],
@@ -75,6 +64,40 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
     return row | {name: plans.get(name.removeprefix("plans_"), 0) for name in (*_PLANS, "plans_refused")}
 
 
+def _place(run: Run) -> dict[str, Any]:
+    """Where a run stands in its fleet: what its key does not say."""
+    building, cell = run.building, run.cell
+    return {
+        "building": building.name,
+        "source": building.source,
+        "emitter": building.emitter,
+        "machine": building.machine,
+        "mass": building.mass,
+        "description": building.description,
+        "area_m2": building.area_m2,
+        "window": cell.window,
+        "price": cell.price,
+        "uncertainty": cell.uncertainty,
+        "variant": cell.variant,
+        "seed": cell.scenario.seed,
+    }
+
+
+def finished_rows(datasets: Iterable[Path]) -> dict[str, dict[str, Any]]:
+    """Rows of the finished runs of datasets (folders or files), by key; raises `ConfigError` for another schema."""
+    found: dict[str, dict[str, Any]] = {}
+    for path in datasets:
+        rows = read_dataset(path)
+        finished = rows[rows["status"] == DONE].astype(object)
+        found |= {row["key"]: row for row in finished.where(finished.notna(), None).to_dict("records")}
+    return found
+
+
+def reused_rows(finished: Mapping[str, Mapping[str, Any]], runs: Iterable[Run]) -> dict[str, dict[str, Any]]:
+    """The rows among `finished` of runs with the same inputs, as rows of these runs, by key."""
+    return {run.cell.key: {**finished[run.cell.key], **_place(run)} for run in runs if run.cell.key in finished}
+
+
 def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
     """Write the rows (`row_of`) in the order given as `runs.parquet`, whole or not at all; raises `StorageError`."""
     path, content = folder / NAME, io.BytesIO()
@@ -83,27 +106,31 @@ def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
     return path
 
 
-def check_dataset(folder: Path) -> None:
-    """Refuse a folder whose dataset is of another schema; raises `ConfigError`."""
-    path = folder / NAME
+def check_dataset(path: Path) -> None:
+    """Refuse a dataset, the file or its folder, of another schema; raises `ConfigError`."""
+    path = _file(path)
     if not path.exists():
         return
     try:
         schema = pq.read_schema(path)
     except (OSError, pa.ArrowException) as error:
-        raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another --out, or remove it") from error
+        raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another folder, or remove it") from error
     found = (schema.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
     if found != FORMAT or schema.names != SCHEMA.names:
         raise ConfigError(
-            f"{path}: its schema is {found}, this release writes {FORMAT}; give another --out, or remove it to have it "
-            "written anew from the runs beside it"
+            f"{path}: its schema is {found}, this release writes {FORMAT}; give another folder, or remove it to have "
+            "it written anew from the runs beside it"
         )
 
 
 def read_dataset(path: Path) -> pd.DataFrame:
-    """The dataset of a fleet's folder or file, one row a run; raises `ConfigError` for another one."""
-    folder = path if path.is_dir() else path.parent
-    if not (folder / NAME).exists():
-        raise ConfigError(f"{folder / NAME}: is missing; make it with `tf-mpc fleet`")
-    check_dataset(folder)
-    return pd.read_parquet(folder / NAME)
+    """The dataset in a fleet's folder or file, one row a run; raises `ConfigError` for another one."""
+    path = _file(path)
+    if not path.exists():
+        raise ConfigError(f"{path}: is missing; make it with `tf-mpc fleet`")
+    check_dataset(path)
+    return pd.read_parquet(path)
+
+
+def _file(path: Path) -> Path:
+    return path if path.suffix == ".parquet" else path / NAME
