@@ -139,11 +139,11 @@ class Assembly:
     def spare(self, used: Array) -> NDArray[np.bool_]:
         """Whether actuators that protect the lower and the upper bound of each zone had more to give (2, Z).
 
-        `used` (A,): mean level of the last step. Those that keep a reserve count.
+        `used` (A,): mean level of the last step.
         """
         more = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
         for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
-            if self._keeps_reserve(a) and used[a] < _FULLY_USED * self._actuators.each[a].highest:
+            if self._config.reserve and used[a] < _FULLY_USED * self._actuators.each[a].highest:
                 more[0 if sign > 0 else 1, z] = True
         return more
 

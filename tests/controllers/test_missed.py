@@ -10,12 +10,12 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.missed import MOST_K, learned_K
+from controllers.missed import ALLOWED_K, OF_PLANS, learned_K, of_loops
 from controllers.mpc import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
-ALLOWED_K = 0.0135
+MOST_K = OF_PLANS.most_K
 
 
 def learned(beyond_K: float, spare: bool = True, before_K: float = 0.1) -> float:
@@ -43,6 +43,16 @@ def test_it_stays_between_nothing_and_what_a_thermostat_keeps():
     for _ in range(96):
         K = learned(0.05 + ALLOWED_K, before_K=K)
     assert 0.1 < K <= MOST_K, "a day of 0.05 K too much"
+
+
+def test_what_loops_miss_is_learned_faster_and_further():
+    """Drops of 0.6 K in every sixth reading, as of a heat pump that defrosts: after a day hardly any counts."""
+    K = np.zeros(1)
+    for step in range(96):
+        beyond_K = (0.6 if step % 6 == 0 else 0.0) - K
+        K = learned_K(K, beyond_K, np.ones(1, dtype=bool), ALLOWED_K, 900.0, of_loops(0.6))
+    assert 0.4 < K[0] < 0.6
+    assert (0.6 - K[0]) / 6 == pytest.approx(ALLOWED_K, abs=0.01)
 
 
 def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boundary]:
