@@ -113,7 +113,40 @@ def runs_here() -> str:
     return ""
 
 
-@pytest.mark.skipif(bool(runs_here()), reason=runs_here())
+needs_fmu = pytest.mark.skipif(bool(runs_here()), reason=runs_here())
+
+
+@needs_fmu
+def test_over_rest_the_water_is_set_as_from_the_fmu(tmp_path: Path):
+    """The same measurements to the bit, also while native control has the valves back."""
+    from boptest_server import running_service
+    from fmu_service import FmuService
+
+    from thermoforce_mpc.plants.boptest.plant import BoptestPlant
+    from thermoforce_mpc.plants.fmu.plant import FmuPlant
+
+    def course(plant):
+        found = [plant.reset(20 * DAY_S, 0.0)]
+        found += [plant.advance(u, 900.0) for u in ((0.4, 0.4), (0.8, 0.0), None, (0.0, 0.0), (0.2, 0.9), (0.2, 0.9))]
+        return found, plant.past(900.0)
+
+    with (
+        running_service(FmuService(APARTMENT.name, FMU, tmp_path)) as service,
+        BoptestPlant(service.url, APARTMENT) as rest,
+    ):
+        measured, record = course(rest)
+    with FmuPlant(FMU, APARTMENT) as local:
+        expected, expected_record = course(local)
+    for now, then in zip(measured, expected, strict=True):
+        for name in ("T_zone_C", "u", "heat_W", "power_W"):
+            np.testing.assert_array_equal(getattr(now, name), getattr(then, name))
+    np.testing.assert_array_equal(record.u, expected_record.u)
+    np.testing.assert_array_equal(record.heat_W, expected_record.heat_W)
+    assert measured[-1].u[0] > 0.0
+    assert measured[-1].u[1] > 0.5
+
+
+@needs_fmu
 def test_the_heat_pump_of_the_apartment_gives_what_is_asked_with_cooler_water_than_its_own_curve():
     from thermoforce_mpc.plants.fmu.plant import FmuPlant
 
