@@ -40,6 +40,9 @@ class ThermostatConfig(StrictModel):
         default_factory=dict,
         description="centre of the dead band of single actuators, by name, °C; `setpoint_C` otherwise",
     )
+    cooling_setpoint_C: float = Field(
+        23.7, ge=0, le=40, description="set-point of cooling where the plant's own loops heat and cool a zone, °C"
+    )
     deadband_K: float = Field(0.1, gt=0, le=5, description="half-width of the dead band, K")
     level: float = Field(1.0, gt=0, le=1, description="level while on")
     step_s: float = Field(900.0, ge=60, le=86400, description="control step, s")
@@ -83,14 +86,23 @@ class Thermostat:
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """On below the dead band, off above it (cooling: reversed), unchanged inside; native control if T is missing.
 
+        Where the plant's own loops heat and cool a zone, they keep the two set-points.
+
         Raises:
             DataError: `state` is not from a plan of a thermostat.
         """
         names = self.layout.names
         last = checked_state(state, ThermostatState) or ThermostatState((False,) * len(names.actuators))
         levels: list[float | None] = []
+        bands: list[tuple[float, float] | None] = [None] * len(names.actuators)
         on, told = [], []
         for a, actuator in enumerate(names.actuators):
+            if self.layout.lowest[a] < 0.0:
+                bands[a] = low, high = self._setpoint_C(a), self.config.cooling_setpoint_C
+                levels.append(0.0)
+                on.append(False)
+                told.append(f"{actuator}: loops keep {low:g} to {high:g} °C")
+                continue
             T_zone_C = float(observation.T_zone_C[self.layout.home[a]])
             found, why = self._switched(a, T_zone_C, observation.time_s, last.on[a])
             levels.append(None if found is None else self.config.level * found)
@@ -101,7 +113,7 @@ class Thermostat:
             levels[a] = None if levels[by] is None else 0.0
             on[a] = False
             told.append(f"{names.actuators[a]}: excluded by {names.actuators[by]}")
-        block = Block(levels, self.step_s)
+        block = Block(levels, self.step_s, bands)
         return Plan((block,), PlanStatus.RULE, "; ".join(told), names=names, state=ThermostatState(tuple(on)))
 
     def _switched(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
@@ -110,8 +122,7 @@ class Thermostat:
         if not math.isfinite(T_zone_C):
             return None, "zone temperature missing: native control"
         # Distance from the set-point on the side that needs the machine: below it heating, above it cooling.
-        setpoint_C = c.setpoints_C.get(self.layout.names.actuators[a], c.setpoint_C)
-        need_K = (setpoint_C - T_zone_C) * self.layout.signs[a]
+        need_K = (self._setpoint_C(a) - T_zone_C) * self.layout.signs[a]
         if c.setback and c.setback.active(time_s):
             return False, "setback"
         if need_K > c.deadband_K:
@@ -119,3 +130,6 @@ class Thermostat:
         if need_K < -c.deadband_K:
             return False, f"{T_zone_C:.2f} °C is beyond the dead band: off"
         return was_on, f"{T_zone_C:.2f} °C is inside the dead band: unchanged"
+
+    def _setpoint_C(self, a: int) -> float:
+        return self.config.setpoints_C.get(self.layout.names.actuators[a], self.config.setpoint_C)

@@ -6,7 +6,7 @@ from simple_house import SimpleHouse
 
 from controllers.native import NativeController
 from controllers.thermostat import Setback, Thermostat, ThermostatConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Names, Observation, Record
 
 
 def observation(T: float, time_s: float = 0.0) -> Observation:
@@ -33,6 +33,20 @@ def test_hysteresis_keeps_its_state_inside_the_dead_band():
 def test_cooling_acts_on_the_other_side():
     config = ThermostatConfig(mode="cooling", setpoint_C=24.0)
     assert levels(Thermostat(config), [24.2, 24.0, 23.8, 24.05]) == [1, 1, 0, 0]
+
+
+def test_loops_that_heat_and_cool_keep_both_set_points_whatever_is_measured():
+    names = Names(("office", "hall"), ("office_unit", "hall_unit"), ("a", "b"))
+    layout = Layout(names, (1, 1), (0, 1), (0, 1), (-0.5, 0.0), (0.0, 0.0), (50.0, 50.0))
+    thermostat = Thermostat(ThermostatConfig(setpoints_C={"office_unit": 20.0}, cooling_setpoint_C=25.0), layout)
+    for T_C in (18.0, 30.0, float("nan")):
+        line = np.ones(2)
+        zones = np.array([[T_C], [20.0]])
+        history = Record([0.0], zones, [0.0], [0.0], np.empty((2, 0)), np.empty((2, 0)), np.empty((2, 0)), names=names)
+        ahead = [21 * np.ones((2, 2)), 24 * np.ones((2, 2)), np.ones((2, 2)), np.ones((2, 2))]
+        seen = Observation(history, Boundary([0, 900.0], 0 * line, 0 * line, np.ones((2, 2)), *ahead, names=names))
+        (block,) = thermostat.plan(seen).blocks
+        assert (block.u, block.band_C) == ((0.0, 1.0), ((20.0, 25.0), None))
 
 
 def test_a_silent_sensor_hands_over_to_native_control():
