@@ -11,6 +11,7 @@ from controllers.actuators import Actuators
 from controllers.backoff import backoff_K
 from controllers.kept_capacity import learned_share
 from controllers.machinery import Machinery
+from controllers.missed import set_back
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
 from controllers.reserve import is_fast, reserve_K
@@ -211,7 +212,9 @@ class Assembly:
                 upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
             # Margins wider than half the band would swap the bounds.
             half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
-            learned = np.zeros(2) if missed_K is None else missed_K[:, z]
+            learned = np.zeros((2, 1)) if missed_K is None else missed_K[:, z, None]
+            if any(self._actuators.each[a].by_rooms for a in own):
+                learned = learned * set_back(lower_C, upper_C)
             inside = {sign: self._reserve_K(operator, z, sign) + learned[i] for i, sign in enumerate((1, -1))}
             rows.append(
                 (

@@ -14,38 +14,44 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 
-# Mean violation of a bound that a plan may expect, K.
-ALLOWED_K = 0.0135
-
 
 @dataclass(frozen=True)
 class Learning:
-    """How fast a reserve grows, K per hour and K of mean violation above the allowed one, and the most of it, K."""
+    """How a reserve is learned.
+
+    Attributes:
+        growth_1_h: growth, K per hour and K of mean violation above the allowed one.
+        most_K: the most that is learned, and that one reading counts, K.
+        allowed_K: mean violation that a plan may expect, K.
+    """
 
     growth_1_h: float
     most_K: float
+    allowed_K: float
 
 
-# 0.05 K too much all day adds about 0.2 K; at most what a thermostat keeps above its bound.
-OF_PLANS = Learning(0.25, 0.3)
+def of_plans(allowed_K: float) -> Learning:
+    """For plans of levels: 0.05 K too much all day adds 0.2 K; at most what a thermostat keeps above its bound."""
+    return Learning(0.25, 0.3, allowed_K)
 
 
-def of_loops(most_K: float) -> Learning:
-    """Where the plant's own loops keep set-points: what they miss are short drops, such as a heat pump that defrosts.
+# Where the plant's own loops keep set-points. They miss them by short drops, such as of a heat pump that defrosts: few
+# readings show them, so each counts more. 0.003 K are 0.5 K.h a week. Chosen on two cold weeks of the small office.
+OF_LOOPS = Learning(0.75, 1.0, 0.003)
+# How much wider than at its tightest a bound is set back, K.
+_SET_BACK_K = 0.5
 
-    Faster, since few of the readings show them. Chosen on two cold weeks of the EnergyPlus small office.
+
+def set_back(lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
+    """Where bounds (..., N), °C, are wider than at their tightest within the N instants, lower and upper (2, ..., N).
+
+    There loops cycle at low load, and a reserve costs little.
     """
-    return Learning(0.75, most_K)
+    tightest = lower_C.max(axis=-1, keepdims=True), upper_C.min(axis=-1, keepdims=True)
+    return np.stack([lower_C < tightest[0] - _SET_BACK_K, upper_C > tightest[1] + _SET_BACK_K])
 
 
-def learned_K(
-    before_K: Array,
-    beyond_K: Array,
-    spare: NDArray[np.bool_],
-    allowed_K: float,
-    step_s: float,
-    learning: Learning = OF_PLANS,
-) -> Array:
+def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s: float, learning: Learning) -> Array:
     """The reserve inside each bound after a step, K, from that before it, any shape.
 
     Args:
@@ -53,11 +59,10 @@ def learned_K(
         beyond_K: how far the reading at the end of the step was beyond the bound, K, negative inside; NaN: not known.
         spare: whether the actuators that protect the bound were less than fully used in the step; where they were, or
             where there are none, nothing is learned.
-        allowed_K: mean violation that a plan may expect, K.
         step_s: length of the step, s.
-        learning: rate and limit.
+        learning: rate and limits.
     """
     violation_K = np.clip(beyond_K, 0.0, learning.most_K)
-    change_K = learning.growth_1_h * step_s / HOUR_S * (violation_K - allowed_K)
+    change_K = learning.growth_1_h * step_s / HOUR_S * (violation_K - learning.allowed_K)
     learned = spare & np.isfinite(beyond_K)
     return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), 0.0, learning.most_K))

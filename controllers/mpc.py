@@ -18,7 +18,7 @@ from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
 from controllers.machinery import Machinery
 from controllers.meters import Meters
-from controllers.missed import ALLOWED_K, OF_PLANS, learned_K, of_loops
+from controllers.missed import OF_LOOPS, learned_K, of_plans, set_back
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_records
 from controllers.planner import MPCState, Planner
@@ -408,15 +408,18 @@ class ThermoForceMPC(FallingBack):
 
     def _missed_K(self, before: MPCState, observation: Observation) -> Array:
         """Reserve learned inside the lower and the upper bound (2, Z), K, after the last step, which a plan decided."""
-        good, c = before.good, self.config
+        good, allowed_K = before.good, self.config.backoff_violation_K
         # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
-        loops = c.actuation.mode == "room_setpoints"
-        allowed_K, learning = (ALLOWED_K, of_loops(c.backoff_max_K)) if loops else (c.backoff_violation_K, OF_PLANS)
-        if allowed_K is None or good is None or good.age(observation.time_s, self.step_s) != 1:
+        by_loops = self.config.actuation.mode == "room_setpoints"
+        if good is None or good.age(observation.time_s, self.step_s) != 1 or (allowed_K is None and not by_loops):
             return before.missed_K
         T_C, now, used = observation.T_zone_C, observation.boundary, observation.history.u[:, -1]
         beyond_K = np.stack([now.lower_C[:, 0] - T_C, T_C - now.upper_C[:, 0]])
-        return learned_K(before.missed_K, beyond_K, self._assembly.spare(used), allowed_K, self.step_s, learning)
+        spare = self._assembly.spare(used)
+        if by_loops:
+            spare &= set_back(now.lower_C, now.upper_C)[..., 0]
+        learning = OF_LOOPS if by_loops or allowed_K is None else of_plans(allowed_K)
+        return learned_K(before.missed_K, beyond_K, spare, self.step_s, learning)
 
     def _kept(self, before: MPCState, observation: Observation) -> Array:
         """Share of each machine's capacity to be left unused (M,), learned from the last step, which a plan decided."""

@@ -13,7 +13,6 @@ from controllers.guard import GuardConfig
 from controllers.ipopt import IpoptConfig
 from controllers.meters import MeterConfig
 from controllers.milp import MilpConfig
-from controllers.missed import ALLOWED_K
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
 from controllers.sensor_state import SensorConfig
@@ -113,7 +112,7 @@ class MPCConfig(StrictModel):
         description="chance level of the other bound (heating: the upper, exceeded by solar gains)",
     )
     backoff_violation_K: float | None = Field(
-        ALLOWED_K,
+        0.0135,
         gt=0,
         description="largest expected violation of a bound, K, mean over the next 6 h: the chance levels are lowered "
         "until it holds, which matters where forecasts are uncertain; null: chance levels alone",

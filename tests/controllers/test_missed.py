@@ -10,16 +10,18 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.missed import ALLOWED_K, OF_PLANS, learned_K, of_loops
+from controllers.missed import OF_LOOPS, learned_K, of_plans, set_back
 from controllers.mpc import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
+ALLOWED_K = 0.0135
+OF_PLANS = of_plans(ALLOWED_K)
 MOST_K = OF_PLANS.most_K
 
 
 def learned(beyond_K: float, spare: bool = True, before_K: float = 0.1) -> float:
-    return float(learned_K(np.array(before_K), np.array(beyond_K), np.array(spare), ALLOWED_K, 900.0))
+    return float(learned_K(np.array(before_K), np.array(beyond_K), np.array(spare), 900.0, OF_PLANS))
 
 
 def test_it_grows_where_readings_are_beyond_the_bound_and_fades_inside():
@@ -50,9 +52,14 @@ def test_what_loops_miss_is_learned_faster_and_further():
     K = np.zeros(1)
     for step in range(96):
         beyond_K = (0.6 if step % 6 == 0 else 0.0) - K
-        K = learned_K(K, beyond_K, np.ones(1, dtype=bool), ALLOWED_K, 900.0, of_loops(0.6))
-    assert 0.4 < K[0] < 0.6
-    assert (0.6 - K[0]) / 6 == pytest.approx(ALLOWED_K, abs=0.01)
+        K = learned_K(K, beyond_K, np.ones(1, dtype=bool), 900.0, OF_LOOPS)
+    assert 0.5 < K[0] < 0.6
+
+
+def test_bounds_are_set_back_where_they_are_wider_than_at_their_tightest():
+    lower, upper = np.array([[15.0, 15.0, 21.0, 20.8]]), np.array([[28.0, 24.0, 24.0, 24.2]])
+    assert set_back(lower, upper).tolist() == [[[True, True, False, False]], [[True, False, False, False]]]
+    assert not set_back(np.full((1, 3), 21.0), np.full((1, 3), 24.0)).any()
 
 
 def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boundary]:

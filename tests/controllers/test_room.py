@@ -21,7 +21,7 @@ from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.registry import controller_config
 from controllers.room import room_blocks
-from thermoforce_mpc.data import DAY_S, Block, Boundary, Layout, Period, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import probe
@@ -214,6 +214,40 @@ def test_closed_loop_is_far_more_comfortable_than_native_control_at_nearly_its_c
     native = office.native_kpis(period)
     assert ours.kpis["tdis_tot"] < 0.3 * native["tdis_tot"]
     assert ours.kpis["cost_tot"] < 1.03 * native["cost_tot"]
+
+
+class DroppingOffice(LightOffice):
+    """The office whose loops fail it for a moment every hour of the night, as a heat pump that defrosts."""
+
+    def advance(self, u, duration_s, band_C=None):
+        found = super().advance(u, duration_s, band_C)
+        if self.now_s % HOUR_S == 0 and self.now_s % DAY_S < 7 * HOUR_S:
+            self.T -= 0.8
+            found = replace(found, T_zone_C=np.array([self.T]))
+        return found
+
+
+@pytest.mark.slow
+def test_what_loops_miss_at_night_is_kept_off_the_bound_of_the_night(model):
+    testcase = load_testcase("bestest_air")
+    period = Period("day 30", 30 * DAY_S, 4 * DAY_S, 2 * DAY_S)
+
+    def course(reserve: bool):
+        options = {"free_response": {"name": "rc"}, "horizon_h": 24.0, "reserve": reserve}
+        config = controller_config("thermoforce_mpc", options, testcase)
+        assert isinstance(config, MPCConfig)
+        return run_closed_loop(DroppingOffice(), ThermoForceMPC(model, config), period)
+
+    def too_cold_K(run) -> float:
+        """Sum over the readings in the last two nights."""
+        late = [step for step in run.steps if step.time_s > period.start_s + 2 * DAY_S]
+        below_K = [15.0 - float(step.T_zone_C[0]) for step in late if step.boundary.lower_C[0, 0] == 15.0]
+        return sum(max(K, 0.0) for K in below_K)
+
+    learning, without = course(True), course(False)
+    assert too_cold_K(without) > 2.0
+    assert too_cold_K(learning) < 0.5 * too_cold_K(without)
+    assert learning.kpis["cost_tot"] < 1.05 * without.kpis["cost_tot"]
 
 
 def test_a_model_of_one_direction_does_not_run_room_setpoints(model):
