@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml
 from filelock import FileLock, Timeout
@@ -83,7 +84,9 @@ def sole_use(folder: Path) -> Iterator[None]:
 
 def trajectory_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     """One row per applied block: the columns of `Sample` (units in the names), one per zone, actuator and machine."""
-    return pd.DataFrame([sample.columns() for step in steps for sample in step.samples])
+    frame = pd.DataFrame([sample.columns() for step in steps for sample in step.samples])
+    # A column without any value, such as the levels of native control, is of numbers too.
+    return frame.astype({name: np.float64 for name in frame.columns if frame[name].dtype == object})
 
 
 def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:

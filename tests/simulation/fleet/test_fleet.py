@@ -63,6 +63,8 @@ def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_befo
     assert set(rows["building"]) == {"generated:5:0", "generated:5:1"}
     assert (rows["status"] == "done").all()
     assert (rows["cost_tot"] >= 0).all()
+    schemas = [pq.read_schema(file).remove_metadata() for file in (out / "trajectories").rglob("*.parquet")]
+    assert all(schema.equals(schemas[0]) for schema in schemas), "native control has no levels, but a column of them"
     courses = pd.read_parquet(out / "trajectories")
     assert set(courses["key"]) == set(rows["key"])
     assert set(courses["building"].astype(str)) == {"generated:5:0", "generated:5:1"}
