@@ -35,7 +35,7 @@ def of_plans(allowed_K: float) -> Learning:
     return Learning(0.25, 0.3, allowed_K)
 
 
-# Where the plant's own loops keep set-points. They miss them by short drops, such as of a heat pump that defrosts: few
+# Where the plant's own loops keep set-points. They miss them by short drops, as of a fan that pauses at night: few
 # readings show them, so each counts more. 0.003 K are 0.5 K.h a week. Chosen on two cold weeks of the small office.
 OF_LOOPS = Learning(0.75, 1.0, 0.003)
 # How much wider than at its tightest a bound is set back, K.

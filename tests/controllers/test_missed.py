@@ -48,7 +48,7 @@ def test_it_stays_between_nothing_and_what_a_thermostat_keeps():
 
 
 def test_what_loops_miss_is_learned_faster_and_further():
-    """Drops of 0.6 K in every sixth reading, as of a heat pump that defrosts: after a day hardly any counts."""
+    """Drops of 0.6 K in every sixth reading, as of a fan that pauses: after a day hardly any counts."""
     K = np.zeros(1)
     for step in range(96):
         beyond_K = (0.6 if step % 6 == 0 else 0.0) - K

@@ -217,7 +217,7 @@ def test_closed_loop_is_far_more_comfortable_than_native_control_at_nearly_its_c
 
 
 class DroppingOffice(LightOffice):
-    """The office whose loops fail it for a moment every hour of the night, as a heat pump that defrosts."""
+    """The office whose loops fail it for a moment every hour of the night, as a fan that pauses."""
 
     def advance(self, u, duration_s, band_C=None):
         found = super().advance(u, duration_s, band_C)
