@@ -10,7 +10,6 @@ from boptest_server import Service, rejected
 
 from boptest_client import Point
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.messages import Job
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 
 _OVERWRITTEN = "_activate"
@@ -21,15 +20,7 @@ class FmuTest:
 
     def __init__(self, fmu: Path, folder: Path) -> None:
         self.archive = archive = read_archive(fmu)
-        self._job = Job(
-            folder=str(folder / "fmu"),
-            guid=archive.guid,
-            model_identifier=archive.model_identifier,
-            tolerance=archive.tolerance,
-            inputs={name: (signal.reference, signal.kind) for name, signal in archive.inputs.items()},
-            outputs={name: (signal.reference, signal.kind) for name, signal in archive.outputs.items()},
-            recorded=tuple(archive.outputs),
-        )
+        self._job = archive.job(folder / "fmu", tuple(archive.outputs))
         for name in ("fmu", "work"):
             (folder / name).mkdir(parents=True)
         unpack(archive, folder / "fmu")

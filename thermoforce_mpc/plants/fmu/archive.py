@@ -12,6 +12,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.fmu.boundary_data import MOST_BYTES, BoundaryData, read_table
 from thermoforce_mpc.plants.fmu.description import Signal, finite, read_description, read_signals
 from thermoforce_mpc.plants.fmu.members import Members
+from thermoforce_mpc.plants.fmu.messages import Job
 from thermoforce_mpc.reading import parse_json
 
 _RESOURCES = "resources/"
@@ -42,6 +43,18 @@ class FmuArchive:
     days: Mapping[str, int]
     area_m2: float | None
     boundary: BoundaryData
+
+    def job(self, folder: Path, recorded: tuple[str, ...]) -> Job:
+        """What a worker process is to run from `folder`, where the archive is unpacked, and which outputs it keeps."""
+        return Job(
+            folder=str(folder),
+            guid=self.guid,
+            model_identifier=self.model_identifier,
+            tolerance=self.tolerance,
+            inputs={name: (signal.reference, signal.kind) for name, signal in self.inputs.items()},
+            outputs={name: (signal.reference, signal.kind) for name, signal in self.outputs.items()},
+            recorded=recorded,
+        )
 
     def points(self, signals: Mapping[str, Signal]) -> dict[str, Point]:
         """Return the description of each of `signals`, by name."""

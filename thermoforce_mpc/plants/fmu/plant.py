@@ -24,7 +24,7 @@ from thermoforce_mpc.plants.checks import (
     forecast_times,
 )
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.messages import Job, Stretch
+from thermoforce_mpc.plants.fmu.messages import Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
 from thermoforce_mpc.plants.records import (
@@ -133,15 +133,7 @@ class FmuPlant:
         self._now_s = max(self._start_s - warmup_s, 0.0)
         archive = self._archive
         folder = Path(self._folder.name)
-        job = Job(
-            folder=str(folder / "fmu"),
-            guid=archive.guid,
-            model_identifier=archive.model_identifier,
-            tolerance=archive.tolerance,
-            inputs={name: (signal.reference, signal.kind) for name, signal in archive.inputs.items()},
-            outputs={name: (signal.reference, signal.kind) for name, signal in archive.outputs.items()},
-            recorded=self._kept,
-        )
+        job = archive.job(folder / "fmu", self._kept)
         self._worker = WorkerProcess(job, folder / "work")
         stretch = self._worker.start(self._now_s)
         self._stretches = [stretch]
