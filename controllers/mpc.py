@@ -411,14 +411,14 @@ class ThermoForceMPC(FallingBack):
         good, allowed_K = before.good, self.config.backoff_violation_K
         # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
         by_loops = self.config.actuation.mode == "room_setpoints"
-        if good is None or good.age(observation.time_s, self.step_s) != 1 or (allowed_K is None and not by_loops):
+        learning = OF_LOOPS if by_loops else None if allowed_K is None else of_plans(allowed_K)
+        if learning is None or good is None or good.age(observation.time_s, self.step_s) != 1:
             return before.missed_K
         T_C, now, used = observation.T_zone_C, observation.boundary, observation.history.u[:, -1]
         beyond_K = np.stack([now.lower_C[:, 0] - T_C, T_C - now.upper_C[:, 0]])
         spare = self._assembly.spare(used)
         if by_loops:
             spare &= set_back(now.lower_C, now.upper_C)[..., 0]
-        learning = OF_LOOPS if by_loops or allowed_K is None else of_plans(allowed_K)
         return learned_K(before.missed_K, beyond_K, spare, self.step_s, learning)
 
     def _kept(self, before: MPCState, observation: Observation) -> Array:

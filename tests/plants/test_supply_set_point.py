@@ -102,7 +102,7 @@ def test_what_does_not_fit_is_refused_by_key(change, message):
 FMU = Path(__file__).resolve().parents[3] / "shared" / "boptest_more" / "fmu" / "twozone_apartment_hydronic.fmu"
 
 
-def runs_here() -> str:
+def _why_not_here() -> str:
     """Why the FMU cannot be run here, or an empty string."""
     if not FMU.is_file():
         return f"{FMU} is not there"
@@ -113,7 +113,8 @@ def runs_here() -> str:
     return ""
 
 
-needs_fmu = pytest.mark.skipif(bool(runs_here()), reason=runs_here())
+_WHY_NOT = _why_not_here()
+needs_fmu = pytest.mark.skipif(bool(_WHY_NOT), reason=_WHY_NOT)
 
 
 @needs_fmu

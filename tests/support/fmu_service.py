@@ -24,17 +24,18 @@ class FmuTest:
         for name in ("fmu", "work"):
             (folder / name).mkdir(parents=True)
         unpack(archive, folder / "fmu")
-        self._folder, self._worker = folder, WorkerProcess(self._job, folder / "work")
-        self.price = "constant"
+        self._folder = folder
+        self._worker: WorkerProcess | None = None
 
     def initialize(self, start_s: float, warmup_s: float) -> dict[str, float]:
-        self._worker.close()
+        self.close()
         self._worker = WorkerProcess(self._job, self._folder / "work")
         self.time_s = max(start_s - warmup_s, 0.0)
         self._stretches = [self._worker.start(self.time_s)]
         return self.advance({}, start_s - self.time_s)
 
     def advance(self, inputs: dict[str, float], step_s: float) -> dict[str, float]:
+        assert self._worker is not None  # started by `initialize`
         # The service lets go of what is not sent again.
         sent = {name: 0.0 for name in self.archive.inputs if name.endswith(_OVERWRITTEN)} | inputs
         self._stretches.append(self._worker.advance(sent, step_s))
@@ -54,7 +55,8 @@ class FmuTest:
         return {name: rows[within, column[name]].tolist() for name in names} | {"time": time_s[within].tolist()}
 
     def close(self) -> None:
-        self._worker.close()
+        if self._worker is not None:
+            self._worker.close()
 
 
 class FmuService(Service):

@@ -65,7 +65,7 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _place(run: Run) -> dict[str, Any]:
-    """Where a run stands in its fleet: what its key does not say."""
+    """Where a run stands in its fleet: the building and the axes."""
     building, cell = run.building, run.cell
     return {
         "building": building.name,
