@@ -11,7 +11,7 @@ from controllers.actuators import Actuators
 from controllers.backoff import backoff_K
 from controllers.kept_capacity import learned_share
 from controllers.machinery import Machinery
-from controllers.missed import set_back
+from controllers.missed import Missed
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
 from controllers.reserve import is_fast, reserve_K
@@ -70,7 +70,7 @@ class Assembly:
         history: Record,
         peak_W: float,
         offset_K: Array,
-        missed_K: Array | None = None,
+        missed: Missed | None = None,
         kept: Array | None = None,
     ) -> MPCProblem:
         """Return the instance of one step.
@@ -81,7 +81,7 @@ class Assembly:
             history: the record until now, for the return water.
             peak_W: highest mean power of the building over a step so far, W.
             offset_K: added to the free response (Z,), K.
-            missed_K: reserve learned inside the lower and the upper bound (2, Z), K; by default none.
+            missed: what was learned of the bounds; by default nothing.
             kept: share of each machine's capacity that is left unused (M,); by default none.
 
         Raises:
@@ -113,7 +113,7 @@ class Assembly:
         if self._straight:
             per_u_W = per_u_W + per_u2_W
         bent = bool(per_u2_W.any()) and not self._straight
-        lower_C, upper_C = self._bounds_C(operator, context, missed_K)
+        lower_C, upper_C = self._bounds_C(operator, context, missed or Missed.nothing(len(operator.zones)))
         cap_kW = aims.power_cap_kW
         return MPCProblem(
             forced_state_K=context.forced_K,
@@ -186,9 +186,7 @@ class Assembly:
                 full = np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
                 yield m, fed, full, np.array([one.reference_W for one in maps])
 
-    def _bounds_C(
-        self, operator: BuildingOperator, context: PredictionContext, missed_K: Array | None
-    ) -> tuple[Array, Array]:
+    def _bounds_C(self, operator: BuildingOperator, context: PredictionContext, missed: Missed) -> tuple[Array, Array]:
         """Comfort bounds at the end of each step with all margins inside, (Z, N) each, °C."""
         c, boundary = self._config, context.boundary
         rows = []
@@ -212,9 +210,8 @@ class Assembly:
                 upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
             # Margins wider than half the band would swap the bounds.
             half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
-            learned = np.zeros((2, 1)) if missed_K is None else missed_K[:, z, None]
-            if any(self._actuators.each[a].by_rooms for a in own):
-                learned = learned * set_back(lower_C, upper_C)
+            by_loops = any(self._actuators.each[a].by_rooms for a in own)
+            learned = missed.inside_K(z, lower_C, upper_C, by_loops=by_loops)
             inside = {sign: self._reserve_K(operator, z, sign) + learned[i] for i, sign in enumerate((1, -1))}
             rows.append(
                 (

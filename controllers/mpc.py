@@ -18,7 +18,7 @@ from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
 from controllers.machinery import Machinery
 from controllers.meters import Meters
-from controllers.missed import OF_LOOPS, learned_K, of_plans, set_back
+from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_records
 from controllers.planner import MPCState, Planner
@@ -208,7 +208,7 @@ class ThermoForceMPC(FallingBack):
             adaptation=(None,) * actuators,
             watch=(WatchState(),) * actuators,
             offset_K=np.zeros(zones),
-            missed_K=np.zeros((2, zones)),
+            missed=Missed.nothing(zones),
             kept=np.zeros(len(self._layout.names.machines)),
             sensors=(SensorState(),) * zones,
             meters=self._meters.begin,
@@ -246,7 +246,7 @@ class ThermoForceMPC(FallingBack):
             before,
             peak_W=self._peak_W(before, observation),
             offset_K=self._offset_K(before, observation),
-            missed_K=self._missed_K(before, observation),
+            missed=self._missed(before, observation),
             kept=self._kept(before, observation),
             actuation=actuation,
             sensors=sensors,
@@ -309,7 +309,7 @@ class ThermoForceMPC(FallingBack):
                 predictor = replace(predictor, forced=None)  # the forced state was computed with the previous operator
             contexting = planner.predictor.contexting(self._ahead(observation), predictor)
             context = yield from within(limits.forecast_s, contexting)
-            learned = (now.peak_W, now.offset_K, now.missed_K, now.kept)
+            learned = (now.peak_W, now.offset_K, now.missed, now.kept)
             problem = self._assembly.problem(planner.operator, context, history, *learned)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
             return fallen_back(f"no prediction ({said(error)})", "not started", {})
@@ -406,20 +406,22 @@ class ThermoForceMPC(FallingBack):
         found = before.offset_K + weight * np.where(np.isfinite(error), error, 0.0)
         return np.clip(found, -_OFFSET_K, _OFFSET_K)
 
-    def _missed_K(self, before: MPCState, observation: Observation) -> Array:
-        """Reserve learned inside the lower and the upper bound (2, Z), K, after the last step, which a plan decided."""
-        good, allowed_K = before.good, self.config.backoff_violation_K
+    def _missed(self, before: MPCState, observation: Observation) -> Missed:
+        """What was learned of the bounds after the last step, where a plan decided it."""
+        good, now, allowed_K = before.good, observation.boundary, self.config.backoff_violation_K
+        known = before.missed.meeting(now.lower_C, now.upper_C)
         # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
         by_loops = self.config.actuation.mode == "room_setpoints"
         learning = OF_LOOPS if by_loops else None if allowed_K is None else of_plans(allowed_K)
         if learning is None or good is None or good.age(observation.time_s, self.step_s) != 1:
-            return before.missed_K
-        T_C, now, used = observation.T_zone_C, observation.boundary, observation.history.u[:, -1]
+            return known
+        T_C = observation.T_zone_C
         beyond_K = np.stack([now.lower_C[:, 0] - T_C, T_C - now.upper_C[:, 0]])
-        spare = self._assembly.spare(used)
+        spare = self._assembly.spare(observation.history.u[:, -1])
         if by_loops:
-            spare &= set_back(now.lower_C, now.upper_C)[..., 0]
-        return learned_K(before.missed_K, beyond_K, spare, self.step_s, learning)
+            bounds = zip(now.lower_C[:, :1], now.upper_C[:, :1], strict=True)
+            spare &= np.hstack([known.set_back(z, *both) for z, both in enumerate(bounds)])
+        return replace(known, reserve_K=learned_K(known.reserve_K, beyond_K, spare, self.step_s, learning))
 
     def _kept(self, before: MPCState, observation: Observation) -> Array:
         """Share of each machine's capacity to be left unused (M,), learned from the last step, which a plan decided."""
@@ -458,7 +460,7 @@ class ThermoForceMPC(FallingBack):
         for kept in (good.T_zone_C, good.band_K):
             kept[list(context.unmeasured)] = np.nan
         demands = [
-            self._room_blocks(observation, a, float(u[a, 0]), float(T_zone_C[self._layout.home[a], 0]), zones.T_C)
+            self._room_blocks(observation, a, float(u[a, 0]), T_zone_C[:, 0], zones.T_C, now.missed)
             if actuation.by_rooms
             else float(u[a, 0])
             for a, actuation in enumerate(self._actuators.each)
@@ -492,18 +494,19 @@ class ThermoForceMPC(FallingBack):
         return self._with_guard(observation, acted, demands, held, now, zones.T_C)
 
     def _room_blocks(
-        self, observation: Observation, a: int, u: float, T_end_C: float, T_now_C: Array
+        self, observation: Observation, a: int, u: float, T_end_C: Array, T_now_C: Array, missed: Missed
     ) -> tuple[Block, ...]:
-        """Room set-points of the first step for actuator `a`."""
+        """Room set-points of the first step for actuator `a`, from the temperatures of all zones (Z,)."""
         z, bounds = self._layout.home[a], observation.boundary
-        within = within_C(float(bounds.lower_C[z, 0]), float(bounds.upper_C[z, 0]), self.config.comfort_margin_K)
+        lower_C, upper_C = bounds.lower_C[z, :1], bounds.upper_C[z, :1]
+        inside_K = self.config.comfort_margin_K + missed.inside_K(z, lower_C, upper_C, by_loops=True)[:, 0]
         last = observation.history.u[a, -1:]
         return room_blocks(
             u,
-            T_end_C,
+            float(T_end_C[z]),
             T_now_C=float(T_now_C[z]),
             u_last=float(last[0]) if last.size else float("nan"),
-            bounds_C=within,
+            bounds_C=within_C(float(lower_C[0]), float(upper_C[0]), inside_K),
             lowest=self._layout.lowest[a],
             step_s=self.step_s,
             block_s=self._actuators.each[a].config.block_s,

@@ -9,6 +9,7 @@ import numpy as np
 from controllers.actuation import ActuationState
 from controllers.fallback import GoodPlan
 from controllers.meters import MeterState
+from controllers.missed import Missed
 from controllers.sensor_state import SensorState
 from controllers.solvers import Solver
 from controllers.watch_state import WatchState
@@ -26,10 +27,10 @@ class MPCState:
     `first_s`: time of the first plan, s; `peak_W`: highest mean power of the building over a step since, W; `good`:
     last solved plan; `predictor`: state of the predictor. Of each actuator (A,): `actuation` (state of its machine),
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
-    recent mean error of the zone temperatures planned for the end of a step. `missed_K` (2, Z): reserve learned inside
-    the lower and the upper bound. `kept` (M,): share of each machine's capacity that plans leave unused. `sensors`
-    (Z,): what is known of the zone sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of
-    the boundary conditions without gaps. `failures`: failed plans on end.
+    recent mean error of the zone temperatures planned for the end of a step. `missed`: what was learned of the bounds.
+    `kept` (M,): share of each machine's capacity that plans leave unused. `sensors` (Z,): what is known of the zone
+    sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
+    gaps. `failures`: failed plans on end.
     """
 
     first_s: float
@@ -40,7 +41,7 @@ class MPCState:
     adaptation: tuple[AdaptationState | None, ...] = (None,)
     watch: tuple[WatchState, ...] = (WatchState(),)
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
-    missed_K: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    missed: Missed = field(default_factory=lambda: Missed.nothing(1))
     kept: Array = field(default_factory=lambda: np.zeros(1))
     sensors: tuple[SensorState, ...] = (SensorState(),)
     meters: tuple[MeterState, ...] = ()

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 
-from thermoforce_mpc.data import Block
+import numpy as np
+
+from thermoforce_mpc.data import Array, Block
 
 # Planned change of the zone temperature beyond its present value from which the loop runs at its limit, K.
 _MOVES_K = 0.3
@@ -42,7 +44,7 @@ def room_blocks(
         T_end_C: planned zone temperature at the end of the step, °C.
         T_now_C: zone temperature now, °C; NaN if it is not known, then the loops act for the whole step.
         u_last: measured level of the last step, NaN if it is not known.
-        bounds_C: lower and upper bound in force during the step, margins inside, °C.
+        bounds_C: lower and upper bound in force during the step, margins and learned reserve inside, °C.
         lowest: level of full cooling, below 0.
         step_s: length of the step, s.
         block_s: least time between two set-points, s.
@@ -77,7 +79,7 @@ def _holding(u_last: float, T_now_C: float, bounds_C: tuple[float, float]) -> in
     return 0
 
 
-def within_C(lower_C: float, upper_C: float, margin_K: float) -> tuple[float, float]:
-    """Bounds with `margin_K` inside, at most to the middle of the band, °C."""
-    half = 0.5 * (upper_C - lower_C)
-    return lower_C + min(margin_K, half), upper_C - min(margin_K, half)
+def within_C(lower_C: float, upper_C: float, inside_K: Array) -> tuple[float, float]:
+    """Bounds with margins `inside_K` (2,) inside the lower and the upper one, at most to the middle of the band, °C."""
+    below_K, above_K = np.minimum(inside_K, 0.5 * (upper_C - lower_C))
+    return lower_C + float(below_K), upper_C - float(above_K)

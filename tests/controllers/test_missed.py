@@ -10,7 +10,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.missed import OF_LOOPS, learned_K, of_plans, set_back
+from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
 from controllers.mpc import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -57,9 +57,31 @@ def test_what_loops_miss_is_learned_faster_and_further():
 
 
 def test_bounds_are_set_back_where_they_are_wider_than_at_their_tightest():
-    lower, upper = np.array([[15.0, 15.0, 21.0, 20.8]]), np.array([[28.0, 24.0, 24.0, 24.2]])
-    assert set_back(lower, upper).tolist() == [[[True, True, False, False]], [[True, False, False, False]]]
-    assert not set_back(np.full((1, 3), 21.0), np.full((1, 3), 24.0)).any()
+    """Also over a weekend in which they are never tight."""
+    lower, upper = np.array([15.0, 15.0, 21.0, 20.8]), np.array([28.0, 24.0, 24.0, 24.2])
+    weekday = Missed.nothing(1).meeting(lower[None], upper[None])
+    assert weekday.set_back(0, lower, upper).tolist() == [[True, True, False, False], [True, False, False, False]]
+    weekend = np.full((1, 4), 15.0), np.full((1, 4), 28.0)
+    assert weekday.meeting(*weekend).set_back(0, weekend[0][0], weekend[1][0]).all()
+    assert not Missed.nothing(1).meeting(*weekend).set_back(0, weekend[0][0], weekend[1][0]).any(), "none was tighter"
+
+
+def test_bounds_that_are_not_known_are_not_met():
+    unknown = np.array([[np.nan, 21.0]]), np.array([[np.nan, np.nan]])
+    assert Missed.nothing(1).meeting(*unknown).tightest_C.tolist() == [[21.0], [np.inf]]
+
+
+def test_a_reserve_for_loops_holds_where_bounds_are_set_back():
+    lower, upper = np.array([15.0, 21.0]), np.array([28.0, 24.0])
+    known = replace(Missed.nothing(1).meeting(lower[None], upper[None]), reserve_K=np.array([[0.4], [0.2]]))
+    assert known.inside_K(0, lower, upper, by_loops=True).tolist() == [[0.4, 0.0], [0.2, 0.0]]
+    assert known.inside_K(0, lower, upper, by_loops=False).tolist() == [[0.4, 0.4], [0.2, 0.2]]
+
+
+def test_one_drop_that_loops_let_through_is_made_up_for_at_once():
+    spare = np.ones(1, dtype=bool)
+    quarter, hour = (learned_K(np.zeros(1), np.array([0.6]), spare, step_s, OF_LOOPS)[0] for step_s in (900.0, 3600.0))
+    assert quarter == hour == pytest.approx(0.6, abs=0.002)
 
 
 def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boundary]:
@@ -82,11 +104,13 @@ def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boun
 def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
     state, boundary = second_plan(20.8, 0.3)
     expected = 0.25 * (boundary.lower_C[0, 0] - 20.8 - ALLOWED_K)
-    assert state.missed_K[:, 0].tolist() == pytest.approx([expected, 0.0])
-    assert not second_plan(20.8, 1.0)[0].missed_K.any(), "the machine had no more to give"
-    assert not second_plan(24.5, 0.3)[0].missed_K.any(), "no actuator protects the upper bound of a heated house"
-    assert not second_plan(20.8, 0.3, reserve=False)[0].missed_K.any()
-    assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].missed_K.any()
+    assert state.missed.reserve_K[:, 0].tolist() == pytest.approx([expected, 0.0])
+    assert not second_plan(20.8, 1.0)[0].missed.reserve_K.any(), "the machine had no more to give"
+    assert not second_plan(24.5, 0.3)[0].missed.reserve_K.any(), (
+        "no actuator protects the upper bound of a heated house"
+    )
+    assert not second_plan(20.8, 0.3, reserve=False)[0].missed.reserve_K.any()
+    assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].missed.reserve_K.any()
 
 
 def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
@@ -97,7 +121,7 @@ def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
     context = mpc.predictor.context(seen)
     plain, kept = (
         mpc._assembly.problem(mpc.model.operator, context, seen.history, 0.0, np.zeros(1), missed)
-        for missed in (None, np.array([[0.2], [0.0]]))
+        for missed in (None, replace(Missed.nothing(1), reserve_K=np.array([[0.2], [0.0]])))
     )
     np.testing.assert_allclose(kept.lower_C - plain.lower_C, 0.2)
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)

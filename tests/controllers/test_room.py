@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 from controllers.errors import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.machinery import Machinery
+from controllers.missed import Missed
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Cooling, ProblemShape, Weights, every_step
@@ -21,7 +22,7 @@ from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.registry import controller_config
 from controllers.room import room_blocks
-from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Period, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import probe
@@ -192,10 +193,16 @@ def test_one_operator_for_both_directions_is_found(model, tmp_path):
     assert again.power == model.power
 
 
-def test_a_record_without_cooling_cannot_identify_cooling(probed):
+def test_in_a_record_without_cooling_it_is_taken_to_cost_as_heating_does(probed):
+    """A winter's three days need not keep the building from being heated."""
     heated = replace(probed, u=np.maximum(probed.u, 0.0), power_W=np.where(probed.u > 0, probed.power_W, 0.0))
-    with pytest.raises(DataError, match="power of cooling"):
-        identify(heated, mode="both", lowest=LOWEST, floor_area_m2=48.0)
+    (power,) = identify(heated, mode="both", lowest=LOWEST, floor_area_m2=48.0).power
+    assert power is not None
+    assert power.cooling == power.load
+    assert "the other direction was hardly used" in power.source
+
+
+def test_levels_of_both_directions_and_modes_belong_together(probed):
     with pytest.raises(DataError, match="mode both needs one below 0"):
         identify(probed, mode="both", floor_area_m2=48.0)
     with pytest.raises(DataError, match=r"expected \[0, 1\]|not a number between"):
@@ -214,6 +221,23 @@ def test_closed_loop_is_far_more_comfortable_than_native_control_at_nearly_its_c
     native = office.native_kpis(period)
     assert ours.kpis["tdis_tot"] < 0.3 * native["tdis_tot"]
     assert ours.kpis["cost_tot"] < 1.03 * native["cost_tot"]
+
+
+def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
+    config = controller_config("thermoforce_mpc", {"free_response": {"name": "rc"}}, load_testcase("bestest_air"))
+    assert isinstance(config, MPCConfig)
+    mpc, office = ThermoForceMPC(model, config), LightOffice()
+    office.reset(30 * DAY_S, DAY_S)
+    night = Observation(office.past(mpc.step_s), office.forecast(mpc.horizon_s, mpc.step_s))
+    assert night.boundary.lower_C[0, 0] == 15.0
+
+    def first_band(missed: Missed) -> tuple[float, float]:
+        known = missed.meeting(night.boundary.lower_C, night.boundary.upper_C)
+        first, *_ = mpc._room_blocks(night, 0, 0.1, np.array([16.1]), np.array([15.2]), known)
+        return first.band_C[0]
+
+    assert first_band(Missed.nothing(1))[0] == pytest.approx(15.03)
+    assert first_band(replace(Missed.nothing(1), reserve_K=np.array([[1.0], [0.0]])))[0] == pytest.approx(16.03)
 
 
 class DroppingOffice(LightOffice):

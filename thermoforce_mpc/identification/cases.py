@@ -14,7 +14,7 @@ from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, spli
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
-from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power, fit_signed_power
+from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -95,19 +95,14 @@ def power_of_machine(
 ) -> PowerModel | None:
     """Return the power model of a machine over its own level; None if measured in less than half of the steps."""
     fed, records = layout.fed_by(machine), [machine_record(h, layout, machine) for h in histories]
-    signed = any(layout.lowest[a] < 0.0 for a in fed)
-    if len(fed) == 1:
-        return power_model(records, config, signed=signed)
-    if signed:
-        if not _power_is_known(records):
-            return None
-        weights = layout.weights[fed]
-        u = np.concatenate([h.u[fed] for h in histories], axis=1)
-        return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
-    if not _power_is_known(records):
+    if np.isfinite(np.concatenate([h.power_W[0] for h in records])).mean() < _MEASURED:
         return None
     u, weights = np.concatenate([h.u[fed] for h in histories], axis=1), layout.weights[fed]
+    if any(layout.lowest[a] < 0.0 for a in fed):
+        return fit_both_directions(records, weights @ np.maximum(u, 0.0), weights @ np.maximum(-u, 0.0))
     squares = weights @ u**2 if config.power_curve else None
+    if len(fed) == 1:
+        return fit_power(records, lowest_level=config.lowest_level, squares=squares)
     return fit_power(records, running=_running(u, weights, config.lowest_level), squares=squares)
 
 
@@ -122,26 +117,6 @@ def _running(u: Array, weights: Array, lowest_level: float | None) -> list[tuple
         if lowest < 1.0:
             found.append((lowest, running_share(u, np.minimum(weights / lowest, 1.0))))
     return found
-
-
-def _power_is_known(histories: Sequence[Record]) -> bool:
-    """Whether power was measured in enough steps."""
-    return bool(np.isfinite(np.concatenate([h.power_W[0] for h in histories])).mean() >= _MEASURED)
-
-
-def power_model(
-    histories: Sequence[Record], config: IdentificationConfig, *, signed: bool = False
-) -> PowerModel | None:
-    """Return the electric power model of (u, T_out, return water); None if measured in less than half of the steps.
-
-    `signed`: levels below 0 cool, with a power of their own.
-    """
-    if not _power_is_known(histories):
-        return None
-    if signed:
-        return fit_signed_power(histories)
-    squares = np.concatenate([h.u[0] for h in histories]) ** 2 if config.power_curve else None
-    return fit_power(histories, lowest_level=config.lowest_level, squares=squares)
 
 
 def machine_record(record: Record, layout: Layout, machine: int) -> Record:

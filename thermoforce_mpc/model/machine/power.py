@@ -159,33 +159,8 @@ def fit_power(
     return PowerModel(found.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
 
 
-def fit_signed_power(histories: Sequence[Record]) -> PowerModel:
-    """Fit the power of heating (u > 0) and of cooling (u < 0), each proportional to |u|; errors as `fit_load`.
-
-    Where one side was hardly used, its power is unknown, and the error says so.
-    """
-    u, T_out, power = (
-        np.concatenate([values(h) for h in histories])
-        for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
-    )
-    heating, cooling = (
-        fit_load(
-            side[side >= 0],
-            T_out[side >= 0],
-            power[side >= 0],
-            what=f"power of {what}",
-            lowest_level=1.0,
-            slope=POWER_SLOPE,
-        )
-        for side, what in ((u, "heating"), (-u, "cooling"))
-    )
-    quality = heating.quality
-    source = f"fitted to {quality.n_samples} and {cooling.quality.n_samples} steps"
-    return PowerModel(heating.load, quality.rmse_W, quality.r2, source, cooling=cooling.load)
-
-
 def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Array) -> PowerModel:
-    """Fit the power of a machine that may heat one zone while it cools another, each proportional to its level.
+    """Fit the power of a machine that heats and cools, perhaps one zone while another, each proportional to its level.
 
     A direction that the records hardly have takes the law of the other, which `source` says: a few winter days do not
     show cooling, and a plan for them hardly needs it.
