@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.research.bench.boptest import verdict_in_words
 from thermoforce_mpc.research.bench.zone_scaling import BesideDoMpc
 from thermoforce_mpc.research.bench.zones import APARTMENT, HOUSE, Case, Outcome, speed_targets, targets
 
@@ -54,3 +58,13 @@ def test_without_do_mpc_its_targets_are_printed_as_not_met():
     assert [target.holds for target in speed_targets({1: 2.0, 5: 10.0}, None)] == [
         True, True, False, False, False,
     ]  # fmt: skip
+
+
+def test_the_verdict_on_many_actuators_names_those_that_are_not_competent():
+    good = [Competence(True, effect_K=4.0, effect_sd_K=sd_K) for sd_K in (0.4, 0.8)]
+    cards = [SimpleNamespace(competence=one) for one in (*good, Competence(False, reasons=("it does not act",)), None)]
+    model: Any = SimpleNamespace(cards=cards, operator=SimpleNamespace(actuators=("hall", "bath", "kitchen", "attic")))
+    assert verdict_in_words(model) == (
+        "2 of 4 actuators competent, the effect of 8 h at full level known to ± 10 to 20 %; "
+        "kitchen: not competent: it does not act; attic: not judged"
+    )

@@ -135,11 +135,17 @@ def run_case(case: Case) -> Outcome:
 
 
 def verdict_in_words(model: ThermalModel) -> str:
-    """Verdict on a model, actuator by actuator where there are several."""
+    """Verdict on a model; where there are several actuators, how many are competent and what is said of the others."""
     words = [card.competence.in_words() if card.competence else "not judged" for card in model.cards]
     if len(words) == 1:
         return words[0]
-    return "; ".join(f"{name}: {word}" for name, word in zip(model.operator.actuators, words, strict=True))
+    known = [card.competence.relative_sd for card in model.cards if card.competence and card.competence.competent]
+    found = f"{len(known)} of {len(words)} actuators competent"
+    if known:
+        found += f", the effect of 8 h at full level known to ± {100 * min(known):.0f} to {100 * max(known):.0f} %"
+    verdicts = zip(model.operator.actuators, model.cards, words, strict=True)
+    others = [f"{name}: {word}" for name, card, word in verdicts if not (card.competence and card.competence.competent)]
+    return "; ".join([found, *others])
 
 
 def targets(outcomes: Sequence[Outcome]) -> list[Target]:
