@@ -65,8 +65,8 @@ class Missed:
         tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
         return Missed(self.reserve_K, np.stack(tightest_C))
 
-    def set_back(self, z: int, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
-        """Where bounds (N,) of zone `z`, °C, are wider than at their tightest, lower and upper (2, N).
+    def set_back(self, z: int | slice, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
+        """Where bounds of zone `z` (N,), or of zones at an instant, °C, are wider than at their tightest, (2, N).
 
         There loops cycle at low load, and a reserve costs little. The instants ahead do not tell: a weekend is longer.
         """

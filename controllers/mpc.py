@@ -416,11 +416,11 @@ class ThermoForceMPC(FallingBack):
         if learning is None or good is None or good.age(observation.time_s, self.step_s) != 1:
             return known
         T_C = observation.T_zone_C
-        beyond_K = np.stack([now.lower_C[:, 0] - T_C, T_C - now.upper_C[:, 0]])
+        lower_C, upper_C = now.lower_C[:, 0], now.upper_C[:, 0]
+        beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
         spare = self._assembly.spare(observation.history.u[:, -1])
         if by_loops:
-            bounds = zip(now.lower_C[:, :1], now.upper_C[:, :1], strict=True)
-            spare &= np.hstack([known.set_back(z, *both) for z, both in enumerate(bounds)])
+            spare &= known.set_back(slice(None), lower_C, upper_C)
         return replace(known, reserve_K=learned_K(known.reserve_K, beyond_K, spare, self.step_s, learning))
 
     def _kept(self, before: MPCState, observation: Observation) -> Array:

@@ -139,12 +139,15 @@ def verdict_in_words(model: ThermalModel) -> str:
     words = [card.competence.in_words() if card.competence else "not judged" for card in model.cards]
     if len(words) == 1:
         return words[0]
-    known = [card.competence.relative_sd for card in model.cards if card.competence and card.competence.competent]
+    known, others = list[float](), list[str]()
+    for name, card, word in zip(model.operator.actuators, model.cards, words, strict=True):
+        if card.competence and card.competence.competent:
+            known.append(card.competence.relative_sd)
+        else:
+            others.append(f"{name}: {word}")
     found = f"{len(known)} of {len(words)} actuators competent"
     if known:
         found += f", the effect of 8 h at full level known to ± {100 * min(known):.0f} to {100 * max(known):.0f} %"
-    verdicts = zip(model.operator.actuators, model.cards, words, strict=True)
-    others = [f"{name}: {word}" for name, card, word in verdicts if not (card.competence and card.competence.competent)]
     return "; ".join([found, *others])
 
 
