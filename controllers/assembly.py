@@ -159,6 +159,11 @@ class Assembly:
             kept[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
         return kept
 
+    def expected_power_W(self, a: int, record: Record) -> Array:
+        """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
+        levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
+        return self.power[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
+
     def _capacity(self, operator: BuildingOperator, T_out_C: Array, kept: Array | None) -> Array | None:
         """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -16,12 +16,12 @@ from controllers.errors import ControllerConfigError, said
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
-from controllers.machinery import Machinery
 from controllers.meters import Meters
 from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
 from controllers.own_record import own_records
-from controllers.planner import MPCState, Planner
+from controllers.planner import MPCState
+from controllers.planners import Planners
 from controllers.problem import MPCProblem, Solution
 from controllers.reason import reason_of
 from controllers.room import room_blocks, within_C
@@ -35,7 +35,7 @@ from controllers.watched import WatchedPredictions
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
-from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
+from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
@@ -52,12 +52,6 @@ _OFFSET_K = 0.3
 
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
-
-# Number of cached planners for adapted models; others are rebuilt when needed.
-_PLANNERS_KEPT = 4
-
-# What each actuator's model differs in from the identified one; None where in nothing.
-_Factors = tuple[tuple[float, float, float] | None, ...]
 
 
 class ThermoForceMPC(FallingBack):
@@ -131,14 +125,10 @@ class ThermoForceMPC(FallingBack):
         self._actuation_why = "; ".join(dict.fromkeys(self._told(a, choice.why) for a, choice in enumerate(choices)))
         self._assembly = Assembly(c, model, self._actuators)
         self._adaptations = tuple(OnlineAdaptation(zone, c.adaptation) for zone in self._zones)
-        watches = [
-            Watch(c.watch, zone, n_steps, partial(self._expected_power_W, a)) for a, zone in enumerate(self._zones)
-        ]
-        self._watched = WatchedPredictions(watches, self._planner, model)
         self._answer = Answering(BoundedCalls(len(layout.names.zones) + _SOLVERS_ABANDONED))
         given = free_response or [_build_free_response(c.free_response, free) for free in model.free]
         methods = given if isinstance(given, Sequence) else [given] * len(layout.names.zones)
-        self._free_responses = [self._with_substitutes(method) for method in methods]
+        free_responses = [self._with_substitutes(method) for method in methods]
         zones = layout.names.zones
         for unknown in [zone for zone in c.sensors if zone not in zones]:
             raise ControllerConfigError(
@@ -146,18 +136,22 @@ class ThermoForceMPC(FallingBack):
             )
         self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
         self._meters = Meters(layout, c.meter, c.meters)
-        self._base = self._build_planner(model)
-        self._adapted: list[tuple[_Factors, Planner]] = []
+        self._planners = Planners(model, self._actuators, free_responses, c.estimator, self._solver_of())
+        watches = [
+            Watch(c.watch, zone, n_steps, partial(self._assembly.expected_power_W, a))
+            for a, zone in enumerate(self._zones)
+        ]
+        self._watched = WatchedPredictions(watches, self._planners.of, model)
 
     @property
     def model(self) -> ThermalModel:
         """The model as identified, at the control step."""
-        return self._base.model
+        return self._planners.base.model
 
     @property
     def predictor(self) -> Predictor:
         """The predictor of `model`."""
-        return self._base.predictor
+        return self._planners.base.predictor
 
     @property
     def rules(self) -> tuple[FallbackPolicy, ...]:
@@ -167,7 +161,7 @@ class ThermoForceMPC(FallingBack):
     @property
     def planning_operator(self) -> BuildingOperator:
         """The operator of `model`, adjusted to the actuation, as `instance` goes with it."""
-        return self._base.operator
+        return self._planners.base.operator
 
     def instance(self, context: PredictionContext, history: Record) -> MPCProblem:
         """The optimisation problem of a step for the model as identified, without offset and peak of a run.
@@ -176,7 +170,7 @@ class ThermoForceMPC(FallingBack):
             DataError: a bound or price of the boundary is missing.
         """
         nothing = np.zeros(len(self._layout.names.zones))
-        return self._assembly.problem(self._base.operator, context, history, 0.0, nothing)
+        return self._assembly.problem(self._planners.base.operator, context, history, 0.0, nothing)
 
     @property
     def actuation_in_words(self) -> str:
@@ -214,7 +208,7 @@ class ThermoForceMPC(FallingBack):
             meters=self._meters.begin,
         )
         try:
-            rooms = replace(observation, history=self._base.model.in_rooms(observation.history))
+            rooms = replace(observation, history=self._planners.base.model.in_rooms(observation.history))
             return (yield from self._decided(rooms, before, actuation))
         except Exception as error:  # whatever is wrong, the building is not left without control
             return self._released(before, actuation, f"no decision was made ({said(error)})")
@@ -239,7 +233,7 @@ class ThermoForceMPC(FallingBack):
         forced = None if all(closed) else self._forced(before, history)
         forced_K = None if forced is None else forced.forced_K
         sensors, observation, zones_now = self._sensing.judged(before.sensors, observation, forced_K)
-        as_planned = self._planner(before.adaptation) is self._base and observation.history is history
+        as_planned = self._planners.of(before.adaptation) is self._planners.base and observation.history is history
         if forced and before.predictor and as_planned and gapless(history):
             before = replace(before, predictor=replace(before.predictor, forced=forced))  # not computed again
         now = replace(
@@ -277,15 +271,9 @@ class ThermoForceMPC(FallingBack):
         if now.predictor is None:
             return None
         try:
-            return self._base.predictor.followed(history, now.predictor)
+            return self._planners.base.predictor.followed(history, now.predictor)
         except Exception:  # as in planning: without it, nothing is judged in this step
             return None
-
-    def _expected_power_W(self, a: int, record: Record) -> Array:
-        """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
-        power = self._assembly.power[self._layout.machine_of[a]]
-        levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
-        return power(levels, record.T_out_C[:-1], record.T_return_C[0])
 
     def _planned(
         self, observation: Observation, now: MPCState, held: Mapping[int, Held], zones: Zones, filled: str
@@ -300,7 +288,7 @@ class ThermoForceMPC(FallingBack):
 
         try:
             adaptation = self._adapted_now(now, history)
-            planner = self._planner(adaptation)
+            planner = self._planners.of(adaptation)
             predictor = now.predictor
             if predictor and any(
                 before is not None and after is not None and before.factors != after.factors
@@ -322,7 +310,7 @@ class ThermoForceMPC(FallingBack):
             refused = solution.problem if not solution.ok else problem.unfit(solution.u)
         except Exception as error:  # likewise for solvers
             if isinstance(error, Overdue):
-                self._renew_solver(planner)
+                self._planners.renew_solver(planner)
             return fallen_back(f"the solver failed ({said(error)})", "raised", context.seconds)
         seconds = {**context.seconds, "solve": solve_s}
         if refused:
@@ -339,51 +327,20 @@ class ThermoForceMPC(FallingBack):
         if not self.config.adaptation.enabled:
             return now.adaptation
         forced_K = now.predictor.forced.forced_K if now.predictor and now.predictor.forced else None
-        records = own_records(self._base.model, history, forced_K)
+        records = own_records(self._planners.base.model, history, forced_K)
         return tuple(
             adaptation.update(before, record)
             for adaptation, before, record in zip(self._adaptations, now.adaptation, records, strict=True)
         )
-
-    def _planner(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
-        """The planner of the building with adapted models of its actuators (A,), from the cache if present."""
-        factors = tuple(None if state is None or not state.adapted else state.factors for state in adaptation)
-        if not any(factors):
-            return self._base
-        for known, planner in self._adapted:
-            if known == factors:
-                return planner
-        zones = [zone if state is None else state.model for zone, state in zip(self._zones, adaptation, strict=True)]
-        planner = self._build_planner(self._base.model.with_actuators(zones))
-        self._adapted = [*self._adapted, (factors, planner)][-_PLANNERS_KEPT:]
-        return planner
-
-    def _renew_solver(self, planner: Planner) -> None:
-        """Give a planner whose solver has not returned another one; the old one must not be called meanwhile."""
-        renewed = replace(planner, solver=self._build_solver(planner.operator, self._assembly.machinery))
-        if planner is self._base:
-            self._base = renewed
-        self._adapted = [(factors, renewed if one is planner else one) for factors, one in self._adapted]
 
     def _with_substitutes(self, method: FreeResponse) -> FreeResponse:
         if self.config.free_response.substitutes:
             return WithSubstitutes(method)
         return WithSubstitutes(method, substitutes=())
 
-    def _build_planner(self, model: ThermalModel) -> Planner:
-        # The operator must match the actuation: below the lowest level the machine switches.
-        operator = model.operator.map_actuators(
-            lambda a, pair: replace(
-                pair, heat_input=pair.heat_input.at_lowest_level(self._actuators.each[a].lowest_level)
-            )
-        )
-        estimator = ForcedStateEstimator(model.operator, config=self.config.estimator)
-        predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
-        return Planner(model, predictor, operator, self._build_solver(operator, self._assembly.machinery))
-
-    def _build_solver(self, operator: BuildingOperator, machinery: Machinery) -> Solver:
-        """The solver of an operator; overridden where something else than an optimisation decides."""
-        return build_solver(self.config, operator, machinery)
+    def _solver_of(self) -> Callable[[BuildingOperator], Solver]:
+        """What builds the solver of an operator; overridden where something else than an optimisation decides."""
+        return partial(build_solver, self.config, machinery=self._assembly.machinery)
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""
@@ -428,7 +385,7 @@ class ThermoForceMPC(FallingBack):
         good = before.good
         if good is None or good.age(observation.time_s, self.step_s) != 1:
             return before.kept
-        return self._assembly.kept_capacity(before.kept, self._base.operator, observation.history)
+        return self._assembly.kept_capacity(before.kept, self._planners.base.operator, observation.history)
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
         """Highest mean power of the building over a step since the first plan, W."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from controllers.actuation import Actuation
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
 from controllers.errors import ControllerConfigError
-from controllers.machinery import Machinery
 from controllers.mpc import ThermoForceMPC
 from controllers.problem import MPCProblem, Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
@@ -78,11 +77,12 @@ class DPC(ThermoForceMPC):
         self._policy = policy or (load_policy(Path(config.policy)) if config.policy else None)
         self._progress = progress
         super().__init__(model, config, name=name)
+        self._check()
 
     @property
     def policy(self) -> Policy:
         """The policy."""
-        assert self._policy is not None  # made with the first solver
+        assert self._policy is not None  # trained with the planners, if none was given
         return self._policy
 
     @property
@@ -92,21 +92,21 @@ class DPC(ThermoForceMPC):
             f"{super().actuation_in_words}; policy of {self.policy.iterations} iterations, loss {self.policy.loss:.3f}"
         )
 
-    def _build_solver(self, operator: BuildingOperator, machinery: Machinery) -> PolicySolver:
-        actuation = self._actuators.each[0]
+    def _solver_of(self) -> Callable[[BuildingOperator], PolicySolver]:
         if self._policy is None:
             from controllers.dpc.training import train_policy
 
             assert isinstance(self.config, DPCConfig)
+            actuation = self._actuators.each[0]
             self._policy = train_policy(self._zones[0], actuation, self.config, self.step_s, self._progress)
-        elif not hasattr(self, "_base"):  # the first; later ones are of adapted operators, which it follows
-            self._check(operator, actuation)
-        return PolicySolver(self._policy, operator)
+        return partial(PolicySolver, self._policy)
 
-    def _check(self, operator: BuildingOperator, actuation: Actuation) -> None:
+    def _check(self) -> None:
+        """Raise `ControllerConfigError` for a policy of another operator, step or actuation."""
+        actuation = self._actuators.each[0]
         found = self.policy
         wrong = []
-        if found.operator_sha256 != operator_sha256(operator.of_actuator(0)):
+        if found.operator_sha256 != operator_sha256(self.planning_operator.of_actuator(0)):
             wrong.append("another model")
         if found.step_s != self.step_s:
             wrong.append(f"steps of {found.step_s:g} s instead of {self.step_s:g} s")

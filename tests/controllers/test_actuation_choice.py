@@ -63,7 +63,7 @@ def test_a_machine_without_a_fixed_part_is_a_quadratic_programme_at_any_level():
     model = simple_model()
     boiler = replace(model, power=(PowerModel(law(0.0, 4300.0)),))
     controller = ThermoForceMPC(boiler, MPCConfig(step_s=None), free_response=object())
-    assert isinstance(controller._base.solver, QPSolver)
+    assert isinstance(controller._planners.base.solver, QPSolver)
     assert controller.actuation_in_words.startswith("modulating, any level")
     actuators = controller._actuators
     (block,) = actuators.realise([0.07], 3600.0, actuators.now(None, beginning())).together()

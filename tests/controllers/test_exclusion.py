@@ -12,6 +12,7 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_mode
 
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.actuators import Actuators
+from controllers.mpc import ThermoForceMPC
 from controllers.pi import PIController
 from controllers.problem import Solution
 from controllers.registry import build_controller
@@ -109,9 +110,8 @@ def coils(**changes) -> TestCase:
 
 def mpc(verdicts=(None, None), case=None, **options):
     options = {"step_s": None, "horizon_h": 24.0, "free_response": {"name": "persistence"}, **options}
-    controller = build_controller("thermoforce_mpc", options, case or coils(), model(verdicts))
-    controller._free_responses[:] = [controller._with_substitutes(OutdoorResponse())]
-    return controller
+    built = build_controller("thermoforce_mpc", options, case or coils(), model(verdicts))
+    return ThermoForceMPC(built.model, built.config, free_response=OutdoorResponse())
 
 
 def observation(plant=None, T_C=None) -> Observation:
@@ -208,7 +208,7 @@ def test_a_rule_that_would_heat_and_cool_does_one_of_them():
     seen = observation(T_C=21.2)
     free, bound = mpc(case=coils(exclusive=[])), mpc()
     for controller in (free, bound):
-        controller._base = replace(controller._base, solver=Failing())
+        controller._planners.base = replace(controller._planners.base, solver=Failing())
     assert acting(free.plan(seen)) == {HEAT, COOL}, "else this tries nothing"
     plan = bound.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT
@@ -218,7 +218,7 @@ def test_a_rule_that_would_heat_and_cool_does_one_of_them():
 
 def test_a_solution_that_has_both_on_is_not_followed_in_both():
     controller = mpc(guard={"enabled": False})
-    controller._base = replace(controller._base, solver=Failing(np.array([0.4, 0.9])))
+    controller._planners.base = replace(controller._planners.base, solver=Failing(np.array([0.4, 0.9])))
     plan = controller.plan(observation(T_C=21.2))
     assert acting(plan) == {COOL}
     assert "heating_coil: excluded by cooling_coil" in plan.why
@@ -226,7 +226,7 @@ def test_a_solution_that_has_both_on_is_not_followed_in_both():
 
 def test_the_guard_comes_before_the_plan():
     controller = mpc()
-    controller._base = replace(controller._base, solver=Failing(np.array([0.0, 1.0])))
+    controller._planners.base = replace(controller._planners.base, solver=Failing(np.array([0.0, 1.0])))
     plan = controller.plan(observation(T_C=17.0))
     assert plan.status is PlanStatus.GUARD
     assert acting(plan) == {HEAT}

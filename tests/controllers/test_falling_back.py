@@ -39,8 +39,8 @@ class Solver:
     """The controller's solver, with `acts(number of the call, its solution)` in between."""
 
     def __init__(self, controller: ThermoForceMPC, acts) -> None:
-        self.inner, self.acts, self.calls = controller._base.solver, acts, 0
-        controller._base = replace(controller._base, solver=self)
+        self.inner, self.acts, self.calls = controller._planners.base.solver, acts, 0
+        controller._planners.base = replace(controller._planners.base, solver=self)
 
     def solve(self, problem, guess=None):
         self.calls += 1
@@ -165,7 +165,7 @@ def ended_early(solution_of):
 def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_what_else_there_is():
     def planned(acts) -> Plan:
         controller = mpc()
-        backends = controller._base.solver._solve_with
+        backends = controller._planners.base.solver._solve_with
         for name in tuple(backends):
             backends[name] = acts(backends[name])
         return controller.plan(observation())

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import threading
+import time
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -55,6 +59,26 @@ def test_predictions_of_an_exact_model_come_true():
     assert np.abs(actual - predicted).max() < 0.9 * np.abs(owed).max() + 0.05
 
 
+def test_a_controller_that_is_let_go_leaves_no_thread_behind():
+    before = threading.active_count()
+    gc.collect()
+    gc.disable()  # so that only what nothing refers to any more is freed
+    try:
+        mpc = controller()
+        mpc.plan(observation())
+        assert threading.active_count() > before
+        kept = weakref.ref(mpc)
+        del mpc
+        assert kept() is None
+    finally:
+        gc.enable()
+    for _ in range(100):
+        if threading.active_count() == before:
+            break
+        time.sleep(0.05)
+    assert threading.active_count() == before
+
+
 @pytest.mark.parametrize("solver", ["ipopt", "search"])
 @pytest.mark.parametrize("mode", ["duty", "modulating"])
 def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
@@ -88,7 +112,7 @@ class FailingSolver:
 
 
 def failing(mpc: ThermoForceMPC, steps: set[int]) -> ThermoForceMPC:
-    mpc._base = replace(mpc._base, solver=FailingSolver(mpc._base.solver, steps))
+    mpc._planners.base = replace(mpc._planners.base, solver=FailingSolver(mpc._planners.base.solver, steps))
     return mpc
 
 
@@ -170,7 +194,7 @@ class Raising:
 
 def test_a_solver_that_raises_is_a_failed_solve():
     mpc = controller()
-    mpc._base = replace(mpc._base, solver=Raising())
+    mpc._planners.base = replace(mpc._planners.base, solver=Raising())
     plan = mpc.plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("the solver failed (KeyError: 'no such status')")

@@ -125,7 +125,9 @@ def test_minimum_times_hold_whatever_acts(follow_steps):
         fallback = {"follow_steps": follow_steps}
         config = MPCConfig(step_s=900.0, horizon_h=6.0, fallback=fallback, watch={"enabled": False})
         controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
-        controller._base = replace(controller._base, solver=Failing(controller._base.solver, seed))
+        controller._planners.base = replace(
+            controller._planners.base, solver=Failing(controller._planners.base.solver, seed)
+        )
         house = SimpleHouse(T_start_C=20.6)
         result = run_closed_loop(house, controller, house.period("x"))
         assert result.fallback_levels()["solved"] > 50

@@ -238,7 +238,7 @@ def test_after_a_failed_solve_each_actuator_falls_back_by_its_own_zone():
     T[:, -1] = plan.T_zone_C[:, 0]
     T[1, -1] -= 0.9
     later = replace(later, history=replace(later.history, T_zone_C=T))
-    controller._base = replace(controller._base, solver=Failing())
+    controller._planners.base = replace(controller._planners.base, solver=Failing())
     after = controller.plan(later, plan.state)
     assert after.acting == (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT)
     assert after.status is PlanStatus.THERMOSTAT
@@ -392,7 +392,7 @@ def test_a_plan_made_without_a_reading_is_not_followed_when_the_sensor_is_back()
     T = later.history.T_zone_C.copy()
     T[:, -1] = blind.T_zone_C[:, 0]
     later = replace(later, history=replace(later.history, T_zone_C=T))
-    controller._base = replace(controller._base, solver=Failing())
+    controller._planners.base = replace(controller._planners.base, solver=Failing())
     assert controller.plan(later, blind.state).acting == (PlanStatus.THERMOSTAT, PlanStatus.SHIFTED)
 
 

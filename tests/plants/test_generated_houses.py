@@ -13,6 +13,7 @@ from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.envelope import MASSES
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.generated.draw import MACHINES, heat_pump_cop
+from thermoforce_mpc.plants.generated.plant import _year_of
 from thermoforce_mpc.plants.generated.schedule import bounds_C, native_setpoint_C
 from thermoforce_mpc.plants.occupants import PATTERNS, at_home
 from thermoforce_mpc.plants.registry import build_plant
@@ -300,12 +301,22 @@ def test_it_is_a_plant_and_the_same_inputs_give_the_same_bytes():
         assert start.time_s == 20 * DAY_S
         for u in (None, 0.3, 1.0):
             plant.advance(u, 900.0)
+        _year_of.cache_clear()  # made anew, not taken over
         past = plant.past(900.0)
         assert past.n_steps == 2 * 96 + 3
         assert past.time_s[-1] == 20 * DAY_S + 2700.0
         np.testing.assert_allclose(past.u[0, -2:], [0.3, 1.0])
         records.append(past.T_zone_C.tobytes() + past.power_W.tobytes())
     assert records[0] == records[1]
+
+
+def test_plants_of_one_house_share_a_year_that_none_can_change():
+    first, second = (GeneratedHousePlant(draw_house(SEED, 1)) for _ in range(2))
+    assert first._grid is second._grid
+    assert first._noise is second._noise
+    for values in (first._grid, first._noise):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0.0
 
 
 def test_steps_may_be_split():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import json
 import shutil
@@ -233,6 +234,14 @@ def test_hash_tells_weights_apart(bolt_folder: Path, copy: Path) -> None:
     same = ChronosFreeResponse(str(bolt_folder)).weight_hash()
     assert same == ChronosFreeResponse(str(bolt_folder)).weight_hash()
     assert same != ChronosFreeResponse(str(copy)).weight_hash()
+
+
+def test_the_last_backbone_is_kept_for_the_next_run_and_no_other() -> None:
+    kept = [weakref.ref(load_backbone(scale)) for scale in ("shipped_small", "shipped_tiny")]
+    gc.collect()
+    first, last = (reference() for reference in kept)
+    assert first is None
+    assert last is load_backbone("shipped_tiny")
 
 
 def test_a_missing_directory_is_named(tmp_path: Path) -> None:

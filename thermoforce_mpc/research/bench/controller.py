@@ -63,7 +63,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     mpc, recorder, result = _recorded(days=1.0 if quick else 14.0)
     every = max(1, len(recorder.problems) // (_QUICK_INSTANCES if quick else _INSTANCES))
     problems = [without_extras(problem) for problem in recorder.problems[::every]]
-    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._base.operator, progress)
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._planners.base.operator, progress)
     rows = [_solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
     return bench_result("controller", rows, _targets(rows, result))
@@ -73,7 +73,7 @@ def _contestants(
     mpc: ThermoForceMPC, example: MPCProblem, progress: Callable[[str], None]
 ) -> dict[str, Callable[[MPCProblem], Array]]:
     """Every solver by name, built for problems like `example`; default move blocking is a separate entry."""
-    operator, config = mpc._base.operator, MPCConfig()
+    operator, config = mpc._planners.base.operator, MPCConfig()
     free = ProblemShape(every_step(example.n_steps), example.machinery)
     blocked = replace(
         free,
@@ -135,8 +135,8 @@ def _recorded(days: float) -> tuple[ThermoForceMPC, Recorder, RunResult]:
         mpc = build_controller("thermoforce_mpc", {}, testcase, model)
         if not isinstance(mpc, ThermoForceMPC):
             raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")
-        recorder = Recorder(mpc._base.solver)
-        mpc._base = replace(mpc._base, solver=recorder)
+        recorder = Recorder(mpc._planners.base.solver)
+        mpc._planners.base = replace(mpc._planners.base, solver=recorder)
         result = run_closed_loop(plant, mpc, period)
     return mpc, recorder, result
 

@@ -117,8 +117,8 @@ class _Broken:
             method = _BrokenForecaster(getattr(inner, "method", inner), case.forecaster, self._now)
             self._inner = ThermoForceMPC(model, config, free_response=method)
         if case.solver_raises:
-            base = self._inner._base
-            self._inner._base = replace(base, solver=_BrokenSolver(base.solver, self._now))
+            base = self._inner._planners.base
+            self._inner._planners.base = replace(base, solver=_BrokenSolver(base.solver, self._now))
         self._from_s, self._to_s = from_s, to_s
         self.name, self.step_s, self.horizon_s = self._inner.name, self._inner.step_s, self._inner.horizon_s
 

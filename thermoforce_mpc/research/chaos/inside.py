@@ -43,8 +43,8 @@ class FailingMPC:
         self._made: dict[Trouble, int] = {}
         forecasters = [_Forecaster(method, lambda: self._trouble("forecaster")) for method in free]
         self._inner = ThermoForceMPC(model, config, free_response=forecasters, name=name)
-        base = self._inner._base
-        self._inner._base = replace(base, solver=_Solver(base.solver, lambda: self._trouble("solver")))
+        base = self._inner._planners.base
+        self._inner._planners.base = replace(base, solver=_Solver(base.solver, lambda: self._trouble("solver")))
         self.model = model
         self.name, self.step_s, self.horizon_s = name, self._inner.step_s, self._inner.horizon_s
 

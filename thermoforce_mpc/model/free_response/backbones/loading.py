@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import weakref
+from collections import deque
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -29,12 +30,14 @@ _HUB_TIMEOUT_S = 5.0
 # Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
 _SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
 SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
-# Backbones in use: frozen, so that one serves all who ask for it, in one pass.
+# Backbones in use: frozen, so that one serves all who ask for it, in one pass; and the last one asked for, which the
+# next run of a process will ask for again.
 _SHARED: weakref.WeakValueDictionary[tuple[object, ...], Backbone] = weakref.WeakValueDictionary()
+_LAST: deque[Backbone] = deque(maxlen=1)
 
 
 def load_backbone(name: str) -> Backbone:
-    """Load a backbone, frozen: evaluation mode and no gradients; one that is in use already is shared.
+    """Load a backbone, frozen: evaluation mode and no gradients; one that is in use, or was the last, is shared.
 
     Args:
         name: one of `SHIPPED_SCALES`, 'fracast', a plugin's, a directory with config.json and weights of Chronos-Bolt
@@ -50,6 +53,7 @@ def load_backbone(name: str) -> Backbone:
         for module in backbone.modules:
             module.eval().requires_grad_(False)
         _SHARED[key] = backbone
+    _LAST.append(backbone)
     return backbone
 
 

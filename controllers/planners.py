@@ -1,0 +1,79 @@
+"""The planners of a building's models: as identified, and as adapted to the behaviour of its actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from controllers.actuators import Actuators
+from controllers.planner import Planner
+from controllers.solvers import Solver
+from thermoforce_mpc.identification.adaptation import AdaptationState
+from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.protocols import FreeResponse
+
+# Number of cached planners for adapted models; others are rebuilt when needed.
+_KEPT = 4
+
+# What each actuator's model differs in from the identified one; None where in nothing.
+_Factors = tuple[tuple[float, float, float] | None, ...]
+
+
+class Planners:
+    """Builds and keeps planners.
+
+    Args:
+        model: the building as identified, at the control step.
+        actuators: how its actuators are run.
+        free_responses: the free response of each zone (Z,).
+        estimator: options of the estimator of forced states.
+        solver: builds the solver of an operator, which is adjusted to the actuation.
+    """
+
+    def __init__(
+        self,
+        model: ThermalModel,
+        actuators: Actuators,
+        free_responses: Sequence[FreeResponse],
+        estimator: EstimatorConfig,
+        solver: Callable[[BuildingOperator], Solver],
+    ) -> None:
+        self._actuators, self._free_responses = actuators, tuple(free_responses)
+        self._estimator, self._solver = estimator, solver
+        self._zones = tuple(model.actuator(a) for a in range(len(model.names.actuators)))
+        self.base = self._built(model)
+        self._adapted: list[tuple[_Factors, Planner]] = []
+
+    def of(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
+        """The planner of the building with adapted models of its actuators (A,), from the cache if present."""
+        factors = tuple(None if state is None or not state.adapted else state.factors for state in adaptation)
+        if not any(factors):
+            return self.base
+        for known, planner in self._adapted:
+            if known == factors:
+                return planner
+        zones = [zone if state is None else state.model for zone, state in zip(self._zones, adaptation, strict=True)]
+        planner = self._built(self.base.model.with_actuators(zones))
+        self._adapted = [*self._adapted, (factors, planner)][-_KEPT:]
+        return planner
+
+    def renew_solver(self, planner: Planner) -> None:
+        """Give a planner whose solver has not returned another one; the old one must not be called meanwhile."""
+        renewed = replace(planner, solver=self._solver(planner.operator))
+        if planner is self.base:
+            self.base = renewed
+        self._adapted = [(factors, renewed if one is planner else one) for factors, one in self._adapted]
+
+    def _built(self, model: ThermalModel) -> Planner:
+        # The operator must match the actuation: below the lowest level the machine switches.
+        operator = model.operator.map_actuators(
+            lambda a, pair: replace(
+                pair, heat_input=pair.heat_input.at_lowest_level(self._actuators.each[a].lowest_level)
+            )
+        )
+        estimator = ForcedStateEstimator(model.operator, config=self._estimator)
+        predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
+        return Planner(model, predictor, operator, self._solver(operator))
