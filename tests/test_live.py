@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -50,7 +58,7 @@ def test_the_building_is_kept_warm_and_given_back():
     assert seconds == 0.0
     for _, levels, seconds in house.written[:-1]:
         assert 0.0 <= levels["actuator"] <= 1.0
-        assert 0.0 < seconds <= 3600.0
+        assert 0.0 < seconds <= 3600.0 + 120.0
 
 
 def when(what, first_h, last_h, error):
@@ -116,6 +124,39 @@ def test_what_is_wrong_at_the_start_is_raised_and_nothing_is_set():
     with pytest.raises(ConfigError, match=r"time\.zone"):
         controlled(house, 3, {**RULES, "time": {}})
     assert not house.written
+
+
+def test_a_level_holds_until_the_next_decision_is_there():
+    """Tables are read and a plan is made in 90 s, and the building is left to itself in none of them."""
+    house = SimulatedBuilding()
+    live = house.measurements
+
+    def slow():
+        table = live()
+        house.wait_until(house.at + pd.Timedelta("90s"))
+        return table
+
+    house.measurements = slow
+    controlled(house, 4)
+    for (at, _, seconds), (then, *_) in pairwise(house.written):
+        assert at + pd.Timedelta(seconds=seconds) > then
+
+
+@pytest.mark.parametrize("error", [TimeoutError("no answer"), KeyboardInterrupt()])
+def test_a_level_that_was_set_by_a_call_that_failed_is_given_back(error):
+    house = SimulatedBuilding()
+    write = house.write
+
+    def late(levels, seconds):
+        house.write = write
+        write(levels, seconds)
+        raise error
+
+    house.write = late
+    with suppress(KeyboardInterrupt):
+        controlled(house, 1)
+    assert len(house.written) == 2
+    assert house.level is None
 
 
 def test_an_interrupted_run_gives_the_building_back():
@@ -213,6 +254,27 @@ class Killed(BaseException):
     """As SIGKILL: nothing is given back."""
 
 
+def test_the_level_of_the_step_that_was_cut_off_is_kept(tmp_path):
+    """Killed at the end of a step whose level nobody measures, the next run knows it all the same."""
+    house = SimulatedBuilding()
+    kept = KeptState(tmp_path / "state.npz", "this model")
+    wait = house.wait_until
+
+    def waited(at):
+        killed = START + 5 * HOUR - pd.Timedelta("1s")
+        wait(min(at, killed))
+        if house.at >= killed:
+            house.write = lambda levels, seconds: None
+            raise Killed
+
+    house.wait_until = waited
+    with pytest.raises(Killed):
+        controlled(house, 24, kept=kept)
+    applied = kept.load(START + 5 * HOUR).applied
+    assert sum(one.duration_s for one in applied) == 5 * 3600.0
+    assert [one.u for one in applied] == [(levels["actuator"],) for _, levels, _ in house.written]
+
+
 def killed_and_run_again(tmp_path, at_h, again_h, of="this model", **options):
     """Decisions of a run that was killed at `at_h`, and of five steps of another one from `again_h` on."""
     house, runs = SimulatedBuilding(), []
@@ -282,3 +344,21 @@ def test_the_command_keeps_its_state_where_its_log_is(files, monkeypatch):
         done = CliRunner().invoke(cli, [*words, *changed])
         assert done.exit_code == 0, done.output + str(done.exception)
         assert said in (files / "control" / "log.jsonl").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_to_end_gives_the_building_back(files, sent, code):
+    """SIGHUP: the terminal was closed, or the connection to it lost."""
+    words = [sys.executable, "-m", "thermoforce_mpc", "control", "--model", "model", "--map", "map.yaml", *OPTIONS]
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "OMP_NUM_THREADS": "1"}
+    levels, until = files / "levels.json", time.monotonic() + 60
+    ours = signal.signal(sent, signal.SIG_DFL)  # inherited, and ignored where the tests run under nohup
+    with subprocess.Popen([*words, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as running:
+        signal.signal(sent, ours)
+        while not levels.exists() and running.poll() is None:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        running.send_signal(sent)
+        assert running.wait(timeout=60) == code
+    assert json.loads(levels.read_text())["levels"] == {"actuator": None}

@@ -6,6 +6,8 @@ import importlib
 import signal
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import click
@@ -102,12 +104,30 @@ def cli() -> None:
 
 
 class Terminated(BaseException):
-    """SIGTERM: ends as Ctrl-C does, with the plant released and the journal whole, and exit code 143."""
+    """A signal to end: ends as Ctrl-C does, with the plant released and the journal whole; exit code 128 + `number`."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
 
 
-def _terminate(*_: object) -> NoReturn:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the plant's release short
-    raise Terminated
+def _terminate(number: int, _: object) -> NoReturn:
+    signal.signal(number, signal.SIG_IGN)  # a second one must not cut the plant's release short
+    raise Terminated(number)
+
+
+@contextmanager
+def hangup_ends() -> Iterator[None]:
+    """Within it a closed terminal (SIGHUP) ends the command as SIGTERM does, unless it is ignored, as under nohup."""
+    hangup = getattr(signal, "SIGHUP", None)
+    if hangup is None or signal.getsignal(hangup) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(hangup, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(hangup, signal.SIG_DFL)
 
 
 _show_otherwise = warnings.showwarning
@@ -147,9 +167,9 @@ def main() -> None:
     except EngineError as error:
         click.echo(f"Tasks cannot be run: {error}", err=True)
         sys.exit(7)
-    except Terminated:
+    except Terminated as error:
         click.echo("Terminated.", err=True)
-        sys.exit(143)
+        sys.exit(128 + error.number)
     except (KeyboardInterrupt, click.Abort):
         click.echo("Interrupted.", err=True)
         sys.exit(130)

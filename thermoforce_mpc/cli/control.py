@@ -42,11 +42,11 @@ def command(
 ) -> None:
     """Control a real building: every control step read its measurements and forecast, plan, and set the levels.
 
-    Begin with --dry-run, which reads, decides once and says what it would set. Ctrl-C and SIGTERM give every actuator
-    back to the building's own control; so does a step in which nothing can be decided. Each decision is printed with
-    its reason, and stands in log.jsonl in --out. Start it again after a power failure: it goes on from what was
-    measured, and from what it knew, which is kept in state.npz in --out for a day (faults noticed, highest power,
-    levels set).
+    Begin with --dry-run, which reads, decides once and says what it would set. Ctrl-C, SIGTERM and a closed terminal
+    give every actuator back to the building's own control; so does a step in which nothing can be decided. Each
+    decision is printed with its reason, and stands in log.jsonl in --out. Start it again after a power failure: it
+    goes on from what was measured, and from what it knew, which is kept in state.npz in --out for a day (faults
+    noticed, highest power, levels set).
 
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
 
@@ -57,6 +57,7 @@ def command(
     """
     from controllers.mpc import ThermoForceMPC
     from controllers.mpc_config import MPCConfig
+    from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection
     from thermoforce_mpc.execution.keys import canonical, digest
     from thermoforce_mpc.files import storage_errors
@@ -77,6 +78,7 @@ def command(
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with (
+        hangup_ends(),
         sole_use(out),
         closing(build_connection(connection, chosen.get("connection", {}))) as building,
         logging_to(out, display.say),

@@ -38,7 +38,8 @@ class FilesConnection:
         """See `Connection.write`; raises `StorageError`."""
         now = datetime.now(UTC)
         until = now + timedelta(seconds=seconds)
-        said = {"levels": dict(levels), "from": _text(now), "until": _text(until)}
+        # In whole seconds, rounded up: what is to hold for a while must not end before.
+        said = {"levels": dict(levels), "from": _text(now), "until": _text(until + timedelta(microseconds=999_999))}
         write_whole(self._levels, json.dumps(said, ensure_ascii=False) + "\n")
 
     def close(self) -> None:

@@ -29,6 +29,8 @@ _LOG = logging.getLogger(__name__)
 _RELEASES, _PAUSE_S = 5, 2.0
 # Blocks remembered, for steps whose level was not measured.
 _REMEMBERED = 2000
+# How long a level holds beyond the end of its step, s: the next decision begins there, and takes its time.
+_NEXT_DECISION_S = 120.0
 
 
 class Clock(Protocol):
@@ -145,10 +147,7 @@ class _Loop:
                 self._told(decision)
                 if self._dry:
                     return
-                if self._kept is not None:
-                    origin, at = self._building.origin.isoformat(), instant.isoformat()
-                    self._kept.save(Kept(origin, at, before, self._state, tuple(self._applied)))
-                self._act(decision)
+                self._act(decision, before)
                 index += 1
                 # Steps that passed while this one was planned, or while the machine slept, are left out.
                 instant = max(instant + self._step, self._building.instant(self._clock.now() - self._delay))
@@ -181,32 +180,44 @@ class _Loop:
             native = Block.native(len(self._building.names), self._controller.step_s)
             return Decision(instant, Plan((native,), PlanStatus.NATIVE, why), (native,))
 
-    def _act(self, decision: Decision) -> None:
-        """Set the levels of each block at its time, until the step ends; what is past by then is left out."""
+    def _act(self, decision: Decision, before: object) -> None:
+        """Set the levels of each block at its time, until the step ends; what is past by then is left out.
+
+        `before`: the controller's state before the decision. What is known is kept first, and again after every block.
+        """
         begin = decision.instant + self._delay
         end = begin + self._step
+        beyond_s = min(_NEXT_DECISION_S, self._step.total_seconds())
+        self._keep(decision.instant, before)
         for block in decision.blocks:
             until = min(begin + pd.Timedelta(seconds=block.duration_s), end)
             if until > self._clock.now():
                 self._clock.wait_until(begin)
-                hold_s = (end - self._clock.now()).total_seconds()
+                hold_s = (end - self._clock.now()).total_seconds() + beyond_s
                 taken = self._write(block.u, hold_s)
                 start_s = self._building.time_s(begin)
-                self._applied.append(Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u)))
+                done = Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u))
+                self._applied = [*self._applied, done][-_REMEMBERED:]
+                self._keep(decision.instant, before)
             begin = until
-        self._applied = self._applied[-_REMEMBERED:]
         self._clock.wait_until(end)
+
+    def _keep(self, instant: pd.Timestamp, before: object) -> None:
+        if self._kept is not None:
+            origin = self._building.origin.isoformat()
+            self._kept.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
 
     def _write(self, u: Sequence[float | None], seconds: float) -> bool:
         """Set levels; says whether they were taken."""
         names = self._building.names
         levels = {name: None if level is None else float(level) for name, level in zip(names, u, strict=True)}
+        # Before the call: one that fails, or is interrupted, may have set them.
+        self._set = self._set or any(level is not None for level in u)
         try:
             self._building.connection.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             return False
-        self._set = True
         return True
 
     def _release(self) -> None:

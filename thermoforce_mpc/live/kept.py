@@ -23,7 +23,7 @@ _OLDEST = pd.Timedelta(days=1)
 
 @dataclass(frozen=True)
 class Kept:
-    """The controller's state `before` and `after` the decision at `instant`, and levels `applied` before it.
+    """The controller's state `before` and `after` the decision at `instant`, and levels `applied` so far.
 
     Seconds count from `origin`; both times in ISO 8601. `of` tells controllers apart.
     """
