@@ -304,7 +304,7 @@ class BoptestClient:
         self._stopped = True
         try:
             self._transport.patiently(
-                lambda: self._transport.call("PUT", f"stop/{self.testid}", {}), most_s=_STOPPING_S
+                lambda: self._transport.call("PUT", f"stop/{self.testid}", {}, most_s=_STOPPING_S), most_s=_STOPPING_S
             )
         except UnknownTest:
             pass

@@ -147,21 +147,23 @@ class Transport:
         )
         return retrying(ask)
 
-    def call(self, method: Method, path: str, body: dict[str, Any] | None = None) -> Answer:
-        """Send one request, once, and return the answer.
+    def call(
+        self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
+    ) -> Answer:
+        """Send one request, once, and return the answer; it is waited for `most_s` at most, s.
 
         Raises:
             BoptestError: see `boptest_client.errors`.
         """
-        return self._once(method, path, f"{method} {self.url}/{path}", body)
+        return self._once(method, path, f"{method} {self.url}/{path}", body, most_s)
 
     def close(self) -> None:
         """Close the connections."""
         self._session.close()
 
-    def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None) -> Answer:
-        c = self.config
-        in_all_s = c.connect_timeout_s + c.read_timeout_s
+    def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None, most_s: float) -> Answer:
+        connect_s, read_s = min(self.config.connect_timeout_s, most_s), min(self.config.read_timeout_s, most_s)
+        in_all_s = min(connect_s + read_s, most_s)
         late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:g} s")
         with self._adapter.cut_after(in_all_s) as cut:
             try:
@@ -169,7 +171,7 @@ class Transport:
                     method,
                     f"{self.url}/{path}",
                     json=body,
-                    timeout=(c.connect_timeout_s, c.read_timeout_s),
+                    timeout=(connect_s, read_s),
                     # Following a redirect would turn a POST into a GET.
                     allow_redirects=False,
                 )
@@ -177,7 +179,7 @@ class Transport:
                 if cut.is_set():  # the libraries below raise various errors when their connection is closed
                     raise late from error
                 if isinstance(error, requests.RequestException):
-                    raise self._failure(endpoint, error) from error
+                    raise _failure(endpoint, error, connect_s, read_s) from error
                 raise
         if cut.is_set():
             raise late
@@ -198,15 +200,16 @@ class Transport:
             return Answer(content["payload"], str(content.get("message") or ""))
         return Answer(content, "")
 
-    def _failure(self, endpoint: str, error: requests.RequestException) -> TransportError:
-        if isinstance(error, requests.ConnectTimeout):
-            return ConnectError(endpoint, f"no connection within {self.config.connect_timeout_s:g} s")
-        if isinstance(error, requests.Timeout):
-            return ServiceTimeout(endpoint, f"no answer within {self.config.read_timeout_s:g} s")
-        root = _root(error)
-        if _never_connected(error):
-            return ConnectError(endpoint, f"cannot be reached ({root}); is the service running there?")
-        return ConnectionLost(endpoint, f"the connection broke ({root})")
+
+def _failure(endpoint: str, error: requests.RequestException, connect_s: float, read_s: float) -> TransportError:
+    if isinstance(error, requests.ConnectTimeout):
+        return ConnectError(endpoint, f"no connection within {connect_s:g} s")
+    if isinstance(error, requests.Timeout):
+        return ServiceTimeout(endpoint, f"no answer within {read_s:g} s")
+    root = _root(error)
+    if _never_connected(error):
+        return ConnectError(endpoint, f"cannot be reached ({root}); is the service running there?")
+    return ConnectionLost(endpoint, f"the connection broke ({root})")
 
 
 class _Bearer(requests.auth.AuthBase):
