@@ -91,6 +91,40 @@ def test_a_full_disk_before_the_first_step_leaves_nothing_behind(call, tmp_path)
     assert not (tmp_path / "full").exists()
 
 
+@pytest.fixture
+def with_model(tmp_path):
+    """The words of a run whose models are there before its first step."""
+    simple_model().save(tmp_path / "model")
+    return (
+        "run", "--testcase", "bestest_hydronic_heat_pump", "--baselines", "", "--days", "0.25", "--set", "step_s=3600",
+        "--model", tmp_path / "model", "--set", "controller.options.free_response.name=chronos",
+        "--out", tmp_path / "run",
+    )  # fmt: skip
+
+
+def test_a_run_ended_between_identification_and_the_first_step_can_be_resumed(call, with_model, tmp_path, monkeypatch):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    build = simulation_run.build_controller
+    monkeypatch.setattr(simulation_run, "build_controller", interrupted)
+    assert call(SimpleHouse(), *with_model).exit_code != 0
+    assert (tmp_path / "run" / "INCOMPLETE.txt").read_text() == "This run did not finish: interrupted\n"
+    monkeypatch.setattr(simulation_run, "build_controller", build)
+    done = call(SimpleHouse(), "resume", tmp_path / "run")
+    assert done.exit_code == 0, done.output + str(done.exception)
+    assert (tmp_path / "run" / "kpis.json").exists()
+
+
+@pytest.mark.parametrize(("option", "message"), [("context_steps=8", "context_steps is 8"), ("backbone=x/y", "x/y")])
+def test_a_forecaster_that_cannot_be_had_ends_the_run_before_the_plant_is_asked(call, with_model, option, message):
+    house = SimpleHouse()
+    house.reset = lambda *_: pytest.fail("the plant was started")
+    done = call(house, *with_model, "--set", f"controller.options.free_response.options.{option}")
+    assert message in str(done.exception)
+    assert not with_model[-1].exists()
+
+
 def test_a_folder_removed_during_a_run_ends_it(call, tmp_path):
     folder = tmp_path / "gone"
     house = WatchedHouse(lambda: shutil.rmtree(folder))

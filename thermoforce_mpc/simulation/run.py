@@ -18,7 +18,7 @@ from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.checks import check_forecasters, validate_scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
 from thermoforce_mpc.simulation.composition import attached_plant, build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.display import RunDisplay
@@ -160,7 +160,7 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
-            if records or book.told:
+            if book.has_begun:
                 write_partial(folder, records, str(error) if isinstance(error, ThermoForceError) else "interrupted")
             else:
                 book.discard()
@@ -220,6 +220,7 @@ def _execute(
     With a `book`, all that the controllers are told is written to its journal, or taken from it.
     """
     testcase = validate_scenario(scenario)
+    check_forecasters(scenario, testcase)
     name = scenario.controller.name
 
     def build(testid: str | None = None) -> Plant:

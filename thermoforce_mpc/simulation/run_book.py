@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -77,13 +78,15 @@ class RunBook:
         """Whether not even the plant was there: a run that goes on from here would begin anew."""
         return self.journal.records <= 1
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether more is known than the plant, such as the models: a run that goes on from here is further."""
+        return bool(self.told) or self.journal.records > 2
+
     def discard(self) -> None:
-        """Remove journal and folder: nothing was done yet, and an empty run says nothing."""
+        """Remove the folder, which the run made: nothing was done yet, and an empty run says nothing."""
         self.journal.close()
-        for path in self.folder.iterdir():
-            if path.is_file():
-                path.unlink()
-        self.folder.rmdir()
+        shutil.rmtree(self.folder)
 
 
 def _is_real(scenario: Scenario) -> bool:

@@ -100,7 +100,12 @@ def build_free_response(name: str, *, rc: RcParameters | None = None, **options:
     """
     check_free_response(name, options)
     build = REGISTRY.find(name)
-    return build(rc=rc, **options) if "rc" in inspect.signature(build).parameters else build(**options)
+    return build(rc=rc, **options) if needs_identified(name) else build(**options)
+
+
+def needs_identified(name: str) -> bool:
+    """Whether a free response is built from the identified linear free part."""
+    return "rc" in inspect.signature(REGISTRY.find(name)).parameters
 
 
 def check_free_response(name: str, options: dict[str, Any]) -> None:
