@@ -66,6 +66,20 @@ def test_prices_are_weighted_by_power():
     assert found["cost_tot"] / found["ener_tot"] == pytest.approx(0.3, rel=0.01)
 
 
+def test_power_of_steps_counts_with_the_price_at_their_begin_and_in_their_own_quarter():
+    """15 min on before the price jumps, in steps of 5 min; the step that ends at the first sample does not count."""
+    time_s = np.arange(0, 7200 + 1, 300.0)
+    price = np.where(time_s < 3600, 0.1, 0.3)
+    power = np.where((time_s > 2700) & (time_s <= 3600) | (time_s == 0), 4000.0, 0.0)
+    supply = Supply("ElectricPower", power, price, np.ones(time_s.size), of_steps=True)
+    found = building_kpis(time_s, supplies=[supply], thermal=[], air_quality=[], area_m2=100.0)
+    assert found["ener_tot"] == pytest.approx(1.0 / 100)
+    assert found["cost_tot"] == pytest.approx(0.1 / 100)
+    assert found["emis_tot"] == pytest.approx(1.0 / 100)
+    assert found["pele_tot"] == pytest.approx(4.0 / 100)
+    assert peak_power(time_s[:2], power[9:11], of_steps=True) == pytest.approx(4000.0)
+
+
 @pytest.mark.parametrize(
     ("time_s", "power"),
     [(TIME, TIME[:-1]), (TIME[::-1], TIME), (TIME[:1], TIME[:1])],

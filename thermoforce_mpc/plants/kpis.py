@@ -15,7 +15,6 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 
-_J_PER_KWH = 3.6e6
 PEAK_WINDOW_S = 900.0
 # Smallest time difference between two samples, s.
 _CLOCK_S = 1e-6
@@ -27,13 +26,23 @@ PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPo
 class Supply:
     """Energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
 
-    `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh.
+    `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh. `of_steps`: `power_W` is not that at
+    the samples but the mean of the step that ends at each, as plants with long steps know it.
     """
 
     carrier: str
     power_W: Array
     price_per_kWh: Array
     emission_kg_per_kWh: Array
+    of_steps: bool = False
+
+    def integrated_h(self, time_s: Array, weights: Array) -> Array:
+        """Return the weights (n,), h, by which `power_W` is integrated; `weights`: those of samples."""
+        return np.append(0.0, np.diff(time_s) / HOUR_S) if self.of_steps else weights
+
+    def in_force(self, values: Array) -> Array:
+        """Return price or emission (n,) that `power_W` counts with: of a step that of its begin."""
+        return np.concatenate([values[:1], values[:-1]]) if self.of_steps else values
 
 
 @dataclass(frozen=True)
@@ -83,10 +92,10 @@ def building_kpis(
     totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
     for supply in supplies:
         kW = supply.power_W / 1e3 / area_m2
-        weighted = weights * kW
+        weighted = supply.integrated_h(time_s, weights) * kW
         totals["ener_tot"] += float(weighted.sum())
-        totals["cost_tot"] += float(weighted @ supply.price_per_kWh)
-        totals["emis_tot"] += float(weighted @ supply.emission_kg_per_kWh)
+        totals["cost_tot"] += float(weighted @ supply.in_force(supply.price_per_kWh))
+        totals["emis_tot"] += float(weighted @ supply.in_force(supply.emission_kg_per_kWh))
     for name, zones in (("tdis_tot", thermal), ("idis_tot", air_quality)):
         if zones:
             integrals = [float(weights @ zone.excess) for zone in zones]
@@ -95,7 +104,8 @@ def building_kpis(
                 totals |= _of_each_zone(name, zones, integrals)
     for supply in supplies:
         if supply.carrier in PEAKS:
-            totals[PEAKS[supply.carrier]] = _peak_power(time_s, supply.power_W, weights) / 1e3 / area_m2
+            peak_W = peak_power(time_s, supply.power_W, of_steps=supply.of_steps)
+            totals[PEAKS[supply.carrier]] = peak_W / 1e3 / area_m2
     return totals
 
 
@@ -126,14 +136,6 @@ def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[flo
 def zone_kpis(kpis: Mapping[str, float], name: str = "tdis_tot") -> dict[str, float]:
     """Return the values of the KPI `name` of each zone, by zone; empty for one zone."""
     return {key[len(name) + 1 : -1]: value for key, value in kpis.items() if key.startswith(f"{name}[")}
-
-
-def discomfort_Kh(time_s: Array, thermal: Sequence[Violation]) -> dict[str, float]:
-    """Return the time integral of each zone's violation by its name over samples at `time_s` (n,), s; K·h.
-
-    `tdis_tot` of `building_kpis` is their mean.
-    """
-    return {zone.zone: float(np.trapezoid(zone.excess, time_s / HOUR_S)) for zone in thermal}
 
 
 def _check(values: Array, time_s: Array, weights: Array, name: str) -> None:
@@ -194,17 +196,17 @@ class CountedKpis:
         return together
 
 
-def peak_power(time_s: Array, power_W: Array) -> float:
-    """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter)."""
-    return _peak_power(time_s, power_W, _trapezoid_h(time_s))
+def peak_power(time_s: Array, power_W: Array, *, of_steps: bool = False) -> float:
+    """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter).
 
-
-def _peak_power(time_s: Array, power_W: Array, weights: Array) -> float:
+    `of_steps`: see `Supply`.
+    """
+    means_W = power_W[1:] if of_steps else (power_W[1:] + power_W[:-1]) / 2
+    energy_J = np.zeros(time_s.size)
+    np.cumsum((time_s[1:] - time_s[:-1]) * means_W, out=energy_J[1:])
     span_s = float(time_s[-1] - time_s[0])
     if span_s < PEAK_WINDOW_S + _CLOCK_S:  # one window
-        return float(weights @ power_W) * HOUR_S / span_s
-    energy_J = np.zeros(time_s.size)
-    np.cumsum((time_s[1:] - time_s[:-1]) * (power_W[1:] + power_W[:-1]) / 2, out=energy_J[1:])
+        return float(energy_J[-1]) / span_s
     edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, PEAK_WINDOW_S)
     at_edges = np.interp(edges, time_s, energy_J)
     return float(np.max(np.diff(at_edges) / np.diff(edges)))

@@ -49,6 +49,8 @@ def test_it_is_a_plant_that_remembers_what_it_was_told():
         kpis = plant.kpis()
         # An hour at 4 kW of heat, at the efficiency of -10 to 5 °C outdoors, and nothing but the thermostat since.
         assert 4.0 / 48 / 4.2 < kpis["ener_tot"] < 4.0 / 48 / 2.5
+        assert kpis["ener_tot"] == pytest.approx(past.power_W[0, -9:].sum() / 4 / 1e3 / 48)
+        assert kpis["pele_tot"] == pytest.approx(past.power_W[0, -9:].max() / 1e3 / 48)
         assert kpis["cost_tot"] == pytest.approx(0.2535 * kpis["ener_tot"])
 
 

@@ -338,7 +338,12 @@ class SmallOffice:
         return building_kpis(
             time_s,
             supplies=[
-                Supply(carrier, power[:, of_carrier][:, zones].sum(axis=1), *self._supply_prices(carrier, time_s))
+                Supply(
+                    carrier,
+                    power[:, of_carrier][:, zones].sum(axis=1),
+                    *self._supply_prices(carrier, time_s),
+                    of_steps=True,
+                )
                 for carrier, of_carrier in _CARRIERS.items()
             ],
             thermal=[Violation(ZONE_NAMES[zone], excess(T_zone[:, zone], lower, upper)) for zone in zones],

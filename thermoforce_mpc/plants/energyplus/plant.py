@@ -279,6 +279,7 @@ class EnergyPlusPlant:
                     record["power"][scored],
                     self._tariffs[self._price](time_s),
                     np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH),
+                    of_steps=True,
                 )
             ],
             thermal=[Violation("1", excess(record["T"][scored], lower, upper))],

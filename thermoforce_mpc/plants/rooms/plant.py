@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
 from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
-from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, discomfort_Kh, excess
+from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
@@ -254,13 +254,6 @@ class HouseOfRooms:
             air_quality=[],
             area_m2=self.house.floor_area_m2,
         )
-
-    def zone_discomfort_Kh(self) -> dict[str, float]:
-        """Return the discomfort of each room since the end of the warm-up by name, K·h; `tdis_tot` is their mean."""
-        if self._now_s - self._start_s < _CLOCK_S:
-            return dict.fromkeys(self.zones, 0.0)
-        time_s, rows = self.recorded(self._start_s, self._now_s)
-        return discomfort_Kh(time_s, self._violations(time_s, rows))
 
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
