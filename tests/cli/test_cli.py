@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 import yaml
 from click.testing import CliRunner
-from simple_house import SimpleHouse
+from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.simulation import composition
 from thermoforce_mpc.simulation import run as simulation_run
 
@@ -220,6 +220,61 @@ def test_the_report_stands_alone(simple, tmp_path):
     for outside in ('src="', 'href="http', "@import", "url("):
         assert outside not in text
     assert "thermostat on simple_house" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("period: foo", "'foo' is not a window"),
+        ("identification: {model: nomodel}", "nomodel"),
+        ("controller: {options: {free_response: {options: {backbone: nope}}}}", "backbone 'nope'"),
+    ],
+)
+def test_validate_refuses_what_a_run_would(tmp_path, text, said):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(f"testcase: {TESTCASE}\n{text}\n")
+    assert said in str(CliRunner().invoke(cli, ["validate", str(path)]).exception)
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [("fleets/small.yaml", "fleet"), ("comparisons/baselines.yaml", "comparison"), ("maps/of_a_house.yaml", "map")],
+)
+def test_validate_knows_each_kind_of_file(tmp_path, path, kind):
+    path = tmp_path / path if kind == "map" else Path("configs") / path
+    if kind == "map":
+        path.parent.mkdir()
+        path.write_text("outdoor: out\nzones: {living: {temperature: T, lower: 21, upper: 24}}\n")
+    done = CliRunner().invoke(cli, ["validate", str(path)])
+    assert done.exit_code == 0, str(done.exception)
+    assert f"valid {kind}" in done.output
+
+
+def test_probing_for_less_than_a_day_is_refused(tmp_path):
+    words = ["identify", "--testcase", TESTCASE, "--probe-days", "0.5", "--out", str(tmp_path / "model")]
+    done = CliRunner().invoke(cli, words)
+    assert isinstance(done.exception, ConfigError)
+    assert "identification.days" in str(done.exception)
+
+
+def test_a_picture_of_no_known_format_is_refused_before_the_work(tmp_path):
+    words = {
+        "plan": ["--model", "m", "--data", "d", "--map", "m", "--forecast", "f"],
+        "data": ["check", "d", "--map", "m"],
+        "forecast": [], "counterfactual": [], "saving": ["--data", "d", "--map", "m", "--changed", "2026-01-01"],
+    }  # fmt: skip
+    for command, others in words.items():
+        done = CliRunner().invoke(cli, [command, *others, "--plot", "picture.txt"])
+        assert done.exit_code == 2, command
+        assert "picture.txt: end the name in .png or .svg" in done.output
+
+
+def test_a_run_shorter_than_a_step_of_its_controller_ends_with_a_report(simple, tmp_path):
+    simple_model().save(tmp_path / "model")
+    words = ("--set", "step_s=3600", "--set", "controller.options.free_response.name=persistence")
+    done = simple("--model", "model", "--baselines", "", "--days", "0.02", "--out", "run", *words)
+    assert done.exit_code == 0, done.output + str(done.exception)
+    assert (tmp_path / "run" / "report.html").exists()
 
 
 def test_validate_names_what_is_wrong(tmp_path):

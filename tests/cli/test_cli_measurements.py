@@ -41,6 +41,13 @@ def tabled(r: Record, path: Path, begin: str = "2025-01-21") -> None:
     pd.DataFrame(columns | acting, index=at).round(4).to_csv(path)
 
 
+def test_bounds_that_leave_no_band_are_refused_with_the_map(tmp_path):
+    (tmp_path / "map.yaml").write_text(MAP.replace("lower: 21, upper: 24", "lower: 24, upper: 21"), encoding="utf-8")
+    done = CliRunner().invoke(cli, ["data", "check", "house.csv", "--map", str(tmp_path / "map.yaml")])
+    assert isinstance(done.exception, ConfigError)
+    assert "zones.living: the lower bound, 24 °C, is not below the upper one, 21 °C" in str(done.exception)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """A probed house, two days of its own control, the map, and a forecast."""

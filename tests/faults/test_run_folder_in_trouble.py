@@ -153,7 +153,7 @@ def test_a_folder_that_becomes_read_only_ends_the_run(call, tmp_path, monkeypatc
 
 def test_a_folder_that_cannot_be_made_is_refused(call):
     done = call(SimpleHouse(), *WORDS, "--days", 1, "--out", "/proc/self/run")
-    assert isinstance(done.exception, ConfigError)
+    assert isinstance(done.exception, StorageError)
     assert "/proc/self/run" in str(done.exception)
 
 

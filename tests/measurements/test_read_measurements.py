@@ -9,6 +9,7 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.measurements.starting_map import starting_map
 
 BASE = {
     "outdoor": "out",
@@ -340,6 +341,8 @@ def test_files_that_are_none_or_too_large_are_refused(tmp_path):
     ):
         with pytest.raises(DataError, match=message):
             tf.read_measurements(tmp_path / name, rules)
+    with pytest.raises(DataError, match="no Parquet file"):
+        starting_map(str(tmp_path / "fake.parquet"))
     with pytest.raises(DataError, match=r"0\.0 GB to read, at most 0\.0 GB are read at once"):
         tf.read_measurements(path, rules, most_bytes=100)
     with (tmp_path / "huge.csv").open("wb") as huge:

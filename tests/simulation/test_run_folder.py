@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.simulation.run_folder import create_run_folder, file_sha256, write_json
 
 
@@ -29,7 +29,7 @@ def test_an_existing_target_is_refused_untouched(tmp_path, what):
 
 def test_a_folder_that_cannot_be_made_is_one_error(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ConfigError, match="cannot create the run folder"):
+    with pytest.raises(StorageError, match="cannot create the run folder"):
         create_run_folder(tmp_path / "file" / "below", "s")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from thermoforce_mpc.cli.data_shown import show_measurements, show_tellings
+from thermoforce_mpc.cli.options import plot_option
 from thermoforce_mpc.cli.probe_plan import FILES, MAP, probe_plan_command
 from thermoforce_mpc.files import written
 from thermoforce_mpc.simulation.display import RunDisplay
@@ -37,13 +38,7 @@ def map_command(file: str) -> None:
 @command.command("check")
 @FILES
 @MAP
-@click.option(
-    "--plot",
-    type=click.Path(path_type=Path),
-    default=Path("data_check.png"),
-    show_default=True,
-    help="Picture of the measurements.",
-)
+@plot_option(Path("data_check.png"), "the measurements")
 @click.option("--fit/--no-fit", default=True, show_default=True, help="Fit a linear model to see what the data tell.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write what was understood as JSON.")
 def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool, json_file: Path | None) -> None:

@@ -65,7 +65,8 @@ def command(**options: Any) -> None:
         return
     if options["data_days"] is not None:
         raise click.UsageError("--data-days belongs to --data")
-    from thermoforce_mpc.scenario.settings import merge
+    from thermoforce_mpc.scenario.scenario import Scenario
+    from thermoforce_mpc.scenario.settings import merge, validate
     from thermoforce_mpc.simulation.checks import validate_scenario
     from thermoforce_mpc.simulation.composition import build_plant
     from thermoforce_mpc.simulation.display import RunDisplay
@@ -74,7 +75,7 @@ def command(**options: Any) -> None:
     scenario = scenario_from(options)
     if options["probe_days"] is not None:
         changed = merge(scenario.model_dump(), {"identification": {"days": options["probe_days"]}})
-        scenario = type(scenario).model_validate(changed)
+        scenario = validate(Scenario, changed, "--probe-days")
     testcase = validate_scenario(scenario)
     task = identification_task(scenario, testcase)
     display = RunDisplay()

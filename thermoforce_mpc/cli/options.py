@@ -102,22 +102,37 @@ def course_options(level: str) -> Callable[[Function], Function]:
 
     def add(function: Function) -> Function:
         file = click.Path(path_type=Path, dir_okay=False)
-        for option in reversed(
-            [
-                click.option("--level", type=float, help=level),
-                click.option(
-                    "--schedule",
-                    type=click.Path(path_type=Path),
-                    help="CSV with columns time and u (or one per actuator).",
-                ),
-                click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
-                click.option("--plot", type=file, help="Picture: .png or .svg."),
-            ]
-        ):
+        options: list[Callable[[Function], Function]] = [
+            click.option("--level", type=float, help=level),
+            click.option(
+                "--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator)."
+            ),
+            click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
+            plot_option(),
+        ]
+        for option in reversed(options):
             function = option(function)
         return function
 
     return add
+
+
+def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function], Function]:
+    """Option `--plot`, refused before the work where the name says no format that we draw."""
+    return click.option(
+        "--plot",
+        type=click.Path(path_type=Path, dir_okay=False),
+        callback=_png_or_svg,
+        default=default,
+        show_default=default is not None,
+        help=f"Picture{of and ' of '}{of}: .png or .svg.",
+    )
+
+
+def _png_or_svg(context: click.Context, option: click.Parameter, plot: Path | None) -> Path | None:
+    if plot is not None and plot.suffix not in (".png", ".svg"):
+        raise click.BadParameter(f"{plot}: end the name in .png or .svg")
+    return plot
 
 
 def _csv_or_json(context: click.Context, option: click.Parameter, out: Path | None) -> Path | None:

@@ -12,6 +12,7 @@ import pandas as pd
 from rich.table import Table
 
 from thermoforce_mpc.cli.identify import BELOW_THE_BAR
+from thermoforce_mpc.cli.options import plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
@@ -31,7 +32,7 @@ _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 @click.option("--hours", type=click.FloatRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the plan: .csv or .json.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Picture of the plan.")
+@plot_option(of="the plan")
 def command(
     model: Path,
     files: tuple[str, ...],

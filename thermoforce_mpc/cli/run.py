@@ -33,7 +33,7 @@ def command(**options: Any) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump --period typical_heat_day --weather Brussels.mos
       tf-mpc run --testcase bestest_hydronic_heat_pump --url http://127.0.0.1:8000
       tf-mpc run --testcase bestest_hydronic_heat_pump --fmu wrapped.fmu
-      tf-mpc run --config configs/scenarios/peak.yaml --set controller.options.horizon_h=36
+      tf-mpc run --config peak_heat_day --set controller.options.horizon_h=36
     """
     from thermoforce_mpc.simulation.display import RunDisplay
     from thermoforce_mpc.simulation.run import run_scenario

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from thermoforce_mpc.cli.options import plot_option
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
@@ -25,7 +26,7 @@ from thermoforce_mpc.whatif.saving import Saving, verified_saving
 @click.option("--until", "last", metavar="TIME", help="Leave out what was recorded later.")
 @click.option("--interval", type=click.FloatRange(0.5, 0.999), default=0.95, show_default=True, help="Its level.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result as JSON.")
-@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Picture: .png or .svg.")
+@plot_option()
 def command(
     files: tuple[str, ...],
     map_file: Path,

@@ -8,23 +8,31 @@ import click
 
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import read_yaml, validate
-from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
+from thermoforce_mpc.simulation.schemas import KINDS
+
+# A key that only files of this kind have; any other file is a scenario.
+_KIND_OF = {
+    "buildings": "fleet", "variants": "comparison", "outdoor": "map", "actuator": "testcase", "zones": "testcase",
+    "measurements": "testcase",
+}  # fmt: skip
 
 
-@click.command(short_help="Check a scenario or test case file.")
+@click.command(short_help="Check a scenario, test case, comparison, fleet or map file.")
 @click.argument("file", type=click.Path(path_type=Path))
 def command(file: Path) -> None:
-    """Check FILE, a scenario or a test case; an error names file, key and allowed values.
+    """Check FILE, a scenario, test case, comparison, fleet or map; an error names file, key and allowed values.
 
-    A file with one of the keys `actuator`, `zones` and `measurements` is read as a test case, any other as a scenario.
-    Exit code 2 when it is invalid.
+    A comparison has the key `variants`, a fleet `buildings`, a map `outdoor`, a test case `actuator`, `zones` or
+    `measurements`. Of a scenario, model and forecaster are loaded too. Whether a map fits a table is said by `tf-mpc
+    data check`. Exit code 2 when it is invalid.
     """
     data = read_yaml(file)
-    if data.keys() & {"actuator", "zones", "measurements"}:
-        testcase = validate(TestCase, data, str(file))
-        click.echo(f"{file}: valid test case '{testcase.name}'")
+    kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
+    if kind != "scenario":
+        validate(KINDS[kind], data, str(file))
+        click.echo(f"{file}: valid {kind}")
         return
     scenario = validate(Scenario, data, str(file))
-    validate_scenario(scenario)
+    check_contestants(scenario, validate_scenario(scenario))
     click.echo(f"{file}: valid scenario, {scenario.controller.name} on {scenario.testcase}, {scenario.period}")

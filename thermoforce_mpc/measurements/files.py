@@ -72,7 +72,8 @@ def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: Csv
     return raw_table(df, stamps, columns, str(path), line)
 
 
-def _parquet(path: Path, stamps: str | None, columns: Sequence[str]) -> pd.DataFrame:
+def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> pd.DataFrame:
+    """The table with time stamps (or index) and `columns`; None: all of them."""
     import pyarrow.parquet as parquet
     from pyarrow import ArrowException
 
@@ -81,6 +82,7 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str]) -> pd.DataF
         # The index of a data frame stands among the columns of its file.
         index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
         wanted = [stamps] if stamps else index or schema.names[:1]
+        columns = schema.names if columns is None else columns
         known = [name for name in dict.fromkeys([*wanted, *columns]) if name in schema.names]
         table = parquet.read_table(path, columns=known).to_pandas()
     except (ArrowException, OSError, ValueError) as error:
@@ -137,10 +139,7 @@ def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
 def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     """The first `rows` rows of a file with all its columns, the time stamps (or the index) first."""
     if path.suffix in _PARQUET:
-        import pyarrow.parquet as parquet
-
-        names = parquet.read_schema(path).names
-        df = _parquet(path, None, names).iloc[:rows]
+        df = _parquet(path, None, None).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
     separator, names = _header(path, form)
     try:

@@ -96,4 +96,4 @@ def _complete(found: Boundary, measured: Measurements, name: str) -> None:
             )
     if (found.lower_C > found.upper_C).any():
         row = int(np.argmax((found.lower_C > found.upper_C).any(axis=0)))
-        raise DataError(f"{name}: at {stamps[row]} the lower bound is above the upper one: exchange the columns")
+        raise DataError(f"{name}: at {stamps[row]} the lower bound is above the upper one (lower and upper of the map)")

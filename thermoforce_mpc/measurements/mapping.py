@@ -35,6 +35,12 @@ class MappedZone(StrictModel):
     upper: Bound | None = Field(None, description="comfort bound, °C or a column")
     floor_area_m2: float | None = Field(None, gt=0)
 
+    @model_validator(mode="after")
+    def _has_a_band(self) -> MappedZone:
+        if isinstance(self.lower, float) and isinstance(self.upper, float) and self.lower >= self.upper:
+            raise ValueError(f"the lower bound, {self.lower:g} °C, is not below the upper one, {self.upper:g} °C")
+        return self
+
 
 class MappedActuator(StrictModel):
     """What acts on a zone. Its level is measured, or its heat or its machine's power over its full one."""

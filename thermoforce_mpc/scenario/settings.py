@@ -62,7 +62,7 @@ def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
         except OSError as error:
             raise ConfigError(f"{name[:120]}: not the name of a file ({error.strerror or error})") from error
         if not there:
-            raise ConfigError(f"{path}: no such file")
+            raise ConfigError(f"{path}: no such file{'' if path.is_absolute() else f' in {Path.cwd()}'}")
         return path
     known = named_configs(kind)
     if name not in known:
@@ -117,7 +117,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
         key, separator, text = word.partition("=")
         parts = [part.strip() for part in key.split(".")]
         if not separator or not all(parts) or len(parts) > MOST_DEPTH:
-            raise ConfigError(f"--set {word:.200}: expected key=value, for example controller.horizon_h=36")
+            raise ConfigError(f"--set {word:.200}: expected KEY=VALUE")
         value = parse_value(text, f"--set {word:.200}")
         if isinstance(value, float) and math.isnan(value):
             raise ConfigError(f"--set {word}: not a number")

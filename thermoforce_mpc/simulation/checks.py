@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from controllers.registry import controller_config, find_entry
+from controllers.registry import build_controller, controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import build_free_response, needs_identified
 from thermoforce_mpc.plants.registry import check_plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.composition import controller_options
-from thermoforce_mpc.simulation.identifying import identification_settings
+from thermoforce_mpc.simulation.composition import check_window, controller_options
+from thermoforce_mpc.simulation.identifying import identification_settings, saved_model
 
 
 def validate_scenario(scenario: Scenario) -> TestCase:
     """Check a scenario without running it; returns its test case. Raises `ConfigError`."""
     testcase = load_testcase(scenario.testcase)
+    check_window(scenario.period)
     controller_config(scenario.controller.name, controller_options(scenario, scenario.controller.name), testcase)
     if find_entry(scenario.controller.name).needs_model:
         identification_settings(scenario, testcase)
@@ -29,13 +30,23 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     return testcase
 
 
-def check_forecasters(scenario: Scenario, testcase: TestCase) -> None:
-    """Load what the contestants forecast with, which says whether it can be: better now than after days of probing.
+def check_contestants(scenario: Scenario, testcase: TestCase) -> None:
+    """Build the contestants as far as they can be before probing: what is refused now costs nobody days of it.
 
-    Raises `ConfigError`, `BackboneError`.
+    With a saved model that is all of them, without one what they forecast with.
+
+    Raises:
+        ConfigError: options, the model or the forecaster cannot be used.
+        ArtifactError: the saved model cannot be read.
+        BackboneError: the forecaster's weights cannot be loaded.
     """
     for name in (scenario.controller.name, *scenario.baselines):
-        config = controller_config(name, controller_options(scenario, name), testcase)
-        method = getattr(config, "free_response", None)
+        options = controller_options(scenario, name)
+        if not find_entry(name).needs_model:
+            continue
+        if scenario.identification.model is not None:
+            build_controller(name, options, testcase, saved_model(scenario, testcase))
+            continue
+        method = getattr(controller_config(name, options, testcase), "free_response", None)
         if method is not None and not needs_identified(method.name):
             build_free_response(method.name, **method.options)

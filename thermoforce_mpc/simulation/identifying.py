@@ -347,13 +347,17 @@ def model_for(
         DataError: the record is not sufficient for identification.
         PlantError: the plant failed.
     """
+    if scenario.identification.model is not None:
+        return saved_model(scenario, testcase)
+    return run_identification(identification_task(scenario, testcase, controller), plant, on_progress=on_progress)
+
+
+def saved_model(scenario: Scenario, testcase: TestCase) -> ThermalModel:
+    """The model that the scenario names, resampled to its step; raises `ArtifactError`."""
     from thermoforce_mpc.model.thermal_model import load_model
 
-    spec = scenario.identification
-    if spec.model is None:
-        return run_identification(identification_task(scenario, testcase, controller), plant, on_progress=on_progress)
     step_s = scenario.step_s or testcase.step_s
-    model = load_model(Path(spec.model))
+    model = load_model(Path(str(scenario.identification.model)))
     if model.operator.step_s != step_s:
         model = replace(model, operator=model.operator.resampled(step_s))
     return model

@@ -18,7 +18,7 @@ from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.checks import check_forecasters, validate_scenario
+from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
 from thermoforce_mpc.simulation.composition import attached_plant, build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.display import RunDisplay
@@ -220,7 +220,7 @@ def _execute(
     With a `book`, all that the controllers are told is written to its journal, or taken from it.
     """
     testcase = validate_scenario(scenario)
-    check_forecasters(scenario, testcase)
+    check_contestants(scenario, testcase)
     name = scenario.controller.name
 
     def build(testid: str | None = None) -> Plant:

@@ -19,7 +19,7 @@ import yaml
 from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -34,7 +34,8 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
     """Create the folder of a run: `out`, or the next free `runs/<stem>-NNN`.
 
     Raises:
-        ConfigError: `out` exists and is not an empty folder, or cannot be created.
+        ConfigError: `out` exists and is not an empty folder.
+        StorageError: it cannot be created.
     """
     try:
         if out is not None:
@@ -51,7 +52,7 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
                 continue
             return folder
     except OSError as error:
-        raise ConfigError(f"cannot create the run folder {out or root}: {error.strerror or error}") from error
+        raise StorageError(f"cannot create the run folder {out or root}: {error.strerror or error}") from error
     raise ConfigError(f"{root}: no free run folder name left for {stem}")
 
 

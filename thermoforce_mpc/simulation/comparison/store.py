@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_folder, write_whole
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -60,13 +60,13 @@ class Store:
     """Stored cells and models of one comparison: the `Results` of its tasks."""
 
     def __init__(self, folder: Path) -> None:
-        """Create the folder; raises `ConfigError` if that fails."""
+        """Create the folder; raises `StorageError` if that fails."""
         self.folder = folder
         try:
             for sub in ("cells", "models"):
                 (folder / sub).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+            raise StorageError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
 
     def cell_path(self, cell: Cell) -> Path:
         """Path of a cell's result."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -109,12 +109,12 @@ class FleetResults:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Create the folder; raises `ConfigError` if that fails."""
+        """Create the folder; raises `StorageError` if that fails."""
         self.folder = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+            raise StorageError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
 
     def record_path(self, key: str) -> Path:
         """The record of a run."""

@@ -64,7 +64,9 @@ def _rows(of_instants: list[Array]) -> Array:
 
 
 def _instants(record: Record, levels: int) -> list[float]:
-    """Start of each day that is asked about, s."""
+    """Start of each day that is asked about, s; none in a run shorter than a step."""
+    if not record.n_steps:
+        return []
     per_instant = 2 * 2 * levels * len(record.names.zones) * LENGTH_H * HOUR_S / record.step_s
     most = max(1, int(MOST_BYTES / per_instant))
     every = max(round(EVERY_H * HOUR_S / record.step_s), 1)
