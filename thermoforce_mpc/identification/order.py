@@ -107,7 +107,8 @@ def fit_and_judge(
 def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> float:
     """Return the share of the whitened residual variance, after weather and drift, that the forced response explains.
 
-    The forced response is that of the linear part, m = 1, to the actions of each case.
+    The forced response is that of the linear part, m = 1, to the actions of each case. 0 where nothing varies: the
+    zone of a pair of which another zone's actuator acted.
     """
     log_tau, steady = np.log(operator.time_constants_h), operator.sign * operator.steady_gains_K
     gains = np.concatenate([[(steady / operator.time_constants_h).sum()], steady[1:]])
@@ -118,7 +119,7 @@ def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> floa
         forced = forced_columns(case.regression, log_tau, operator.sign) @ gains
         squares = rest.squares(np.stack([residual, residual - forced], axis=1))
         before, after = before + float(squares[0]), after + float(squares[1])
-    return 1.0 - after / before
+    return 1.0 - after / before if before > 0.0 else 0.0
 
 
 def choose_order(candidates: dict[int, Fitted]) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
 from thermoforce_mpc.model.limits import LEVEL, ROUNDING
@@ -34,7 +34,7 @@ class Pair:
     """Two runs with the same initial state and weather but different actions (paper eq:paired).
 
     Raises:
-        DataError: the runs differ in time, weather or starting temperature.
+        DataError: the runs differ in names, time, weather or the starting temperature of a zone.
     """
 
     a: Record
@@ -43,16 +43,20 @@ class Pair:
 
     def __post_init__(self) -> None:
         what = f"pair {self.label}".strip()
+        names = self.a.names
+        if self.b.names != names:
+            raise DataError(f"{what}: the runs are of {names} and of {self.b.names}; a pair is of one building")
         for name in ("time_s", "T_out_C", "solar_W_m2"):
             first, second = getattr(self.a, name), getattr(self.b, name)
             if first.shape != second.shape or not np.allclose(first, second, atol=1e-6, equal_nan=True):
                 raise DataError(f"{what}: {name} differs between the two runs; a pair shares clock and weather")
-        start = abs(float(self.a.T_zone_C[0, 0] - self.b.T_zone_C[0, 0]))
-        if not start <= MAX_START_DIFFERENCE_K:
-            raise DataError(
-                f"{what}: the zone starts {start:.3f} K apart, more than {MAX_START_DIFFERENCE_K} K: "
-                "start both runs from the same state"
-            )
+        for zone, apart in zip(names.zones, np.abs(self.a.T_zone_C[:, 0] - self.b.T_zone_C[:, 0]), strict=True):
+            if not apart <= MAX_START_DIFFERENCE_K:
+                who = "the zone" if len(names.zones) == 1 else f"zone {zone}"
+                raise DataError(
+                    f"{what}: {who} starts {apart:.3f} K apart, more than {MAX_START_DIFFERENCE_K} K: "
+                    "start both runs from the same state"
+                )
 
     def part(self, zone: int, actuators: Sequence[int], machines: Sequence[int] = ()) -> Pair:
         """The pair of one zone with some of the actuators and machines, see `Record.part`."""
@@ -90,7 +94,7 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
             used.append(piece)
             doubts += (filled,) if filled else ()
         if not used:
-            raise refusals[0] if refusals else DataError(f"{name}: u and the weather were never measured together")
+            raise refusals[0] if refusals else DataError(f"{name}: {_never_together(run)}")
         doubts += tuple(f"left out: {error}" for error in refusals)
         notes += [f"{name}: {doubt}" for doubt in doubts]
         found += used
@@ -134,9 +138,17 @@ def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tupl
 
 
 def _usable(history: Record) -> NDArray[np.bool_]:
-    """Return which steps have a known level and known or bridged weather, shape (n,)."""
+    """Return which steps have known levels of all actuators and known or bridged weather, shape (n,)."""
     lost = np.any([long_gaps(history, name) for name in WEATHER], axis=0)
-    return np.asarray(np.isfinite(history.u[0]) & ~lost[:-1] & ~lost[1:])
+    return np.asarray(np.isfinite(history.u).all(axis=0) & ~lost[:-1] & ~lost[1:])
+
+
+def _never_together(run: Record) -> str:
+    """What is wrong with a run without a usable step."""
+    rows = {**run.names.columns(u=run.u), **{name: getattr(run, name) for name in WEATHER}}
+    silent = [label for label, values in rows.items() if not np.isfinite(values).any()]
+    why = f": {', '.join(silent)} has no value; check where it is read" if silent else ""
+    return f"u and the weather were never measured together{why}"
 
 
 def _pieces(run: Record) -> list[Record]:
@@ -159,7 +171,7 @@ def resolution_K(runs: Sequence[Record]) -> float:
 
 
 def check_run(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
-    """Check length, signals, range of levels and excitation of a run.
+    """Check length, signals, range of levels and excitation of a run; of several actuators one must be excited enough.
 
     Raises:
         DataError: the run is too short, incomplete or not excited; gives the wrong numbers and what to do.
@@ -171,18 +183,29 @@ def check_run(history: Record, name: str, levels: tuple[float, float] = LEVEL) -
             f"{name}: {days:.2f} days of data, need at least {MIN_DAYS} to separate the slow part of the response "
             "from the daily cycle of the weather; record one to three days"
         )
-    u = history.u[0]
-    on_h = float((np.abs(u) > 0.02).sum()) * history.step_s / HOUR_S
+    # One of several that hardly acted must not refuse the rest: the verdict on its own model says so.
+    spread = history.u.std(axis=1)
+    lacking = [_unexcited(u, history.names.label("u", a), history.step_s) for a, u in enumerate(history.u)]
+    if all(lacking):
+        raise DataError(
+            f"{name}: {lacking[int(np.argmax(spread))]}; "
+            "probe with varied levels and holding times (`tf-mpc identify` designs that), or add days"
+        )
+
+
+def _unexcited(u: Array, label: str, step_s: float) -> str:
+    """What is too little about the level `u` (n,) of an actuator to identify its effect; empty where nothing is."""
+    on_h = float((np.abs(u) > 0.02).sum()) * step_s / HOUR_S
     changes = int((np.abs(np.diff(u)) > 0.02).sum())
     spread = float(np.std(u))
-    advice = "probe with varied levels and holding times (`tf-mpc identify` designs that), or add days"
     if spread < 1e-6:
-        raise DataError(f"{name}: u is constant at {u[0]:g}: its effect cannot be identified; {advice}")
+        return f"{label} is constant at {u[0]:g}: its effect cannot be identified"
     if on_h < MIN_ON_H or spread < MIN_SD_U or changes < MIN_CHANGES:
-        raise DataError(
-            f"{name}: too little excitation: on for {on_h:.1f} h (need {MIN_ON_H:g}), standard deviation of u "
-            f"{spread:.3f} (need {MIN_SD_U:g}), {changes} changes of u (need {MIN_CHANGES}); {advice}"
+        return (
+            f"too little excitation: on for {on_h:.1f} h (need {MIN_ON_H:g}), standard deviation of {label} "
+            f"{spread:.3f} (need {MIN_SD_U:g}), {changes} changes of {label} (need {MIN_CHANGES})"
         )
+    return ""
 
 
 def check_pairs(pairs: Sequence[Pair]) -> None:
@@ -195,7 +218,7 @@ def check_pairs(pairs: Sequence[Pair]) -> None:
         name = f"pair {pair.label or index}"
         _check_signals(pair.a, name + " (first run)")
         _check_signals(pair.b, name + " (second run)")
-    largest = max(float(np.max(np.abs(p.a.u[0] - p.b.u[0]))) for p in pairs)
+    largest = max(float(np.max(np.abs(p.a.u - p.b.u))) for p in pairs)
     if largest < MIN_SD_U:
         raise DataError(
             f"pairs: u differs by at most {largest:.3f} between the runs of any pair, need {MIN_SD_U:g}: "
@@ -217,24 +240,27 @@ def check_steps(histories: Sequence[Record]) -> None:
 def _check_signals(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
-    finite = np.isfinite(history.T_zone_C[0])
-    if not finite.any():
-        raise DataError(f"{name}: every zone temperature is NaN; check the point of the sensor")
-    if finite.mean() < 0.5:
-        raise DataError(f"{name}: only {100 * finite.mean():.0f} % of the zone temperatures were measured, need half")
-    for signal in ("u", "T_out_C", "solar_W_m2"):
-        values = getattr(history, signal)
+    for zone, known in zip(history.names.zones, np.isfinite(history.T_zone_C), strict=True):
+        of, otherwise = (f" of {zone}", ", or leave the zone out") if len(history.names.zones) > 1 else ("", "")
+        if not known.any():
+            raise DataError(f"{name}: every zone temperature{of} is NaN; check the point of the sensor{otherwise}")
+        if known.mean() < 0.5:
+            share = f"only {100 * known.mean():.0f} % of the zone temperatures{of} were measured"
+            raise DataError(f"{name}: {share}, need half")
+    rows = history.names.columns(u=history.u)
+    for signal, values in {**rows, "T_out_C": history.T_out_C, "solar_W_m2": history.solar_W_m2}.items():
         gaps = np.flatnonzero(~np.isfinite(values))
         if gaps.size:
             raise DataError(
                 f"{name}: {signal} is not finite at {gaps.size} of {values.size} places, first at {gaps[0]}; "
                 "cut the record there or fill it"
             )
-    if (history.u[0] < levels[0]).any() or (history.u[0] > levels[1]).any():
-        raise DataError(
-            f"{name}: u ranges from {history.u[0].min():g} to {history.u[0].max():g}, expected "
-            f"[{levels[0] + ROUNDING:g}, 1]; rescale it"
-        )
+    for label, u in rows.items():
+        if (u < levels[0]).any() or (u > levels[1]).any():
+            raise DataError(
+                f"{name}: {label} ranges from {u.min():g} to {u.max():g}, expected [{levels[0] + ROUNDING:g}, 1]; "
+                "rescale it"
+            )
 
 
 def data_hash(history: Record) -> str:
