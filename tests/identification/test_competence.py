@@ -64,6 +64,25 @@ def test_held_out_errors_are_those_of_the_predictor():
         assert score.persistence_K == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-9)
 
 
+@pytest.mark.parametrize(("days", "step_s"), [(40.0, 3600.0), (23.0, 300.0)], ids=["long", "rows 55 min apart"])
+def test_predictions_an_hour_ahead_are_judged_however_long_the_record(days, step_s):
+    """Rows of long records are thinned; some must remain an hour, or little more, before others."""
+    model = identify(record(HOUSE, days, step_s, noise_K=0.01), config=LINEAR.model_copy(update={"order": 2}))
+    verdict = model.only.card.competence
+    assert verdict.competent, verdict.reasons
+    assert verdict.held_out_h == pytest.approx(6.0 * days, rel=0.02)
+    assert any("960 steps are fitted as 2 runs" in note for note in model.only.card.notes) == (days == 40.0)
+
+
+def test_a_lead_time_without_data_is_said_plainly():
+    coarse = record(HOUSE, 12.0, 7200.0, noise_K=0.01)
+    verdict = identify(coarse, config=LINEAR.model_copy(update={"order": 2})).only.card.competence
+    assert verdict.reasons == (
+        "1 h ahead it cannot be judged: no held-out temperature has another 1 to 1.5 h before it",
+    )
+    assert "measure the zone temperature without long gaps, in steps that divide an hour" in verdict.advice
+
+
 def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
     run = record(HOUSE, 3.0, noise_K=0.01)
     verdict = _verdict(run)

@@ -27,6 +27,7 @@ from thermoforce_mpc.identification.columns import forced_columns
 from thermoforce_mpc.identification.joint import ModeFit
 from thermoforce_mpc.identification.likelihood import Split, residuals
 from thermoforce_mpc.identification.modes import ModePriors
+from thermoforce_mpc.identification.records import LEAD_REACH
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 
 # Lead times that are reported, h, and those that are judged. A plan is made anew every step and pre-heats by hours; a
@@ -66,6 +67,7 @@ _NO_EFFECT = (
     "more of the same data will not show an effect: check that the zone sensor is in the room that the actuator "
     "serves, that u is the applied level, and that the mode (heating or cooling) is right"
 )
+_OFTENER = "measure the zone temperature without long gaps, in steps that divide an hour"
 # Level from which full actuation counts as seen.
 _NEARLY_FULL = 0.9
 # Correlation of the errors with the sun from which it is named as their cause.
@@ -281,7 +283,7 @@ def _held_out(case: Case, first: int, hours: float) -> tuple[NDArray[np.intp], N
     starts = np.searchsorted(at, at[first:] - hours + 1e-9, side="right") - 1
     targets = np.arange(first, at.size)
     # Where the sensor was silent there may be no row that far before: such a target is left out.
-    near = (starts >= 0) & (at[targets] - at[np.maximum(starts, 0)] <= 1.5 * hours)
+    near = (starts >= 0) & (at[targets] - at[np.maximum(starts, 0)] <= LEAD_REACH * hours + 1e-9)
     return starts[near], targets[near]
 
 
@@ -307,7 +309,18 @@ def _missed(
     """Return the criteria that are missed, and what to do about them."""
     reasons, advice = [], []
     longer = 1.0  # factor on the length of the record
-    judged = [score for score in verdict.horizons if score.hours in JUDGED_H]
+    judged = []
+    for score in verdict.horizons:
+        if score.hours not in JUDGED_H:
+            continue
+        if np.isfinite(score.model_K):
+            judged.append(score)
+            continue
+        reasons.append(
+            f"{score.hours:g} h ahead it cannot be judged: no held-out temperature has another {score.hours:g} to "
+            f"{LEAD_REACH * score.hours:g} h before it"
+        )
+        advice.append(_OFTENER)
     if not verdict.relative_sd <= MOST_RELATIVE_SD:
         reasons.append(
             f"the effect of 8 h at full level is known to ± {100 * verdict.relative_sd:.0f} % only, need "
@@ -325,7 +338,7 @@ def _missed(
             reasons.append(f"{off}, an unchanged temperature by {score.persistence_K:.2f} K")
             advice.append(_signals(found[score.hours], records))
     needs = [float(student_t.ppf(BETTER_PROBABILITY, max(score.blocks - 1, 1))) for score in judged]
-    if not any(score.better_t > need for score, need in zip(judged, needs, strict=True)):
+    if judged and not any(score.better_t > need for score, need in zip(judged, needs, strict=True)):
         each = " and ".join(
             f"{score.hours:g} h ahead {score.model_K:.2f} K against {score.weather_K:.2f} K, t = {score.better_t:.1f}, "
             f"need {need:.1f}"

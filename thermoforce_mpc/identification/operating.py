@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.design import Designer
 from thermoforce_mpc.model.gaps import bridged
 
-# Days of a record that are used: rows of the regression are bounded, so longer parts only become coarser.
+# Days of a record that are used: longer parts take longer, and hold other seasons and habits.
 MOST_DAYS = 28.0
 # Distance of the parts that are compared, days, and the least share of levels and temperatures that one must hold.
 _EVERY_DAYS, _LEAST_KNOWN = 7.0, 0.5

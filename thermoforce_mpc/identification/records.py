@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,10 @@ MIN_ON_H = 1.0
 MIN_SD_U = 0.05
 MIN_CHANGES = 4
 MIN_DAYS = 0.9
+# Most rows of one run in its regression (all steps are simulated); more only make it slower.
+MOST_ROWS = 700
+# A prediction begins its lead time before its target, or up to so many times that where the sensor was silent.
+LEAD_REACH = 1.5
 # Largest share of a signal's readings outside physical limits: more indicates a wrong unit, not a sensor fault.
 _MOST_REFUSED = 0.1
 # A grid of readings: share of different values among them below which there may be one, tolerance of a reading as a
@@ -67,7 +72,7 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
     """Return usable runs without implausible readings and gaps, and notes on the changes.
 
     Short gaps of the weather are bridged as in `model.gaps`. Steps in longer gaps and with unknown u are dropped; each
-    part between them becomes a run of its own if it passes `check_run`.
+    part between them becomes a run of its own if it passes `check_run`, a long one several.
 
     Raises:
         DataError: nothing usable is left of a run, or more than 10 % of a signal's readings are implausible; gives the
@@ -91,8 +96,12 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
             except DataError as error:
                 refusals.append(error)
                 continue
-            used.append(piece)
+            parts = _parts(piece)
+            used += parts
             doubts += (filled,) if filled else ()
+            doubts += (
+                (f"{piece.n_steps} steps are fitted as {len(parts)} runs, one after another",) if len(parts) > 1 else ()
+            )
         if not used:
             raise refusals[0] if refusals else DataError(f"{name}: {_never_together(run)}")
         doubts += tuple(f"left out: {error}" for error in refusals)
@@ -155,6 +164,13 @@ def _pieces(run: Record) -> list[Record]:
     """Return the consecutive parts of usable steps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], _usable(run), [False]]).astype(int)))
     return [run.slice(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _parts(run: Record) -> list[Record]:
+    """Return a run in as few parts of about equal length as leave rows in reach of predictions an hour ahead."""
+    most = MOST_ROWS * max(1, int(LEAD_REACH * HOUR_S / run.step_s))
+    edges = np.linspace(0, run.n_steps, -(-run.n_steps // most) + 1).round().astype(int).tolist()
+    return [run.slice(start, stop) for start, stop in pairwise(edges)]
 
 
 def resolution_K(runs: Sequence[Record]) -> float:

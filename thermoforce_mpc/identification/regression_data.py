@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -32,8 +32,6 @@ REFERENCE_C = 20.0
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
 # so the standard deviation per row is ten times as large.
 _PAIR_SD_K = 0.3
-# Most rows of one run in the regression (all steps are simulated); more rows only make it slower.
-_MAX_ROWS = 700
 # For the reported uncertainty, disturbances are this many times the fitted residuals (which underestimate them), but at
 # least this share of the assumed ones.
 _ROOM, _LEAST_DISTURBED = 2.5, 0.1
@@ -118,9 +116,7 @@ def run_regression(
     drives differ by the fit error of the heat capacity, which the model card notes (below 1 % of full heat where heat
     was measured on the embedded plant).
     """
-    n = history.n_steps
-    stride = max(1, -(-n // _MAX_ROWS))
-    rows = np.arange(0, n + 1, stride)
+    rows = np.arange(0, history.n_steps + 1, _stride(history.n_steps, HOUR_S / history.step_s))
     rows = rows[np.isfinite(history.T_zone_C[0, rows])]
     return RegressionData(
         target=history.T_zone_C[0, rows] - REFERENCE_C,
@@ -132,6 +128,16 @@ def run_regression(
         others=_other_drives(history, others),
         other_priors=_other_priors(others),
     )
+
+
+def _stride(n_steps: int, hour: float) -> int:
+    """Every how many steps a run has a row; `hour`: steps in an hour.
+
+    Rows little less than an hour apart would leave predictions an hour ahead no row to begin from: the last but one is
+    out of reach.
+    """
+    stride, closer = max(1, -(-n_steps // MOST_ROWS)), max(1, int(0.5 * LEAD_REACH * hour))
+    return closer if closer < stride < hour else stride
 
 
 def _other_priors(others: Sequence[OtherActuator]) -> Array:
