@@ -61,6 +61,24 @@ def test_what_one_zone_lacks_is_named_in_any_order(row, signal, at, words):
 
 
 @pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize(
+    ("signal", "places", "words"),
+    [
+        ("T_zone_C", 30, r"T_zone_C\[{zone}\] at 30 of 193 places"),
+        ("power_W", 192, r"power_W\[{machine}\] at \d+ of 192"),
+    ],
+)
+def test_a_wrong_unit_of_any_row_is_named(row, signal, places, words):
+    history = changed(two_rooms(), signal, row, slice(0, places), 1e6)
+    words = words.format(zone=NAMES.zones[row], machine=NAMES.machines[row])
+    layout = replace(LAYOUT, floor_area_m2=(100.0, 90.0))
+    with pytest.raises(
+        DataError, match=f"^run: {words}.*too many for sensor faults: check the unit and the floor area"
+    ):
+        identify([history], config=LINEAR, layout=layout)
+
+
+@pytest.mark.parametrize("row", ROWS)
 def test_unknown_levels_of_any_actuator_divide_a_run(row):
     runs, notes = prepared_runs([changed(two_rooms(3.0), "u", row, slice(100, 120), np.nan)], Limits.of(None))
     assert [run.n_steps for run in runs] == [100, 168]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
+from thermoforce_mpc.data.names import AXIS
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
 from thermoforce_mpc.model.limits import LEVEL, ROUNDING
@@ -99,9 +100,8 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
             parts = _parts(piece)
             used += parts
             doubts += (filled,) if filled else ()
-            doubts += (
-                (f"{piece.n_steps} steps are fitted as {len(parts)} runs, one after another",) if len(parts) > 1 else ()
-            )
+            if len(parts) > 1:
+                doubts += (f"{piece.n_steps} steps are fitted as {len(parts)} runs, one after another",)
         if not used:
             raise refusals[0] if refusals else DataError(f"{name}: {_never_together(run)}")
         doubts += tuple(f"left out: {error}" for error in refusals)
@@ -136,13 +136,15 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
 
 
 def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
-    """Return the record without implausible readings, and notes; raises `DataError` above 10 % of a signal."""
+    """Return the record without implausible readings, and notes; raises `DataError` above 10 % of a signal's row."""
     screened, doubts = screened_history(record, allowed)
     for signal in SIGNALS:
         refused = np.isfinite(getattr(record, signal)) & ~np.isfinite(getattr(screened, signal))
-        if refused.size and refused.mean() > _MOST_REFUSED:
-            why = next(doubt for doubt in doubts if doubt.startswith(f"{signal} "))
-            raise DataError(f"{name}: {why}; too many for sensor faults: check the unit and the floor area")
+        for row, places in enumerate(np.atleast_2d(refused)):
+            if places.size and places.mean() > _MOST_REFUSED:
+                label = record.names.label(signal, row) if signal in AXIS else signal
+                why = next(doubt for doubt in doubts if doubt.startswith(f"{label} "))
+                raise DataError(f"{name}: {why}; too many for sensor faults: check the unit and the floor area")
     return screened, doubts
 
 
