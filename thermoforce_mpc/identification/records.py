@@ -85,6 +85,9 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
         name = f"run {index}" if len(runs) > 1 else "run"
         run, doubts = _plausible(run, allowed, name)
         pieces = _pieces(run)
+        left_out = run.n_steps - sum(piece.n_steps for piece in pieces)
+        if left_out:
+            doubts += (f"{left_out} of {run.n_steps} steps without level or weather left out",)
         if len(pieces) > 1:
             doubts += (f"gaps in u or in the weather divide it into {len(pieces)} pieces",)
         used: list[Record] = []
