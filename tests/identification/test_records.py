@@ -90,10 +90,43 @@ def test_unknown_levels_of_any_actuator_divide_a_run(row):
 @pytest.mark.parametrize("level", [0.0, 0.4])
 def test_an_actuator_that_never_changed_does_not_refuse_the_rest(row, level):
     history = changed(two_rooms(), "u", row, slice(None), level)
-    history = replace(history, power_W=np.full_like(history.power_W, np.nan))
     verdicts = [card.competence for card in identify([history], config=LINEAR, layout=LAYOUT).cards]
     assert verdicts[1 - row].competent, verdicts[1 - row].reasons
     assert not verdicts[row].competent
+
+
+@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize(
+    ("levels", "watts", "words"),
+    [
+        (0.0, 1.0, "electric power: the actuator was on in 0 measured steps, need at least 5"),
+        (None, 0.0, "electric power: its mean while the actuator was on is 0 W: check the meter and its sign"),
+    ],
+    ids=["idle", "dead"],
+)
+def test_a_meter_that_tells_nothing_costs_the_power_of_its_machine_only(row, levels, watts, words):
+    history = changed(two_rooms(), "power_W", row, slice(None), watts)
+    if levels is not None:
+        history = changed(history, "u", row, slice(None), levels)
+    model = identify([history], config=LINEAR, layout=LAYOUT)
+    assert model.power[row] is None
+    assert model.power[1 - row] is not None
+    note = f"{NAMES.machines[row]}: {words}; its power is left out"
+    assert [note in card.notes for card in model.cards] == [row == 0, row == 1]
+    assert model.cards[1 - row].competence.competent
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_heat_meter_is_named_where_it_is_dead_and_not_needed_where_nothing_was_on(row):
+    history = two_rooms()
+    metered = replace(history, heat_W=2000.0 * history.u)
+    dead = changed(metered, "heat_W", row, slice(None), 0.0)
+    words = f"^{NAMES.actuators[row]} on {NAMES.zones[row]}: delivered heat: its mean while the actuator was on is 0 W"
+    with pytest.raises(DataError, match=words):
+        identify([dead], config=LINEAR, layout=LAYOUT)
+    model = identify([changed(dead, "u", row, slice(None), 0.0)], config=LINEAR, layout=LAYOUT)
+    assert "heat input: identity, the actuator was on in 0 steps with measured heat" in model.cards[row].notes
+    assert model.cards[1 - row].competence.competent
 
 
 def test_actuators_that_all_hardly_acted_are_refused():

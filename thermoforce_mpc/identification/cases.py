@@ -14,6 +14,7 @@ from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, spli
 from thermoforce_mpc.identification.records import Pair
 from thermoforce_mpc.identification.regression_data import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
+from thermoforce_mpc.model.machine.load_regression import LEAST_RUNNING, LEVEL_EDGE
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
@@ -39,11 +40,15 @@ class Case:
 
 
 def identified_heat_input(
-    histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float = 0.0
+    histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float = 0.0, alone: bool = True
 ) -> tuple[HeatInput, list[str]]:
     """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it.
 
-    Signed levels, `lowest` below 0, are heat themselves.
+    Signed levels, `lowest` below 0, are heat themselves. `alone`: whether the building has no other actuator; of
+    several, one that was hardly on must not refuse the rest.
+
+    Raises:
+        DataError: heat is configured but was not measured, is that of the other mode, or cannot be fitted.
     """
     if lowest < 0.0:
         return HeatInput(lowest=lowest), ["heat input: identity, the level is heat over full heat"]
@@ -60,6 +65,10 @@ def identified_heat_input(
                 "name the heat points in the test case, or use heat_input: identity"
             )
         return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
+    u = np.concatenate([h.u[0] for h in histories])
+    on = int((np.isfinite(heat) & (u > LEVEL_EDGE)).sum())
+    if on < LEAST_RUNNING and not alone and config.heat_input == "auto":
+        return IDENTITY, [f"heat input: identity, the actuator was on in {on} steps with measured heat"]
     if float(np.nansum(heat)) < 0.0:
         found, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
         raise DataError(
@@ -67,7 +76,7 @@ def identified_heat_input(
             f"record while the building is in use for {mode}, or check the sign of the heat"
         )
     fit = fit_heat(
-        np.concatenate([h.u[0] for h in histories]),
+        u,
         np.concatenate([h.T_out_C[:-1] for h in histories]),
         heat,
         kinds=kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],),

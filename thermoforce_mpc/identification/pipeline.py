@@ -31,6 +31,7 @@ from thermoforce_mpc.identification.records import (
     prepared_runs,
 )
 from thermoforce_mpc.identification.zone import ZoneTask, identify_zone
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -103,7 +104,10 @@ def identify(
     notes: list[list[str]] = []
     for a, (sign, home) in enumerate(zip(layout.signs, layout.home, strict=True)):
         parts = [h.part(home, [a], [layout.machine_of[a]]) for h in histories]
-        heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a])
+        try:
+            heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a], alone=len(layout.home) == 1)
+        except DataError as error:
+            raise DataError(f"{_who(layout, a)}{error}") from error
         heat_inputs.append(heat_input)
         notes.append([*gaps, *pair_gaps, *told])
     level_sd, advice = np.zeros(len(layout.home)), [""] * len(layout.home)
@@ -121,9 +125,11 @@ def identify(
         notes[a] += [advice[a]] if advice[a] else []
         level_sd[a] = np.linalg.norm(unknown)
     layout = with_metered_shares(layout, heat_inputs, histories)
-    power = [power_of_machine(histories, config, layout, m) for m in range(len(layout.names.machines))]
+    power, unfitted = _powers(histories, config, layout)
     for a, m in enumerate(layout.machine_of):
         law = power[m]
+        if m in unfitted:
+            notes[a].append(unfitted[m])
         if law is not None and law.cooling is not None and len(layout.fed_by(m)) > 1:
             notes[a].append(f"power of {layout.names.machines[m]}: {law.source}")
     zones: list[ZoneModel] = []
@@ -146,7 +152,7 @@ def identify(
             alone=len(layout.home) == 1,
             level_sd=float(level_sd[a]),
         )
-        who = "" if layout.names.single else f"{layout.names.actuators[a]} on {layout.names.zones[home]}: "
+        who = _who(layout, a)
         try:
             zone, fit = identify_zone(task, config, lambda text, who=who: say(who + text))  # type: ignore[misc]
         except DataError as error:
@@ -154,6 +160,36 @@ def identify(
         zones.append(_advised(zone, advice[a]))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
+
+
+def _who(layout: Layout, a: int) -> str:
+    """Actuator `a` and its zone, as messages begin; empty where there is one of each."""
+    names = layout.names
+    return "" if names.single else f"{names.actuators[a]} on {names.zones[layout.home[a]]}: "
+
+
+def _powers(
+    histories: Sequence[Record], config: IdentificationConfig, layout: Layout
+) -> tuple[list[PowerModel | None], dict[int, str]]:
+    """Power of each machine (M,), and by machine why it is None though measured.
+
+    The temperatures do not need it: of several machines, one that was hardly on or whose meter is dead is left out.
+
+    Raises:
+        DataError: that of the only machine cannot be fitted.
+    """
+    machines = layout.names.machines
+    found: list[PowerModel | None] = []
+    unfitted: dict[int, str] = {}
+    for m, name in enumerate(machines):
+        try:
+            found.append(power_of_machine(histories, config, layout, m))
+        except DataError as error:
+            if len(machines) == 1:
+                raise
+            found.append(None)
+            unfitted[m] = f"{name}: {error}; its power is left out"
+    return found, unfitted
 
 
 def _advised(zone: ZoneModel, advice: str) -> ZoneModel:

@@ -110,6 +110,8 @@ def test_unusable_heat_is_refused_with_numbers():
         _fit(u, T, np.full(50, np.nan))
     with pytest.raises(DataError, match="on in 0"):
         _fit(0 * u, T, np.zeros(50))
+    with pytest.raises(DataError, match="its mean while the actuator was on is 0 W: check the meter"):
+        _fit(u, T, np.zeros(50))
 
 
 def _run(u):

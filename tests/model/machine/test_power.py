@@ -110,6 +110,8 @@ def test_unusable_power_is_refused_with_numbers():
         fit_load(u, T, np.full(50, np.nan), what="electric power")
     with pytest.raises(DataError, match="on in 0"):
         fit_load(0 * u, T, np.zeros(50), what="electric power")
+    with pytest.raises(DataError, match="its mean while the actuator was on is -800 W: check the meter and its sign"):
+        fit_load(u, T, np.full(50, -800.0), what="electric power")
 
 
 def test_real_machine_within_two_percent(shared):

@@ -111,7 +111,7 @@ def fit_heat(
             proportional part are one) and one with the lowest level in the data are tried.
 
     Raises:
-        DataError: fewer than ten usable steps, or fewer than five with the machine on.
+        DataError: fewer than ten usable steps, fewer than five with the machine on, or no heat in these.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
     residual_scale = RESIDUAL_SCALE * float(np.sqrt(max(1.0, 2.0 * _RESIDUAL_CORRELATION_H * HOUR_S / step_s)))

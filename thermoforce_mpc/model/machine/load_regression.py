@@ -41,17 +41,24 @@ class Steps:
 
 
 def usable_steps(u: Array, T_out_C: Array, load_W: Array, what: str) -> Steps:
-    """Return the fully measured steps; raises `DataError` below 10 steps or 5 with the machine on."""
+    """Return the fully measured steps.
+
+    Raises:
+        DataError: there are fewer than 10, fewer than 5 with the machine on, or the mean load of these is not above 0.
+    """
     u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, load_W))
     kept = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
     if kept.sum() < _MIN_STEPS:
         raise DataError(f"{what}: only {int(kept.sum())} of {u.size} steps were measured, need at least {_MIN_STEPS}")
     u, T, y = u[kept], T[kept], y[kept]
     running = u > LEVEL_EDGE
-    if running.sum() < LEAST_RUNNING or np.mean(y[running]) <= 0:
+    if running.sum() < LEAST_RUNNING:
         raise DataError(
             f"{what}: the actuator was on in {int(running.sum())} measured steps, need at least {LEAST_RUNNING}"
         )
+    mean_W = float(np.mean(y[running]))
+    if mean_W <= 0.0:
+        raise DataError(f"{what}: its mean while the actuator was on is {mean_W:.4g} W: check the meter and its sign")
     return Steps(u, T, y, running, kept)
 
 

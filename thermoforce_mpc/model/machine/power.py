@@ -227,7 +227,7 @@ def fit_load(
         squares: mean square of the level over each step, shape (n,), where the load may grow faster than it.
 
     Raises:
-        DataError: fewer than ten usable steps, or the load was on in fewer than five.
+        DataError: fewer than ten usable steps, the load was on in fewer than five, or its mean while on is not above 0.
     """
     steps = usable_steps(u, T_out_C, load_W, what)
     times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]
