@@ -170,6 +170,12 @@ def test_a_forecast_that_does_not_follow_is_refused(tables, change, message):
         tf.Boundary.from_dataframe(change(tables[1]), record, **AHEAD)
 
 
+def test_a_forecast_needs_the_step_of_its_record(tables):
+    record = tf.Record.from_dataframe(tables[0].iloc[-1:], **NAMES)
+    with pytest.raises(DataError, match=r"the record is of one instant.*give two rows or more"):
+        tf.Boundary.from_dataframe(tables[1], record, **AHEAD)
+
+
 def test_a_run_gives_kpis_and_trajectories_and_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     result = tf.run(

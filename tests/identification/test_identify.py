@@ -260,6 +260,19 @@ def test_nothing_is_refused_too():
         identify()
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"mode": "cool"}, "mode is 'cool': expected heating, cooling or both"),
+        ({"floor_area_m2": 0.0}, "floor_area_m2 is 0 m²: it must be above 0"),
+        ({"floor_area_m2": -50.0}, "floor_area_m2 is -50 m²: it must be above 0"),
+    ],
+)
+def test_a_wrong_mode_or_area_is_refused(options, words):
+    with pytest.raises(DataError, match=words):
+        identify([record(HOUSE, 2.0)], config=LINEAR, **options)
+
+
 def test_records_of_different_steps_are_refused():
     with pytest.raises(DataError, match=r"steps of 900, 3600 s"):
         identify([record(HOUSE, 2.0), record(HOUSE, 3.0, 3600.0, seed=5)], config=LINEAR)

@@ -85,12 +85,15 @@ class Boundary:
             emission: kg CO2/kWh; a column, or one number.
 
         Raises:
-            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order.
+            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order, or
+                `record` is one instant, which has no step.
         """
         from thermoforce_mpc.dataframes import seconds_since, series
 
         if record.origin is None:
             raise DataError("forecast: the record has no time stamps; make it with Record.from_dataframe")
+        if not record.n_steps:
+            raise DataError("forecast: the record is of one instant, whose step is not known: give two rows or more")
         at_s = seconds_since(record.origin, df.index, "forecast")
         if at_s.size < 2 or not (np.diff(at_s) > 0).all():
             raise DataError("forecast: it needs two rows or more, in order of time; use df.sort_index()")

@@ -27,8 +27,8 @@ class Layout:
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
 
     Raises:
-        DataError: a number of entries is wrong, one names no zone or machine, or a group is not two or more actuators
-            whose levels the controller gives.
+        DataError: a number of entries is wrong, one names no zone or machine, a floor area is not above 0, or a group
+            is not two or more actuators whose levels the controller gives.
     """
 
     names: Names = SINGLE
@@ -49,6 +49,10 @@ class Layout:
                 raise DataError(f"layout: {what} has {len(getattr(self, what))} entries, expected {expected}")
         if not all(0 <= z < Z for z in self.home) or not all(0 <= m < M for m in self.machine_of):
             raise DataError(f"layout: home {self.home} or machine_of {self.machine_of} names what is not there")
+        for zone, area in zip(self.names.zones, self.floor_area_m2, strict=True):
+            if area <= 0.0:
+                of = "" if Z == 1 else f" of {zone}"
+                raise DataError(f"layout: floor_area_m2{of} is {area:g} m²: it must be above 0, or NaN if not known")
         for group in self.exclusive:
             if len(group) < 2 or len(set(group)) != len(group) or not all(0 <= a < A for a in group):
                 raise DataError(f"layout: exclusive {group}: expected two or more of {A} actuators, each once")
@@ -61,7 +65,13 @@ class Layout:
 
     @classmethod
     def single(cls, mode: str = "heating", lowest: float = 0.0, floor_area_m2: float | None = None) -> Layout:
-        """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed)."""
+        """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed).
+
+        Raises:
+            DataError: the mode is another, or the area is not above 0 m².
+        """
+        if mode not in ("heating", "cooling", "both"):
+            raise DataError(f"mode is {mode!r}: expected heating, cooling or both")
         area = float("nan") if floor_area_m2 is None else floor_area_m2
         return cls(signs=(-1 if mode == "cooling" else 1,), lowest=(lowest,), floor_area_m2=(area,))
 
