@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from houses import House, record
+from matplotlib.figure import Figure
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -92,6 +95,19 @@ def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
         plot_identification(tmp_path / name, models[0], record_)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_levels_of_cooling_are_drawn(tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 0.0, 1.0], 36), 8)
+    run = record(House(machine_W=(0.0, 10000.0)), 3.0, u=u, noise_K=0.01, heat_measured=False)
+    run = replace(run, power_W=np.full(u.size, np.nan))
+    model = identify([run], config=LINEAR, mode="both", lowest=-1.0)
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    plot_identification(tmp_path / "a.png", model, run)
+    (levels,) = (axes for part in drawn[0].subfigs for axes in part.axes if axes.get_ylabel() == "level u")
+    assert levels.get_ylim() == pytest.approx((-1.05, 1.05))
 
 
 def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):

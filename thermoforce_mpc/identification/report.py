@@ -83,7 +83,7 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     if actuators > 1:
         courses[-1].legend(loc="upper left", ncols=actuators, frameon=False, fontsize="small")
     courses[-1].set_ylabel("level u")
-    courses[-1].set_ylim(0, 1.05)
+    courses[-1].set_ylim(1.05 * float(np.nanmin(record.u, initial=0.0)), 1.05)
     courses[-1].set_xlabel("days since 1 January")
     cells = lower.subplots(zones, actuators, squeeze=False, sharex=True)
     for z, a, pair in model.operator.each():
