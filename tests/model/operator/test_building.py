@@ -10,7 +10,6 @@ import pytest
 from tests.support.operators import random_operator
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator import BuildingOperator, OperatorParameters, forced_rollout, single
-from thermoforce_mpc.model.operator.casadi_export import building_rollout_function
 
 N = 12
 
@@ -60,19 +59,6 @@ def test_one_zone_with_one_actuator_is_the_plain_operator() -> None:
         operator.rollout(F0, u, features)[0, 0], forced_rollout(plain, F0[0, 0], u[0], features[0])
     )
     assert operator.n_trained == plain.n_trained
-
-
-def test_casadi_rollout_equals_numpy() -> None:
-    rng = np.random.default_rng(3)
-    operator = three_rooms(rng)
-    F0, u, features = given(rng, operator)
-    modes = operator.rollout(F0, u, features)
-    start = np.concatenate([F0[z, a] for z, a, _ in operator.each()])
-    stacked = np.concatenate([features[z].T for z in range(3)])
-    found = building_rollout_function(operator, N)(start, u, stacked)
-    np.testing.assert_allclose(np.array(found[1]), modes.sum(axis=(1, 3)), atol=1e-10)
-    expected = np.concatenate([modes[z, a].T for z, a, _ in operator.each()])
-    np.testing.assert_allclose(np.array(found[0]), expected, atol=1e-10)
 
 
 def test_every_pair_is_certified_by_its_sign() -> None:

@@ -7,7 +7,6 @@ from typing import TypeVar
 import casadi as ca
 
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -16,7 +15,7 @@ Expression = TypeVar("Expression", ca.SX, ca.MX)
 
 
 def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) -> Expression:
-    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat and electric power."""
+    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u²."""
     low, high = load.T_out_range_C
     T = ca.fmin(ca.fmax(T_out_C, low), high)
     c0, c1, c2, c3 = load.coefficients
@@ -67,28 +66,3 @@ def rollout_function(params: OperatorParameters, n_steps: int) -> ca.Function:
         columns.append(F)
     modes = ca.horzcat(*columns)
     return ca.Function("forced_rollout", [F0, u, X], [modes, ca.sum1(modes)], ["F0", "u", "X"], ["modes", "forced"])
-
-
-def building_rollout_function(operator: BuildingOperator, n_steps: int) -> ca.Function:
-    """Return the forced response of all Z zones to all A actuators over `n_steps` steps as one function.
-
-    Inputs F0 (P r,) K, the forced states of the P pairs with an effect one after another in the order of
-    `BuildingOperator.each`; u (A, n_steps); X (4 Z, n_steps), x_t of each zone in rows 4 z … 4 z + 3. Outputs `modes`
-    (P r, n_steps) K at the end of each step and `forced` (Z, n_steps) K, the forced response of each zone.
-    """
-    zones, actuators, order = operator.shape
-    pairs = list(operator.each())
-    F0 = ca.SX.sym("F0", len(pairs) * order)
-    u, X = ca.SX.sym("u", actuators, n_steps), ca.SX.sym("X", N_FEATURES * zones, n_steps)
-    modes = []
-    for number, (_, a, pair) in enumerate(pairs):
-        x = X[N_FEATURES * operator.home[a] : N_FEATURES * (operator.home[a] + 1), :]
-        start = F0[number * order : (number + 1) * order]
-        modes.append(rollout_function(pair, n_steps)(start, u[a, :].T, x)[0])
-    forced = [
-        sum((ca.sum1(rows) for (at, *_), rows in zip(pairs, modes, strict=True) if at == z), ca.SX.zeros(1, n_steps))
-        for z in range(zones)
-    ]
-    return ca.Function(
-        "building_rollout", [F0, u, X], [ca.vertcat(*modes), ca.vertcat(*forced)], ["F0", "u", "X"], ["modes", "forced"]
-    )
