@@ -7,12 +7,10 @@ from typing import TypeVar
 import numpy as np
 
 from thermoforce_mpc.data import Names, Observation
+from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.errors import DataError
 
 State = TypeVar("State")
-
-# Tolerance on step lengths, s: plants round their clocks.
-_CLOCK_TOLERANCE_S = 1.0
 
 
 def checked_state(state: object, kind: type[State]) -> State | None:
@@ -29,13 +27,14 @@ def check_observation(observation: Observation, step_s: float, n_steps: int, nam
     """Check that an observation of `names` fits a controller with `n_steps` steps of `step_s` seconds ahead.
 
     Raises:
-        DataError: it is of another building, the boundary forecast is too short, or its step or that of the history is
-            not `step_s`.
+        DataError: it is of another building, the boundary forecast does not begin now or is too short, or its step or
+            that of the history is not `step_s`.
     """
     boundary, history = observation.boundary, observation.history
     for what, found in (("history", history.names), ("boundary forecast", boundary.names)):
         if found != names and not (found.single and names.single):
             raise DataError(f"{what}: it is of {found}, the controller of {names}: another building?")
+    observation.check_begin()
     if boundary.n_steps < n_steps:
         raise DataError(
             f"boundary forecast has {boundary.n_steps} steps, the horizon needs {n_steps} of {step_s:g} s:"
@@ -43,7 +42,7 @@ def check_observation(observation: Observation, step_s: float, n_steps: int, nam
         )
     for what, time_s in (("boundary forecast", boundary.time_s[: n_steps + 1]), ("history", history.time_s)):
         steps = np.diff(time_s)
-        wrong = np.flatnonzero(~(np.abs(steps - step_s) <= _CLOCK_TOLERANCE_S))
+        wrong = np.flatnonzero(~(np.abs(steps - step_s) <= CLOCK_TOLERANCE_S))
         if wrong.size:
             raise DataError(
                 f"{what}: step {wrong[0]} of {steps.size} is {steps[wrong[0]]:g} s long, expected"

@@ -185,8 +185,9 @@ class ThermoForceMPC(FallingBack):
         left to native control or the rule alone; the others follow the plan.
 
         Raises:
-            DataError: error of the caller: the observation is of another building, the boundary forecast is too short,
-                its step or that of the history is not `step_s`, or `state` is not from a plan of this controller.
+            DataError: error of the caller: the observation is of another building, the boundary forecast does not begin
+                now or is too short, its step or that of the history is not `step_s`, or `state` is not from a plan of
+                this controller.
         """
         return answered(self.planning(observation, state), self._answer)
 

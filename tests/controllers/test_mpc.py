@@ -204,6 +204,9 @@ def test_mistakes_of_the_caller_raise_before_anything_else():
     seen, mpc = observation(), controller(free=Sabotage(lambda f: _raise(AssertionError("too late"))))
     with pytest.raises(DataError, match=r"boundary forecast has 23 steps, the horizon needs 24 of 3600 s"):
         mpc.plan(Observation(seen.history, seen.boundary.head(23)))
+    old = replace(seen.boundary, time_s=seen.boundary.time_s - 6 * HOUR_S)
+    with pytest.raises(DataError, match=r"begins at 842400\.0, 21600 s before now, .* the history, 864000\.0: give"):
+        mpc.plan(Observation(seen.history, old))
     quarter = SimpleHouse()
     quarter.reset(10 * 86400.0, 2 * 86400.0)
     with pytest.raises(DataError, match=r"boundary forecast: step 0 of 24 is 900 s long, expected 3600 s"):

@@ -285,8 +285,11 @@ def test_the_order_of_zones_actuators_and_machines_does_not_matter(zones, actuat
 
 def test_a_building_of_other_names_is_refused():
     seen = two_observation()
+    other = reordered(seen, (1, 0), (0, 1), (0, 1))
     with pytest.raises(DataError, match="another building"):
-        mpc().plan(reordered(seen, (1, 0), (0, 1), (0, 1)))
+        mpc().plan(other)
+    with pytest.raises(DataError, match="another building"):
+        two_model().predict(other.history, other.boundary, 0.0, free_response=OutdoorResponse())
 
 
 def test_what_the_other_actuator_did_is_taken_out_of_a_zones_record():
@@ -373,9 +376,9 @@ def test_the_predictor_of_those_that_went_on_is_kept_when_one_returns():
     """At steps below an hour the shadow of the one is older than the plans of the other."""
     seen = two_observation()
     state = first_state(seen).predictor
-    older = (
-        mpc().predictor.context(Observation(seen.history.slice(0, seen.history.n_steps - 1), seen.boundary), None).state
-    )
+    history, weather = seen.history.slice(0, seen.history.n_steps - 1), seen.boundary
+    before = Observation(history, replace(weather, time_s=weather.time_s - HOUR_S))
+    older = mpc().predictor.context(before, None).state
     assert _later(state, older) == replace(state, forced=None)
     assert _later(older, state) is state
     assert _later(None, older) is older

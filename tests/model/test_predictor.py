@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from operators import HEAT_MAP, random_operator
 
@@ -15,6 +16,7 @@ from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, single, time_of_day
 from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 STEP = 3600.0
 
@@ -106,6 +108,21 @@ def test_predict_effect_and_counterfactuals_agree(predictor):
     assert np.all(np.diff(fan.total_C, axis=0) > 0), "more heating must be warmer at every step"
     np.testing.assert_allclose(fan.total_C[1], context.predict(np.full(24, 0.25)).total_C, atol=1e-12)
     np.testing.assert_allclose(context.predict(u).total_C, context.free.median_C + context.predict(u).forced_K)
+
+
+def test_weather_that_does_not_begin_where_the_record_ends_is_refused(predictor):
+    history, origin = make_history(), pd.Timestamp("2025-01-01", tz="UTC")
+    weather = make_boundary(history)
+    late = replace(weather, time_s=weather.time_s + STEP)
+    with pytest.raises(DataError, match=r"begins at 176400\.0, 3600 s after now, .* history, 172800\.0"):
+        predictor.context(Observation(history, late))
+    with pytest.raises(DataError, match=r"begins at 2025-01-03 01:00:00\+00:00, 3600 s after now"):
+        predictor.context(Observation(replace(history, origin=origin), late))
+    # Plants round their clocks.
+    predictor.context(Observation(history, replace(weather, time_s=weather.time_s + 0.5)))
+    model = ThermalModel.single(predictor.operator.pairs[0][0])
+    with pytest.raises(DataError, match="3600 s after now"):
+        model.predict(history, late, 0.0, free_response=HoldLast())
 
 
 class Answering(HoldLast):

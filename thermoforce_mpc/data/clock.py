@@ -14,6 +14,8 @@ DAY_S = 86400.0
 
 # Tolerance of equal steps, s: clocks in milliseconds and summed steps round; more is a missing sample.
 CLOCK_ROUNDING_S = 0.01
+# Tolerance on instants and steps that should be the same, s: plants round their clocks.
+CLOCK_TOLERANCE_S = 1.0
 
 
 def check_clock(time_s: Array, what: str) -> None:

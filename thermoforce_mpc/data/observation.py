@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data.boundary import Boundary
-from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S, Array
 from thermoforce_mpc.data.names import Names
 from thermoforce_mpc.data.record import Record
+from thermoforce_mpc.errors import DataError
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,19 @@ class Observation:
     def names(self) -> Names:
         """Names of zones, actuators and machines."""
         return self.history.names
+
+    def check_begin(self) -> None:
+        """Raise `DataError` where the boundary conditions do not begin now."""
+        ahead_s = float(self.boundary.time_s[0]) - self.time_s
+        if abs(ahead_s) <= CLOCK_TOLERANCE_S:
+            return
+        from thermoforce_mpc.dataframes import stamps
+
+        begin, now = stamps(np.array([self.boundary.time_s[0], self.time_s]), self.history.origin)
+        raise DataError(
+            f"boundary forecast: it begins at {begin}, {abs(ahead_s):.10g} s {'after' if ahead_s > 0 else 'before'} "
+            f"now, which is the end of the history, {now}: give the conditions from there on"
+        )
 
 
 @dataclass(frozen=True)

@@ -228,14 +228,15 @@ class Predictor:
 
         Raises:
             DataError: the history cannot be split (see `forced_history`), no zone's temperature was ever measured nor
-                the weather, the forecast of the weather has gaps, or the estimate or the forecast is not fit to plan
-                with.
+                the weather, the forecast of the weather does not begin now or has gaps, or the estimate or the forecast
+                is not fit to plan with.
         """
         return answered(self.contexting(observation, state))
 
     def contexting(self, observation: Observation, state: PredictorState | None = None) -> Asking[PredictionContext]:
         """`context` as a computation: the forecasts of all zones are asked for together."""
         boundary = observation.boundary
+        observation.check_begin()
         boundary.check(*WEATHER)
         began = time.perf_counter()
         history, note = bridged(observation.history, boundary)

@@ -163,7 +163,7 @@ class ThermalModel:
         """Temperatures over the steps of `weather`, free and forced response apart, with their 80 % band.
 
         Args:
-            record: what was measured until now, at any step; a week or more for the best free response.
+            record: what was measured until now, at the step of `weather`; a week or more for the best free response.
             weather: boundary conditions from now on, N steps; only outdoor temperature and irradiance count.
             u: actuator levels in [0, 1], shape (A, N) or (..., A, N) for several candidates, (N,) for one actuator, or
                 one level for all steps of all actuators.
@@ -171,9 +171,11 @@ class ThermalModel:
                 (`residual`).
 
         Raises:
-            DataError: `u` has another shape or leaves [0, 1], the record cannot be split into free and forced
-                response, or the weather has gaps.
+            DataError: `u` has another shape or leaves [0, 1], the record is of another building or cannot be split into
+                free and forced response, or the weather has gaps or does not begin where the record ends.
         """
+        if record.names != self.names and not (record.names.single and self.names.single):
+            raise DataError(f"the model is of {self.names}, the record of {record.names}: another building?")
         methods = free_response or [build_free_response("residual", rc=free) for free in self.free]
         levels = np.asarray(u, dtype=np.float64)
         if levels.ndim == 0:
