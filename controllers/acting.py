@@ -16,6 +16,9 @@ class _ActingState(Protocol):
     @property
     def actuation(self) -> tuple[ActuationState, ...]: ...
 
+    @property
+    def last_s(self) -> float | None: ...
+
 
 State = TypeVar("State", bound=_ActingState)
 
@@ -74,7 +77,10 @@ class Acting:
         """The state after the last step (None: a run begins) and the actuators' now; raises `DataError` as `plan`."""
         before = checked_state(state, kind)
         check_observation(observation, self._step_s, self._n_steps, self._layout.names)
-        return before, self._actuators.now(before.actuation if before else None, observation.history)
+        if before is None:
+            return None, self._actuators.now(None, observation.history)
+        until_s = None if before.last_s is None else before.last_s + self._step_s
+        return before, self._actuators.now(before.actuation, observation.history, until_s)
 
     def _ahead(self, observation: Observation) -> Observation:
         """The observation with the boundary forecast of the horizon only."""

@@ -20,6 +20,7 @@ from itertools import groupby
 
 from controllers.actuation import Actuation, ActuationState
 from thermoforce_mpc.data import Block, Layout, Record
+from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 
 # Two instants nearer than this are one, s.
 _SAME_S = 1e-6
@@ -63,8 +64,16 @@ class Actuators:
         for actuation in self.each:
             actuation.check_step(step_s)
 
-    def now(self, states: Sequence[ActuationState] | None, history: Record) -> tuple[ActuationState, ...]:
-        """States at the start of the next step, see `Actuation.now`."""
+    def now(
+        self, states: Sequence[ActuationState] | None, history: Record, until_s: float | None = None
+    ) -> tuple[ActuationState, ...]:
+        """States at the start of the next step, see `Actuation.now`.
+
+        `until_s`: end of the step that led to `states`, s. Where that is not now, what came after had no plan: native
+        control has acted.
+        """
+        if states is not None and (until_s is None or abs(until_s - history.time_s[-1]) > CLOCK_TOLERANCE_S):
+            states = (ActuationState(native=True),) * len(self.each)
         return tuple(
             actuation.now(None if states is None else states[a], history.part(self.layout.home[a], [a]))
             for a, actuation in enumerate(self.each)

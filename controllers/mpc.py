@@ -208,6 +208,7 @@ class ThermoForceMPC(FallingBack):
             sensors=(SensorState(),) * zones,
             meters=self._meters.begin,
         )
+        before = replace(before, last_s=observation.time_s)
         try:
             rooms = replace(observation, history=self._planners.base.model.in_rooms(observation.history))
             return (yield from self._decided(rooms, before, actuation))

@@ -88,7 +88,8 @@ class PIController:
         """
         names = self.layout.names
         last = checked_state(state, PIState) or PIState((0.0,) * len(names.actuators))
-        machines = self._actuators.now(last.actuation, observation.history)
+        until_s = None if last.time_s is None else last.time_s + self.step_s
+        machines = self._actuators.now(last.actuation, observation.history, until_s)
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
         demands: list[float | None] = []
         integrals, told = [], []

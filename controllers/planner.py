@@ -30,7 +30,7 @@ class MPCState:
     recent mean error of the zone temperatures planned for the end of a step. `missed`: what was learned of the bounds.
     `kept` (M,): share of each machine's capacity that plans leave unused. `sensors` (Z,): what is known of the zone
     sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
-    gaps. `failures`: failed plans on end.
+    gaps. `failures`: failed plans on end. `last_s`: time of the last plan, s.
     """
 
     first_s: float
@@ -47,6 +47,7 @@ class MPCState:
     meters: tuple[MeterState, ...] = ()
     boundary: Boundary | None = None
     failures: int = 0
+    last_s: float | None = None
 
 
 @dataclass(frozen=True)

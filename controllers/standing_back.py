@@ -13,9 +13,10 @@ from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 
 @dataclass(frozen=True)
 class StandingBackState:
-    """States of the actuators between two steps (A,)."""
+    """States of the actuators between two steps (A,), and the time of the last plan, s."""
 
     actuation: tuple[ActuationState, ...] = ()
+    last_s: float | None = None
 
 
 class StandingBack(Acting):
@@ -55,5 +56,5 @@ class StandingBack(Acting):
             told = who[0]
         told = "; ".join([told, *self._excluded(acting)])
         why = f"gate: no model could be identified ({self.reason}): {told}"
-        after = StandingBackState(acting.states)
+        after = StandingBackState(acting.states, observation.time_s)
         return Plan(acting.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)

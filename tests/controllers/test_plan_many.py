@@ -11,6 +11,7 @@ import pytest
 from simple_house import SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
+from controllers.actuation import ActuationConfig
 from controllers.errors import ControllerConfigError
 from controllers.portfolio import Portfolio, plan_many
 from controllers.qp_backends import Clarabel
@@ -131,6 +132,30 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         assert reason in found[name].reason
         levels = [u for block in found[name].plan.blocks for u in block.u]
         assert all(u is None or 0.0 <= u <= 1.0 for u in levels)
+
+
+def test_minimum_times_hold_after_a_step_that_was_left_to_the_buildings_own_controller():
+    config = WEATHER_MODEL.model_copy(
+        update={"actuation": ActuationConfig(mode="duty", min_on_s=7200.0, min_off_s=7200.0)}
+    )
+
+    def after(hours: int, *levels: float) -> Observation:
+        one = seen(15.0)
+        u = np.array(one.history.u)
+        u[0, -len(levels) :] = levels
+        one = replace(one, history=replace(one.history, u=u))
+        for _ in range(hours):
+            one = later(one)
+        return one
+
+    with Portfolio({"a": simple_model()}, config) as portfolio:
+        first = portfolio.plan({"a": after(0, 0.0, 0.0, 0.0)})["a"]
+        assert first.plan.blocks[-1].u == (1.0,)
+        short = replace(after(1, 0.0, 0.0, 1.0), boundary=after(1, 0.0).boundary.head(3))
+        left = portfolio.plan({"a": short}, {"a": first.state})["a"]
+        assert left.plan.status is PlanStatus.NATIVE
+        found = portfolio.plan({"a": after(2, 0.0, 1.0, 0.0)}, {"a": left.state})["a"]
+    assert [block.u for block in found.plan.blocks] == [(0.0,)], "it has been off for an hour of two"
 
 
 def test_a_plan_holds_until_it_expires_and_then_the_buildings_own_controller_acts():

@@ -13,10 +13,11 @@ from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.native import NativeController
-from controllers.pi import PIController
+from controllers.pi import PIConfig, PIController
 from controllers.problem import Solution
+from controllers.standing_back import StandingBack
 from controllers.thermostat import Thermostat, ThermostatState
-from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
@@ -162,6 +163,40 @@ def after(u: list[float]) -> Record:
 @pytest.mark.parametrize("state", [None, ActuationState(native=True)], ids=["a run begins", "after native control"])
 def test_what_native_control_did_is_seen_in_the_history(u, on, held_s, state):
     assert Actuation(ActuationConfig()).now(state, after(u)) == ActuationState(on, held_s)
+
+
+LONG = {"mode": "duty", "min_on_s": 7200.0, "min_off_s": 7200.0}
+ACTING = {
+    "mpc": lambda: mpc(actuation=LONG),
+    "pi": lambda: PIController(PIConfig(step_s=HOUR_S, actuation=LONG)),
+    "standing back": lambda: StandingBack(
+        "",
+        MPCConfig(step_s=None, actuation=LONG, fallback={"stand_back": "rule"}),
+        Layout.single("heating"),
+        HOUR_S,
+        name="",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ACTING)
+@pytest.mark.parametrize("missed", [0, 1, 2])
+def test_minimum_times_hold_after_steps_without_a_plan(kind, missed):
+    house, controller = SimpleHouse(T_start_C=15.0), ACTING[kind]()
+    house.reset(10 * DAY_S, 6 * DAY_S)
+    record, weather = house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S)
+
+    def seen(k: int, last: list[float]) -> Observation:
+        u = np.array(record.u)
+        u[0, -len(last) :] = last
+        ahead = replace(weather, time_s=weather.time_s + k * HOUR_S)
+        return Observation(replace(record, time_s=record.time_s + k * HOUR_S, u=u), ahead)
+
+    plan = controller.plan(seen(0, [0.0, 0.0, 0.0]))
+    assert plan.blocks[-1].u[0] == 1.0, "it is switched on"
+    # Native control, which acted in the hours without a plan, has switched it off in the last one.
+    plan = controller.plan(seen(1 + missed, [1.0, 1.0, 0.0]), plan.state)
+    assert [block.u[0] for block in plan.blocks] == [0.0 if missed else 1.0]
 
 
 def test_what_was_told_counts_where_nobody_else_acted():
