@@ -95,6 +95,9 @@ class Assembly:
             boundary.check("emission_kg_per_kWh")
             carbon = aims.carbon_price_per_kg * boundary.emission_kg_per_kWh[:, :-1]
         price = boundary.heating_price_per_kWh[:, :-1] + carbon
+        # At a negative price it would pay to heat and cool at once, which a signed level cannot say.
+        both = self.machinery.fed_by[:, self.machinery.signed].any(axis=-1, keepdims=True)
+        price = np.where(both, np.maximum(price, 0.0), price)
         T_out = boundary.T_out_C[:-1]
         water_C = [self._return_water_C(m, context, history) for m in range(len(self.power))]
         parts = [power.parts(T_out, back_C) for power, back_C in zip(self.power, water_C, strict=True)]
@@ -129,7 +132,7 @@ class Assembly:
             weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price, fixed_W, per_u_W),
             peak_so_far_W=peak_W,
-            cooling=self._cooling(boundary, boundary.price_per_kWh[:, :-1] + carbon),
+            cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
             power_cap=None
             if cap_kW is None
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),

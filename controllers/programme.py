@@ -9,9 +9,9 @@ sum y = Σ F_i only, which obeys one difference equation of order r, the transfe
 with d_k = m(x_k) v(1, T_out,k). Pairs of one zone with the same poles obey it together, with the sum of their right
 sides: one variable and one equation per step for all actuators of a zone instead of r of each for every pair.
 
-Levels below 0: u = v − n with n ≥ 0 of its own price. An optimum with both positive does not exist while heat and cold
-cost anything. Choices in the first moves: b = 1 if an actuator is on; a held level has lowest · b ≤ v ≤ u_max · b, and
-power and heat, affine in the level, have their fixed parts times b.
+Levels below 0: u = v − n with n ≥ 0 of its own price. An optimum with both positive does not exist while neither heat
+nor cold has a negative price, see `Assembly.problem`. Choices in the first moves: b = 1 if an actuator is on; a held
+level has lowest · b ≤ v ≤ u_max · b, and power and heat, affine in the level, have their fixed parts times b.
 """
 
 from __future__ import annotations

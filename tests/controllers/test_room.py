@@ -240,6 +240,25 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
     assert first_band(replace(Missed.nothing(1), reserve_K=np.array([[1.0], [0.0]])))[0] == pytest.approx(16.03)
 
 
+@pytest.mark.parametrize("solver", ["auto", "ipopt"])
+def test_a_negative_price_is_no_reason_to_heat_and_cool_at_once(model, solver):
+    options = {"free_response": {"name": "rc"}, "solver": solver, "horizon_h": 24.0}
+    config = controller_config("thermoforce_mpc", options, load_testcase("bestest_air"))
+    assert isinstance(config, MPCConfig)
+    mpc, office = ThermoForceMPC(model, config), LightOffice()
+    office.reset(30 * DAY_S, DAY_S)
+    record, ahead = office.past(mpc.step_s), office.forecast(mpc.horizon_s, mpc.step_s)
+
+    def at(price: float) -> Plan:
+        prices = np.where(np.arange(ahead.time_s.size) // 12 == 2, price, 0.2)
+        there = replace(ahead, price_per_kWh=prices[None], heating_price_per_kWh=prices[None])
+        return mpc.plan(Observation(record, there))
+
+    plan, free = at(-0.05), at(0.0)
+    assert plan.status is PlanStatus.SOLVED, plan.why
+    np.testing.assert_array_equal(plan.u, free.u)
+
+
 class DroppingOffice(LightOffice):
     """The office whose loops fail it for a moment every hour of the night, as a fan that pauses."""
 
