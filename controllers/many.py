@@ -36,13 +36,20 @@ def known_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping[str
     """Model and options of each building, the default options where `config` names none.
 
     Raises:
-        ControllerConfigError: `config` names a building without a model.
+        ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
+            no options.
     """
-    single = config if isinstance(config, MPCConfig) else MPCConfig()
-    of_each = config if isinstance(config, Mapping) else {}
-    if unknown := sorted(of_each.keys() - models.keys()):
+    given = config if isinstance(config, Mapping) else {} if config is None else dict.fromkeys(models, config)
+    if unknown := sorted(given.keys() - models.keys()):
         raise ControllerConfigError(f"config: there is no model of building '{unknown[0]}' ({len(unknown)} such)")
-    return {name: (model, of_each.get(name, single)) for name, model in models.items()}
+    of_each = {**dict.fromkeys(models, MPCConfig()), **given}
+    for what, all_of, kind in (("models", models, ThermalModel), ("config", of_each, MPCConfig)):
+        for name, one in all_of.items():
+            if not isinstance(one, kind):
+                raise ControllerConfigError(
+                    f"{what}: that of building '{name}' is a {type(one).__name__}, expected {kind.__name__}"
+                )
+    return {name: (model, of_each[name]) for name, model in models.items()}
 
 
 @dataclass(frozen=True)
@@ -127,10 +134,12 @@ class Together:
 
     def handed_over(self, name: str, observation: Observation, reason: str) -> Plan:
         """A step of native control because of `reason`."""
-        names, step_s = observation.names, observation.boundary.step_s
         if name in self._known:
             model, config = self._known[name]
             names, step_s = model.names, config.step_s or model.operator.step_s
+        else:  # a forecast of one instant has no step
+            boundary = observation.boundary
+            names, step_s = observation.names, boundary.step_s if boundary.n_steps else 0.0
         block = Block.native(len(names.actuators), step_s)
         return Plan((block,), PlanStatus.NATIVE, f"{reason}: native control", names=names)
 

@@ -46,7 +46,8 @@ def plan_many(
         the building itself its plan, with the reason.
 
     Raises:
-        ControllerConfigError: `workers` is no number of processes, or `config` names a building without a model.
+        ControllerConfigError: `workers` is no number of processes, `config` names a building without a model, or what
+            is given for a building is no model or no options.
         DataError: what is given is no observation.
     """
     with Portfolio(models, config, workers=workers) as portfolio:
@@ -79,7 +80,8 @@ class Portfolio:
                 are left to their own controllers. Without processes of its own there is no such limit.
 
         Raises:
-            ControllerConfigError: a number makes no sense, or `config` names a building without a model.
+            ControllerConfigError: a number makes no sense, `config` names a building without a model, or what is given
+                for a building is no model or no options.
         """
         if workers < 1 or not grace_s >= 0.0 or not deadline_s > 0.0:
             raise ControllerConfigError(

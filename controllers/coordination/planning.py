@@ -61,7 +61,8 @@ def plan_shared(
         executor: solves several buildings at once.
 
     Raises:
-        ControllerConfigError: `config` names a building without a model.
+        ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
+            no options.
         DataError: `largest_kW` lacks a building or is no power.
     """
     for name in observations:

@@ -100,13 +100,16 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         "bad step": simple_model(),
         "bad state": simple_model(),
         "no forecast": simple_model(),
+        "one instant": simple_model(),
         "no solution": simple_model(),
     }
     one = seen()
     observations |= dict.fromkeys(buildings.keys() - observations.keys(), one) | {
         "bad step": Observation(one.history.resample(2), one.boundary),
         "no forecast": Observation(replace(one.history, T_zone_C=one.history.T_zone_C * np.nan), one.boundary),
+        "one instant": Observation(one.history, one.boundary.head(0)),
         "unknown": one,
+        "unknown, one instant": Observation(one.history, one.boundary.head(0)),
     }
     options |= dict.fromkeys(buildings.keys() - {"no solution"}, WEATHER_MODEL)
     options["no solution"] = MPCConfig(
@@ -125,7 +128,9 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         "bad state": (PlanStatus.NATIVE, "state is a str"),
         "no forecast": (PlanStatus.NATIVE, "never measured"),
         "no solution": (PlanStatus.THERMOSTAT, "clarabel: raised ZeroDivisionError"),
+        "one instant": (PlanStatus.NATIVE, "boundary forecast has 0 steps"),
         "unknown": (PlanStatus.NATIVE, "no model of building 'unknown'"),
+        "unknown, one instant": (PlanStatus.NATIVE, "no model of building 'unknown, one instant'"),
     }
     for name, (status, reason) in said.items():
         assert found[name].plan.status is status, name
@@ -178,9 +183,15 @@ def test_numbers_without_sense_are_refused(wrong):
         Portfolio({"a": simple_model()}, **wrong)
 
 
-def test_options_of_a_building_without_a_model_and_what_is_no_observation_are_refused():
+def test_options_of_a_building_without_a_model_and_what_is_no_model_options_or_observation_are_refused():
     with pytest.raises(ControllerConfigError, match="no model of building 'b'"):
         Portfolio({"a": simple_model()}, {"b": WEATHER_MODEL})
+    with pytest.raises(ControllerConfigError, match="building 'b' is a str, expected ThermalModel"):
+        Portfolio({"a": simple_model(), "b": "b.model"})
+    with pytest.raises(ControllerConfigError, match="building 'a' is a dict, expected MPCConfig"):
+        Portfolio({"a": simple_model()}, {"a": HOURLY})
+    with pytest.raises(ControllerConfigError, match="building 'a' is a str, expected MPCConfig"):
+        Portfolio({"a": simple_model()}, "thermoforce_mpc")
     with pytest.raises(DataError, match="building 'a': a dict is no Observation"):
         plan_many({"a": simple_model()}, {"a": {}})
 
