@@ -1,11 +1,15 @@
-"""Checks of a controller's inputs; a violation is an error of the caller and raises `DataError`."""
+"""Checks of a controller's inputs; a violation is an error of the caller and raises `DataError`, in an option
+`ControllerConfigError`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 import numpy as np
 
+from controllers.errors import ControllerConfigError
 from thermoforce_mpc.data import Names, Observation
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.errors import DataError
@@ -21,6 +25,14 @@ def checked_state(state: object, kind: type[State]) -> State | None:
         f"state is a {type(state).__name__}, expected None (a run begins) or the Plan.state of the last plan of the"
         f" same controller ({kind.__name__})"
     )
+
+
+def check_names(option: str, given: Iterable[str], what: str, known: Sequence[str]) -> None:
+    """Raise `ControllerConfigError` where `option` names one, of `what`, that is not among the `known`."""
+    for unknown in [name for name in given if name not in known]:
+        raise ControllerConfigError(
+            f"controller.options.{option}: there is no {what} '{unknown}'; the building has {', '.join(known)}"
+        )
 
 
 def check_observation(observation: Observation, step_s: float, n_steps: int, names: Names) -> None:

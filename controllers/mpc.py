@@ -16,6 +16,7 @@ from controllers.errors import ControllerConfigError, said
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
+from controllers.inputs import check_names
 from controllers.meters import Meters
 from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
@@ -84,7 +85,8 @@ class ThermoForceMPC(FallingBack):
             name: name in reports.
 
         Raises:
-            ControllerConfigError: the horizon is shorter than a step, or the actuation does not fit the step.
+            ControllerConfigError: the horizon is shorter than a step, the actuation does not fit the step, or an option
+                names a zone, an actuator or a meter that there is not.
             BackboneError, ConfigError: the free response cannot be built.
         """
         self.config = c = config or MPCConfig()
@@ -97,6 +99,7 @@ class ThermoForceMPC(FallingBack):
                 f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
             )
         layout = model.layout
+        check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         for machine, power in zip(model.machines, model.power, strict=True):
             if power is None:
                 of = "" if len(model.machines) == 1 else f" of {machine}"
@@ -130,10 +133,7 @@ class ThermoForceMPC(FallingBack):
         methods = given if isinstance(given, Sequence) else [given] * len(layout.names.zones)
         free_responses = [self._with_substitutes(method) for method in methods]
         zones = layout.names.zones
-        for unknown in [zone for zone in c.sensors if zone not in zones]:
-            raise ControllerConfigError(
-                f"controller.options.sensors: there is no zone '{unknown}'; the model has {', '.join(zones)}"
-            )
+        check_names("sensors", c.sensors, "zone", zones)
         self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
         self._meters = Meters(layout, c.meter, c.meters)
         self._planners = Planners(model, self._actuators, free_responses, c.estimator, self._solver_of())

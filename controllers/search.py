@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -20,8 +21,10 @@ _MOST_SWEEPS = 5
 class SearchConfig(StrictModel):
     """Candidate trajectories: all pairs of a level for the first steps and a level for the rest."""
 
-    levels: tuple[float, ...] = Field((0.0, 0.25, 0.5, 0.75, 1.0), min_length=2, description="levels tried, in [0, 1]")
-    first_stretch_steps: tuple[int, ...] = Field(
+    levels: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(
+        (0.0, 0.25, 0.5, 0.75, 1.0), min_length=2, description="levels tried, in [0, 1]"
+    )
+    first_stretch_steps: tuple[Annotated[int, Field(ge=1)], ...] = Field(
         (1, 2, 3, 4, 6, 8, 12, 18), min_length=1, description="numbers of first steps tried"
     )
 

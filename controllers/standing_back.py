@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from controllers.acting import Acting
 from controllers.actuation import Actuation, ActuationState
+from controllers.inputs import check_names
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 
@@ -33,12 +34,13 @@ class StandingBack(Acting):
             name: name in reports.
 
         Raises:
-            ControllerConfigError: the actuation does not fit the step.
+            ControllerConfigError: the actuation does not fit the step, or is of an actuator that there is not.
         """
         self.reason, self.config = reason, config
         step_s = config.step_s or step_s
         # As far as the on/off rule looks.
         n_steps = max(1, math.ceil(config.fallback.look_ahead_h * HOUR_S / step_s))
+        check_names("actuations", config.actuations, "actuator", layout.names.actuators)
         actuations = [Actuation(config.actuation_of(actuator)) for actuator in layout.names.actuators]
         super().__init__(name, step_s, n_steps, layout, actuations, config.fallback)
 

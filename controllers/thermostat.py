@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from controllers.inputs import checked_state
+from controllers.inputs import check_names, checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -65,6 +65,9 @@ class Thermostat:
     Args:
         config: options.
         layout: what acts where; by default one zone with one actuator of the option `mode`.
+
+    Raises:
+        ControllerConfigError: a set-point is of an actuator that there is not.
     """
 
     name = "thermostat"
@@ -72,6 +75,7 @@ class Thermostat:
     def __init__(self, config: ThermostatConfig | None = None, layout: Layout | None = None) -> None:
         self.config = config or ThermostatConfig()
         self.layout = layout or Layout.single(self.config.mode)
+        check_names("setpoints_C", self.config.setpoints_C, "actuator", self.layout.names.actuators)
 
     @property
     def step_s(self) -> float:

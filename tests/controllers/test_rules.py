@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
+from controllers.errors import ControllerConfigError
+from controllers.mpc_config import MPCConfig
 from controllers.native import NativeController
+from controllers.standing_back import StandingBack
 from controllers.thermostat import Setback, Thermostat, ThermostatConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Names, Observation, Record
 
@@ -47,6 +50,14 @@ def test_loops_that_heat_and_cool_keep_both_set_points_whatever_is_measured():
         seen = Observation(history, Boundary([0, 900.0], 0 * line, 0 * line, np.ones((2, 2)), *ahead, names=names))
         (block,) = thermostat.plan(seen).blocks
         assert (block.u, block.band_C) == ((0.0, 1.0), ((20.0, 25.0), None))
+
+
+def test_options_of_an_actuator_that_there_is_not_are_refused():
+    says = "there is no actuator 'livingroom'; the building has actuator"
+    with pytest.raises(ControllerConfigError, match=f"setpoints_C: {says}"):
+        Thermostat(ThermostatConfig(setpoints_C={"livingroom": 19.0}))
+    with pytest.raises(ControllerConfigError, match=f"actuations: {says}"):
+        StandingBack("", MPCConfig(actuations={"livingroom": {}}), Layout.single("heating"), 900.0, name="")
 
 
 def test_a_silent_sensor_hands_over_to_native_control():

@@ -167,7 +167,8 @@ def test_a_silent_sensor_is_the_business_of_its_own_zone_and_its_options_are_its
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"sensors": {"attic": {}}}, "there is no zone 'attic'; the model has zone"),
+        ({"sensors": {"attic": {}}}, "there is no zone 'attic'; the building has zone"),
+        ({"actuations": {"boilr": {}}}, "actuations: there is no actuator 'boilr'; the building has actuator"),
         ({"sensor": {"lowest_C": 40.0, "highest_C": 10.0}}, "lowest_C"),
     ],
 )

@@ -108,7 +108,14 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
 
 def test_a_candidate_outside_the_bounds_is_refused():
     rng = np.random.default_rng(5)
-    search = CandidateSearch(single(random_operator(rng, 1)), N, SearchConfig(levels=(-1.0, -0.5)))
+    config = SearchConfig().model_copy(update={"levels": (-1.0, -0.5)})
+    search = CandidateSearch(single(random_operator(rng, 1)), N, config)
     solution = search.solve(random_problem(rng, 1))
     assert (solution.ok, solution.u.size) == (False, 0)
     assert "u of actuator leaves its bounds" in solution.problem
+
+
+@pytest.mark.parametrize("wrong", [{"levels": (-1.0, 1.0)}, {"levels": (0.0, 5.0)}, {"first_stretch_steps": (0, 3)}])
+def test_a_search_of_impossible_candidates_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"should be (greater|less) than or equal to"):
+        SearchConfig(**wrong)

@@ -37,7 +37,8 @@ class OnePerZone:
         if sorted(home) != list(range(len(model.operator.zones))):
             raise DataError("one controller per zone: each zone needs one actuator")
         self.name, self._home, self._machine_of = name, home, model.machine_of
-        self._each = [ThermoForceMPC(_alone(model, a), config) for a in range(len(home))]
+        own = [{"actuation": config.actuation_of(name), "actuations": {}} for name in model.names.actuators]
+        self._each = [ThermoForceMPC(_alone(model, a), config.model_copy(update=own[a])) for a in range(len(home))]
 
     @property
     def step_s(self) -> float:
