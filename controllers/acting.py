@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, TypeVar
 
 from controllers.actuation import Actuation, ActuationState
@@ -18,6 +18,9 @@ class _ActingState(Protocol):
 
     @property
     def last_s(self) -> float | None: ...
+
+    @property
+    def rows(self) -> Mapping[str, int]: ...
 
 
 State = TypeVar("State", bound=_ActingState)
@@ -75,7 +78,7 @@ class Acting:
         self, observation: Observation, state: object, kind: type[State]
     ) -> tuple[State | None, tuple[ActuationState, ...]]:
         """The state after the last step (None: a run begins) and the actuators' now; raises `DataError` as `plan`."""
-        before = checked_state(state, kind)
+        before = checked_state(state, kind, self._layout.names)
         check_observation(observation, self._step_s, self._n_steps, self._layout.names)
         if before is None:
             return None, self._actuators.now(None, observation.history)

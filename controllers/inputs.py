@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -14,17 +14,29 @@ from thermoforce_mpc.data import Names, Observation
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.errors import DataError
 
-State = TypeVar("State")
+
+class _Rows(Protocol):
+    @property
+    def rows(self) -> Mapping[str, int]: ...
 
 
-def checked_state(state: object, kind: type[State]) -> State | None:
-    """`state` if it is None or of class `kind`; raises `DataError` otherwise."""
-    if state is None or isinstance(state, kind):
-        return state
-    raise DataError(
-        f"state is a {type(state).__name__}, expected None (a run begins) or the Plan.state of the last plan of the"
-        f" same controller ({kind.__name__})"
-    )
+State = TypeVar("State", bound=_Rows)
+
+
+def checked_state(state: object, kind: type[State], names: Names) -> State | None:
+    """`state` if it is None, or of class `kind` and of as many as there are of `names`; raises `DataError` otherwise.
+
+    `rows` of a state says how many zones, actuators or machines it is of.
+    """
+    if state is None:
+        return None
+    wanted = f"expected None (a run begins) or the Plan.state of the last plan of the same controller ({kind.__name__})"
+    if not isinstance(state, kind):
+        raise DataError(f"state is a {type(state).__name__}, {wanted}")
+    for what, n in state.rows.items():
+        if n != len(getattr(names, what)):
+            raise DataError(f"state is of {n} {what}, the controller of {names}: another building? {wanted}")
+    return state
 
 
 def check_names(option: str, given: Iterable[str], what: str, known: Sequence[str]) -> None:

@@ -13,6 +13,7 @@ from itertools import islice
 
 from controllers.bounded import BoundedCalls
 from controllers.errors import ControllerConfigError, said
+from controllers.inputs import checked_state
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.planner import MPCState
@@ -114,9 +115,16 @@ class Together:
         try:
             plan = yield from self._controller(name).planning(observation, state)
         except Exception as error:  # of the building's data, model or options, which are the caller's
-            kept = state if isinstance(state, MPCState) else None
-            return self.handed_over(name, observation, said(error)), kept
+            return self.handed_over(name, observation, said(error)), self._usable(name, observation, state)
         return plan, plan.state
+
+    def _usable(self, name: str, observation: Observation, state: object) -> MPCState | None:
+        """`state` where it is one of the building, so that its run goes on; None begins a new one."""
+        names = self._known[name][0].names if name in self._known else observation.names
+        try:
+            return checked_state(state, MPCState, names)
+        except DataError:
+            return None
 
     def _controller(self, name: str) -> ThermoForceMPC:
         if name not in self._known:

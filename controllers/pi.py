@@ -49,6 +49,11 @@ class PIState:
     time_s: float | None = None
     actuation: tuple[ActuationState, ...] | None = None
 
+    @property
+    def rows(self) -> dict[str, int]:
+        """How many actuators it is of."""
+        return {"actuators": len(self.integral)}
+
 
 class PIController:
     """PI controller of each zone on its comfort bound.
@@ -87,7 +92,7 @@ class PIController:
             DataError: `state` is not from a plan of a PI controller.
         """
         names = self.layout.names
-        last = checked_state(state, PIState) or PIState((0.0,) * len(names.actuators))
+        last = checked_state(state, PIState, names) or PIState((0.0,) * len(names.actuators))
         until_s = None if last.time_s is None else last.time_s + self.step_s
         machines = self._actuators.now(last.actuation, observation.history, until_s)
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)

@@ -49,6 +49,11 @@ class MPCState:
     failures: int = 0
     last_s: float | None = None
 
+    @property
+    def rows(self) -> dict[str, int]:
+        """How many zones, actuators and machines it is of."""
+        return {"zones": len(self.sensors), "actuators": len(self.actuation), "machines": self.kept.size}
+
 
 @dataclass(frozen=True)
 class Planner:

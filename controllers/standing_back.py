@@ -19,6 +19,11 @@ class StandingBackState:
     actuation: tuple[ActuationState, ...] = ()
     last_s: float | None = None
 
+    @property
+    def rows(self) -> dict[str, int]:
+        """How many actuators it is of."""
+        return {"actuators": len(self.actuation)}
+
 
 class StandingBack(Acting):
     """Takes the place of an MPC that has no model; its plans have the status `gate`."""

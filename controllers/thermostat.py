@@ -58,6 +58,11 @@ class ThermostatState:
 
     on: tuple[bool, ...]
 
+    @property
+    def rows(self) -> dict[str, int]:
+        """How many actuators it is of."""
+        return {"actuators": len(self.on)}
+
 
 class Thermostat:
     """On/off control of each zone's temperature with hysteresis, at one level while on.
@@ -96,7 +101,7 @@ class Thermostat:
             DataError: `state` is not from a plan of a thermostat.
         """
         names = self.layout.names
-        last = checked_state(state, ThermostatState) or ThermostatState((False,) * len(names.actuators))
+        last = checked_state(state, ThermostatState, names) or ThermostatState((False,) * len(names.actuators))
         levels: list[float | None] = []
         bands: list[tuple[float, float] | None] = [None] * len(names.actuators)
         on, told = [], []

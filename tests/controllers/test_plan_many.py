@@ -163,6 +163,15 @@ def test_minimum_times_hold_after_a_step_that_was_left_to_the_buildings_own_cont
     assert [block.u for block in found.plan.blocks] == [(0.0,)], "it has been off for an hour of two"
 
 
+def test_a_state_of_another_building_costs_one_plan():
+    other = replace(plan_many({"b": simple_model()}, {"b": seen()}, config=WEATHER_MODEL)["b"].state, kept=np.zeros(2))
+    with Portfolio({"a": simple_model()}, WEATHER_MODEL) as portfolio:
+        first = portfolio.plan({"a": seen()}, {"a": other})["a"]
+        assert (first.plan.status, first.state) == (PlanStatus.NATIVE, None)
+        assert "state is of 2 machines" in first.reason
+        assert not portfolio.plan({"a": later(seen())}, {"a": first.state})["a"].reason
+
+
 def test_a_plan_holds_until_it_expires_and_then_the_buildings_own_controller_acts():
     now = seen()
     planned = Portfolio({"a": simple_model()}, WEATHER_MODEL, grace_s=300.0).plan({"a": now})["a"]

@@ -14,6 +14,7 @@ from controllers.own_record import own_records
 from controllers.pi import PIController
 from controllers.planner import MPCState
 from controllers.problem import Solution
+from controllers.standing_back import StandingBack
 from controllers.thermostat import Thermostat
 from controllers.watch_checks import applied_levels
 from controllers.watch_state import WatchState
@@ -290,6 +291,24 @@ def test_a_building_of_other_names_is_refused():
         mpc().plan(other)
     with pytest.raises(DataError, match="another building"):
         two_model().predict(other.history, other.boundary, 0.0, free_response=OutdoorResponse())
+
+
+def test_the_state_of_a_building_of_another_size_is_refused():
+    seen, house = two_observation(), SimpleHouse()
+    house.reset(10 * DAY_S, 2 * DAY_S)
+    alone = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
+    kinds = (
+        lambda layout: mpc() if layout else mpc(simple_model()),
+        lambda layout: StandingBack("", mpc().config, layout or Layout.single("heating"), HOUR_S, name=""),
+        lambda layout: PIController(None, layout),
+        lambda layout: Thermostat(None, layout),
+    )
+    for build in kinds:
+        both, one = build(LAYOUT), build(None)
+        with pytest.raises(DataError, match=r"state is of 1 (zones|actuators), .*'bath'.*: another building\?"):
+            both.plan(seen, one.plan(alone).state)
+        with pytest.raises(DataError, match=r"state is of 2 (zones|actuators), .* another building\?"):
+            one.plan(alone, both.plan(seen).state)
 
 
 def test_what_the_other_actuator_did_is_taken_out_of_a_zones_record():
