@@ -17,6 +17,7 @@ from pydantic import Field
 
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.actuators import Actuators
+from controllers.errors import ControllerConfigError
 from controllers.inputs import checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -55,6 +56,15 @@ class PIState:
         return {"actuators": len(self.integral)}
 
 
+def check_layout(layout: Layout) -> None:
+    """Raise `ControllerConfigError` where one actuator heats and cools: the law would only ever heat by it."""
+    for actuator, lowest in zip(layout.names.actuators, layout.lowest, strict=True):
+        if lowest < 0.0:
+            raise ControllerConfigError(
+                f"controller.name: pi does not heat and cool by the room set-points of {actuator}; use thermostat"
+            )
+
+
 class PIController:
     """PI controller of each zone on its comfort bound.
 
@@ -63,7 +73,7 @@ class PIController:
         layout: what acts where; by default one zone with one actuator of the option `mode`.
 
     Raises:
-        ControllerConfigError: the actuation does not fit the step.
+        ControllerConfigError: the actuation does not fit the step, or an actuator heats and cools.
     """
 
     name = "pi"
@@ -71,6 +81,7 @@ class PIController:
     def __init__(self, config: PIConfig | None = None, layout: Layout | None = None) -> None:
         self.config = config or PIConfig()
         self.layout = layout or Layout.single(self.config.mode)
+        check_layout(self.layout)
         self._actuators = Actuators(self.layout, [Actuation(self.config.actuation) for _ in self.layout.home])
         self._actuators.check_step(self.config.step_s)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from controllers.errors import ControllerConfigError
 from controllers.native import NativeConfig, NativeController
-from controllers.pi import PIConfig, PIController
+from controllers.pi import PIConfig, PIController, check_layout
 from controllers.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
@@ -219,13 +219,19 @@ def find_entry(name: str) -> Entry:
 
 
 def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
-    """Validated options of a controller, defaults included; raises `ConfigError` naming each wrong key."""
+    """Validated options of a controller, defaults included.
+
+    Raises:
+        ConfigError: wrong options, each key is named, or a controller that is not for this kind of test case.
+    """
     entry = find_entry(name)
     defaults: dict[str, Any] = dict(entry.defaults)
     if name == "native":
         defaults["step_s"] = testcase.step_s
     if name in ("thermostat", "pi"):
         defaults["mode"] = "cooling" if testcase.layout.mode(0) == "cooling" else "heating"
+    if name == "pi":
+        check_layout(testcase.layout)
     points = testcase.points
     actuators = [one.actuator for one in points.actuators]
     named = zip(points.layout.names.actuators, points.layout.machine_of, strict=True)

@@ -9,7 +9,7 @@ from simple_house import SimpleHouse
 from controllers.errors import ControllerConfigError
 from controllers.pi import PIConfig, PIController
 from controllers.registry import controller_config
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Period, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -110,6 +110,15 @@ def test_it_is_a_baseline_as_any_other():
     assert held.actuation.lowest_level == 0.6
     zone = load_testcase("energyplus_heating_chicago")
     assert controller_config("pi", {}, zone).actuation.mode == "modulating"
+
+
+def test_room_set_points_that_heat_and_cool_are_left_to_the_thermostat():
+    says = "pi does not heat and cool by the room set-points of actuator; use thermostat"
+    with pytest.raises(ControllerConfigError, match=says):
+        PIController(layout=Layout.single("both", -0.5))
+    for controller, baselines in (("pi", ()), ("thermostat", ("pi",))):
+        with pytest.raises(ControllerConfigError, match=says):
+            validate_scenario(Scenario(testcase="bestest_air", controller={"name": controller}, baselines=baselines))
 
 
 def test_twice_on_the_same_window_is_twice_the_same():

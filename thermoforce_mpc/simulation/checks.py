@@ -20,6 +20,7 @@ def validate_scenario(scenario: Scenario) -> TestCase:
     if find_entry(scenario.controller.name).needs_model:
         identification_settings(scenario, testcase)
     for name in scenario.baselines:
+        controller_config(name, controller_options(scenario, name), testcase)
         if find_entry(name).needs_model:
             if not find_entry(scenario.controller.name).needs_model:
                 raise ConfigError(
