@@ -174,15 +174,18 @@ class _Model:
         n = self._boundary.n_steps
         return {name: self.allowed(np.repeat(levels[:, None], n, axis=1)) for name, levels in found.items()}
 
-    def allowed(self, u: Array) -> Array:
-        """Levels (A, n) within limits, of which no more act together than may, and no machine is asked for too much."""
+    def allowed(self, u: Array, first: int = 0) -> Array:
+        """Levels (A, n) within limits, of which no more act together than may, and no machine is asked for too much.
+
+        `first`: number of the step that they begin with.
+        """
         m = self._machinery
         u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
         for k in range(u.shape[1] if m.exclusive else 0):
             u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
         asked = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
         if self._problem.capacity is not None:
-            asked = asked / self._problem.capacity[:, :1]
+            asked = asked / self._problem.capacity[:, first : first + u.shape[1]]
         return np.asarray(u / np.maximum(asked, 1.0)[m.machine_of])
 
     def followed(self, law: _Law) -> Array:
@@ -193,7 +196,7 @@ class _Model:
         for k in range(n):
             for a in range(u.shape[0]):
                 u[a, k] = law(a, k, T_C, forced, u)
-            u[:, k : k + 1] = self.allowed(u[:, k : k + 1])
+            u[:, k : k + 1] = self.allowed(u[:, k : k + 1], k)
             forced = self._operator.rollout(forced, u[:, k : k + 1], features[:, k : k + 1])[:, :, 0]
             T_C = self._T_free_C[:, k] + forced.sum(axis=(1, 2))
         return u

@@ -121,3 +121,17 @@ def test_several_zones():
     assert courses["off"].cost == 0.0 < courses["plan"].cost < courses["full"].cost
     # The level of the second house is not measured.
     assert any("step before are not known" in note for note in found.notes)
+
+
+def test_what_a_machine_has_is_asked_of_it_in_every_step(monkeypatch):
+    mpc, seen = controller(replace(two_model(shared=True), shares=(0.6, 0.6))), observed(TwoHouses(shared=True))
+    inner, falling = ThermoForceMPC.instance, np.linspace(1.0, 0.7, N)[None]
+    monkeypatch.setattr(ThermoForceMPC, "instance", lambda *given: replace(inner(*given), capacity=falling))
+    courses = named(alternatives(mpc, seen, None))
+    assert 0.6 * courses["full"].u.sum(axis=0) == pytest.approx(falling[0])
+    cold = replace(seen, history=replace(seen.history, T_zone_C=seen.history.T_zone_C - 8.0))
+    courses = named(alternatives(mpc, cold, None))
+    for name in ("thermostat rule", "loops at the bounds"):
+        asked = 0.6 * courses[name].u.sum(axis=0)
+        assert asked.max() > 0.7, "else this tries nothing"
+        assert (asked <= falling[0] + 1e-9).all(), name
