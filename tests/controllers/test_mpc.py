@@ -60,23 +60,24 @@ def test_predictions_of_an_exact_model_come_true():
 
 
 def test_a_controller_that_is_let_go_leaves_no_thread_behind():
-    before = threading.active_count()
+    before = set(threading.enumerate())  # those of other tests may end meanwhile
     gc.collect()
     gc.disable()  # so that only what nothing refers to any more is freed
     try:
         mpc = controller()
         mpc.plan(observation())
-        assert threading.active_count() > before
+        its = set(threading.enumerate()) - before
+        assert its
         kept = weakref.ref(mpc)
         del mpc
         assert kept() is None
     finally:
         gc.enable()
     for _ in range(100):
-        if threading.active_count() == before:
+        if not any(thread.is_alive() for thread in its):
             break
         time.sleep(0.05)
-    assert threading.active_count() == before
+    assert not any(thread.is_alive() for thread in its)
 
 
 @pytest.mark.parametrize("solver", ["ipopt", "search"])
