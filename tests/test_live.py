@@ -30,6 +30,7 @@ from thermoforce_mpc.live.kept import Kept
 from thermoforce_mpc.measurements.mapping import MeasurementMap
 
 HOUR = pd.Timedelta("1h")
+START_S = (START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
 
 
 def mpc(**options):
@@ -94,6 +95,21 @@ def test_levels_that_are_not_taken_are_set_again_in_the_next_step(caplog):
     assert "were not taken (ConnectionError: bus)" in caplog.text
     assert next(at - START for at, _, _ in house.written if at - START >= 1 * HOUR) >= 3 * HOUR
     assert house.level is None
+
+
+def test_after_levels_that_were_not_taken_the_controller_goes_on_from_the_state_before():
+    house, states = SimulatedBuilding(when("write", 1, 3, ConnectionError("bus"))), []
+    controller = mpc()
+    plan = controller.plan
+
+    def seen(observation, state=None):
+        states.append(None if state is None else (state.last_s - START_S) / 3600.0)
+        return plan(observation, state)
+
+    controller.plan = seen
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    control(building, controller, clock=house, steps=5)
+    assert states == [None, 0.0, 0.0, 0.0, 3.0]
 
 
 def test_a_silent_logger_is_bridged_by_the_model_for_a_while():

@@ -8,7 +8,7 @@ import pytest
 from simple_house import SimpleHouse
 from two_houses import TWO, TwoHouses
 
-from thermoforce_mpc.data import HOUR_S, Block, Period, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
 from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
@@ -36,6 +36,21 @@ def test_an_unfit_level_never_reaches_the_plant(u):
     assert {level for level, _ in house.applied} == {None}
     assert result.fallback_levels()["refused"] == len(result.steps) == 48
     assert "native control instead" in result.steps[0].refused
+
+
+def test_after_a_refused_plan_the_controller_goes_on_from_the_state_before():
+    class Counting(Fixed):
+        def __init__(self) -> None:
+            self.states = []
+
+        def plan(self, observation, state=None):
+            self.states.append(state)
+            level = 2.0 if len(self.states) == 3 else 0.0  # the third is out of limits
+            return replace(plan(Block(level, HOUR_S)), state=len(self.states))
+
+    controller = Counting()
+    run_closed_loop(SimpleHouse(), controller, Period("x", 10 * DAY_S, scored_s=5 * HOUR_S, warmup_s=0.0))
+    assert controller.states == [None, 1, 2, 2, 4]
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])

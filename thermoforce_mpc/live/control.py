@@ -162,11 +162,13 @@ class _Loop:
             raise DataError(f"the model is of {model.names}, the map of {record.names}: another building?")
         given, _, gaps = self._forecasts.now(record)
         plan = controller.plan(Observation(record, given), self._state)
-        plan, self._state = replace(plan, state=None), plan.state
+        plan, after = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, controller.step_s, building.lowest, record.names)
         if any(band is not None for block in blocks for band in block.band_C):
             refused = "refused room set-points, which a connection has none of: native control instead"
             blocks = (Block.native(len(building.names), controller.step_s),)
+        # A plan that was refused did not act: the controller goes on from what it knew before.
+        self._state = self._state if refused else after
         return Decision(instant, plan, blocks, refused, (*doubts, *gaps))
 
     def _safe_decision(self, instant: pd.Timestamp) -> Decision:
@@ -196,6 +198,8 @@ class _Loop:
                 hold_s = (end - self._clock.now()).total_seconds() + beyond_s
                 taken = self._write(block.u, hold_s)
                 start_s = self._building.time_s(begin)
+                # Nor did one whose levels were not taken.
+                self._state = self._state if taken else before
                 done = Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u))
                 self._applied = [*self._applied, done][-_REMEMBERED:]
                 self._keep(decision.instant, before)

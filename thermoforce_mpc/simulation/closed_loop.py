@@ -213,8 +213,10 @@ def run_closed_loop(
         plan = controller.plan(observation, state)
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
-        plan, state = replace(plan, state=None), plan.state
+        plan, after = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, lowest, history.names)
+        # A plan that was refused did not act: the controller goes on from what it knew before.
+        state = state if refused else after
         if keeper:
             blocks = tuple(keeper.decided(len(kept), observation.time_s, plan, blocks, refused))
         doubts += gaps
