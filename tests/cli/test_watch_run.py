@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import requests
 from click.testing import CliRunner
@@ -24,7 +25,7 @@ from thermoforce_mpc.service.server import running
 from thermoforce_mpc.simulation import journal as journal_module
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.journal import Journal, JournalError, JournalTail, read_journal
-from thermoforce_mpc.simulation.live_view import LiveRun
+from thermoforce_mpc.simulation.live_view import LiveRun, Zone
 from thermoforce_mpc.simulation.run_book import RunBook
 
 OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
@@ -85,6 +86,32 @@ def test_cost_energy_and_discomfort_so_far_are_those_of_the_plant(single):
     last = result.samples[-1]
     assert [zone.T_C for zone in view.zones] == last.T_zone_C.tolist()
     assert len(view.past) == 12
+
+
+@pytest.mark.parametrize("lacking", [("price_per_kWh", "heating_price_per_kWh"), ("lower_C",)])
+def test_what_a_forecast_does_not_say_counts_as_in_the_run(tmp_path, lacking):
+    class Holes(SimpleHouse):
+        """Says neither price nor bound of the present hour."""
+
+        def forecast(self, horizon_s, interval_s):
+            boundary = super().forecast(horizon_s, interval_s)
+            known = {name: getattr(boundary, name).copy() for name in lacking}
+            for values in known.values():
+                values[..., 0] = np.nan
+            return replace(boundary, **known)
+
+    result = run(tmp_path / "holes", Holes(), simple_model(), hours=24)
+    view = LiveRun(tmp_path / "holes").now()
+    assert view.cost == pytest.approx(0.25 * view.energy_kWh)
+    assert view.discomfort_Kh == pytest.approx(result.kpis["tdis_tot"], abs=0.02)
+    assert result.kpis["tdis_tot"] > 0.1
+
+
+def test_a_zone_without_bounds_is_not_said_to_be_outside_them():
+    zone = Zone("living", 21.0, float("nan"), float("nan"))
+    assert np.isnan(zone.outside_K)
+    assert Zone("living", float("nan"), 20.0, 24.0).outside_K == 0.0
+    assert Zone("living", 19.0, 20.0, 24.0).outside_K == 1.0
 
 
 def test_a_run_is_followed_as_it_grows_to_the_same_view(single, tmp_path):

@@ -4,10 +4,32 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 
 import pytest
 
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
+
+
+def test_a_test_that_was_stopped_is_let_go(monkeypatch):
+    """At once, or where a request to it is still being answered, after that one."""
+
+    class Plant:
+        pass
+
+    sessions = Sessions(Plant, most=3, idle_s=900.0)
+    idle, busy = sessions.select(), sessions.select()
+    with sessions.using(idle) as session:
+        gone = weakref.ref(session)
+    del session
+    sessions.stop(idle)
+    assert gone() is None
+    with sessions.using(busy) as session:
+        gone = weakref.ref(session)
+        sessions.stop(busy)
+        assert gone() is not None
+    del session
+    assert gone() is None
 
 
 def test_a_test_is_not_dropped_between_being_found_and_being_used(monkeypatch):

@@ -114,13 +114,16 @@ def _zones(view: View) -> Table:
         now = Text("no reading" if math.isnan(zone.T_C) else f"{zone.T_C:.2f} °C")
         if zone.outside_K > 0.05:
             now.stylize("red")
-        bounds = f"{zone.lower_C:g}–{zone.upper_C:g}"
+        bounds = "" if math.isnan(zone.lower_C + zone.upper_C) else f"{zone.lower_C:g}–{zone.upper_C:g}"
         table.add_row(zone.name, now, bounds, _bars([point.T_C[z] for point in view.past]))
     table.add_row("outdoors", f"{view.outdoor_C:.1f} °C", "", "")
     for a, name in enumerate(view.actuators):
         level = view.levels[a]
         now = Text("own control" if math.isnan(level) else f"{level:.2f}")
-        table.add_row(name, now, view.acting[a], _bars([point.u[a] for point in view.past], 0.0, 1.0))
+        past = [point.u[a] for point in view.past]
+        # Where it cools too, off is in the middle.
+        lowest = -1.0 if any(u < 0.0 for u in past) else 0.0
+        table.add_row(name, now, view.acting[a], _bars(past, lowest, 1.0))
     return table
 
 

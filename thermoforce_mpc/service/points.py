@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,14 +128,20 @@ _FORECAST_UNIT = (
 FORECAST_POINTS = {name: PointInfo(_FORECAST_UNIT[name], text) for name, text in descriptions.FORECAST.items()}
 
 
-def forecast_points(plant: EmbeddedPlant, names: list[str], horizon_s: float, interval_s: float) -> dict[str, Array]:
-    """Forecast of each point from now, with 'time'; TDryBul and HGloHor include the scenario's forecast errors."""
+def forecast_points(
+    plant: EmbeddedPlant, names: list[str], horizon_s: float, interval_s: float, erring_names: Collection[str] = ()
+) -> dict[str, Array]:
+    """Forecast of each point from now, with 'time'; `erring_names`: which of TDryBul and HGloHor have errors.
+
+    Raises `InputError` where one of these is asked for beyond 48 h.
+    """
     steps = np.arange(int(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
     time_s: Array = plant.now_s + steps * interval_s
     erring: dict[str, Array] = {}
-    if {"TDryBul", "HGloHor"} & set(names) and horizon_s >= interval_s:
+    if set(erring_names) & set(names) and horizon_s >= interval_s:
         boundary = plant.forecast(horizon_s, interval_s)
-        erring = {"TDryBul": boundary.T_out_C + _KELVIN, "HGloHor": boundary.solar_W_m2}
+        series_of = {"TDryBul": boundary.T_out_C + _KELVIN, "HGloHor": boundary.solar_W_m2}
+        erring = {name: series_of[name] for name in erring_names}
 
     def series(name: str) -> Array:
         if name in erring:

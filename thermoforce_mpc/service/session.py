@@ -170,15 +170,16 @@ class Session:
         names = _names(body, FORECAST_POINTS, "forecast points")
         horizon_s = _number(body, "horizon", low=0.0)
         interval_s = _number(body, "interval", low=1.0)
-        uncertain = (("temperature_uncertainty", "TDryBul"), ("solar_uncertainty", "HGloHor"))
-        for key, name in uncertain:
-            if self._scenario[key] and name in names and horizon_s > MAX_HORIZON_H * HOUR_S:
+        of_point = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
+        erring = {name: key for name, key in of_point.items() if self._scenario[key]}
+        for name, key in erring.items():
+            if name in names and horizon_s > MAX_HORIZON_H * HOUR_S:
                 raise Refusal(
                     400, f"Invalid horizon {horizon_s:g} s: at most {MAX_HORIZON_H} hours in a {key} scenario."
                 )
         _check_size(len(names), horizon_s / interval_s)
         with _refusing():
-            series = forecast_points(self._plant, names, horizon_s, interval_s)
+            series = forecast_points(self._plant, names, horizon_s, interval_s, erring)
         return Reply("The forecast.", _lists(series))
 
     def results(self, body: Mapping[str, Any]) -> Reply:

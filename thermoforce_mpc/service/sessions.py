@@ -66,8 +66,10 @@ class Sessions:
     def stop(self, testid: str) -> None:
         """End a test. Raises `UnknownTestid`."""
         with self._lock:
-            self._ending.append(self._entry(testid))
+            entry = self._entry(testid)
             del self._entries[testid]
+            if entry.asking:
+                self._ending.append(entry)
 
     def check(self, testid: str) -> None:
         """Check that the test exists, without waiting for it. Raises `UnknownTestid`."""
@@ -90,6 +92,7 @@ class Sessions:
             with self._lock:
                 entry.asking -= 1
                 entry.used_s = time.monotonic()
+                self._ending = [ending for ending in self._ending if ending.asking]
 
     def _entry(self, testid: str) -> _Entry:
         self._drop_idle()
@@ -98,7 +101,6 @@ class Sessions:
         return self._entries[testid]
 
     def _new_entry(self) -> _Entry:
-        self._ending = [entry for entry in self._ending if entry.asking]
         if len(self._entries) + len(self._ending) >= self._most:
             raise Refusal(429, f"All {self._most} tests of this service are in use; stop one, or try again later.")
         now_s = time.monotonic()

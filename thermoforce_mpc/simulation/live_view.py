@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement, Record
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.forecasts import holes
 from thermoforce_mpc.simulation.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
 from thermoforce_mpc.simulation.journal_values import block_of, unpack
 from thermoforce_mpc.simulation.run_folder import is_complete, plain_json
@@ -35,8 +37,10 @@ class Zone:
 
     @property
     def outside_K(self) -> float:
-        """Distance from the comfort bounds, K."""
-        return float(np.nan_to_num(max(self.lower_C - self.T_C, self.T_C - self.upper_C, 0.0)))
+        """Distance from the comfort bounds, K; 0 without a reading, NaN without bounds."""
+        if np.isnan(self.T_C):
+            return 0.0
+        return float(np.max([self.lower_C - self.T_C, self.T_C - self.upper_C, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,8 @@ class View:
 
     `state`: running, finished, or ended early, and `said` why; `levels`: mean level of each actuator in the step under
     way, NaN under its own control; `cost` by metered power and prices in force (currency), `energy_kWh` and
-    `discomfort_Kh` (all zones) since the begin of the loop; `counts`: steps by status; `past` and `plan` by step.
+    `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where prices or bounds are not known; `counts`:
+    steps by status; `past` and `plan` by step.
     """
 
     run: str
@@ -156,7 +161,7 @@ class LiveRun:
         """Count a step that has ended."""
         self._last = step
         self._counts[str(step.told["status"])] += 1
-        self._boundary = step.given or self._boundary
+        self._boundary = self._forecast(step)
         start_s, levels = step.time_s, []
         for one, reported in zip(step.advances, step.after, strict=True):
             after = with_level(reported, block_of(one["asked"]))
@@ -164,14 +169,22 @@ class LiveRun:
             kWh = np.nan_to_num(after.power_W) * hours / 1000.0
             self._kWh += float(kWh.sum())
             if self._boundary is not None:
-                self._cost += float(np.nansum(kWh * self._price(self._boundary, start_s, after.u)))
+                paid = kWh * self._price(self._boundary, start_s, after.u)
+                self._cost += float(paid[kWh != 0.0].sum())
             zones = self._zones(after)
-            self._Kh += sum(zone.outside_K for zone in zones) * hours
+            self._Kh += float(np.mean([zone.outside_K for zone in zones])) * hours
             levels.append((hours, after.u))
             start_s = after.time_s
         if step.after:
             u = np.average([u for _, u in levels], axis=0, weights=[h or 1e-9 for h, _ in levels])
             self._past.append(_point(start_s, zones, u))
+
+    def _forecast(self, step: ToldStep) -> Boundary | None:
+        """The forecast of a step; prices and bounds that it lacks are filled as in the run."""
+        given = step.given
+        if given is None or step.before is None or not holes(given):
+            return given or self._boundary
+        return completed(given, Record.beginning(step.before), self._boundary)[0]
 
     def _price(self, boundary: Boundary, time_s: float, u: Array) -> Array:
         """Price of each machine's energy (M,) at levels `u` (A,)."""
@@ -197,7 +210,7 @@ class LiveRun:
     def _view(self, step: ToldStep) -> View:
         told, names = step.told, step.names
         at = (step.after or (step.before,))[-1]
-        self._boundary = step.given or self._boundary
+        self._boundary = self._forecast(step)
         state, said = self._state()
         blocks = told["blocks"]
         u = [[np.nan if level is None else level for level in block["u"]] for block in blocks]

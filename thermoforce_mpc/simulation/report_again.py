@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.reading import read_bounded
@@ -111,7 +113,7 @@ def _so_far(result: RunResult, testcase: TestCase) -> RunResult:
     from thermoforce_mpc.simulation.report.courses import JOULE_PER_KWH, course_of
 
     course = course_of(result, testcase.layout, testcase.area_m2, len(result.steps) * 1000)
-    energy_J = (course.power_W * course.duration_s).sum()
+    energy_J = np.nansum(course.power_W * course.duration_s)
     found = {
         "cost_tot": float(course.cost[-1]),
         "ener_tot": float(energy_J / JOULE_PER_KWH / testcase.area_m2),

@@ -217,6 +217,28 @@ def test_what_is_not_a_number_is_null_or_a_hole(result, tmp_path):
     assert np.isfinite(numbers(data["own"]["cost"])).all()
 
 
+def test_a_machine_that_is_not_metered_does_not_hide_what_the_others_cost(result):
+    def cost(*metered: float) -> float:
+        steps = [
+            replace(step, samples=tuple(replace(s, power_W=s.power_W * np.array(metered)) for s in step.samples))
+            for step in result.steps
+        ]
+        return float(course_of(replace(result, steps=steps), layout_of(), 100.0, 1000).cost[-1])
+
+    assert cost(1.0, np.nan) == pytest.approx(cost(1.0, 0.0))
+    assert 0.0 < cost(1.0, 0.0) < cost(1.0, 1.0)
+
+
+def test_the_page_says_how_far_it_rounds(result, tmp_path):
+    """A plan that moves by 4 K in a step does not fit into 0.01 K and 8 bits."""
+    assert "rounded to 0.01 K" in report_of(result, {}, tmp_path)
+    step = result.steps[3]
+    jump = step.plan.T_forced_K + 4.0 * (np.arange(step.plan.u.shape[-1]) > 2)
+    fast = replace(step, plan=replace(step.plan, T_forced_K=jump))
+    page = report_of(replace(result, steps=[*result.steps[:3], fast, *result.steps[4:]]), {}, tmp_path)
+    assert "rounded to 0.032 K" in page
+
+
 def test_other_levels_and_step_responses_are_those_of_the_model(tmp_path):
     house, model = SimpleHouse(), simple_model()
     config = MPCConfig.model_validate({"step_s": None, "horizon_h": 6})

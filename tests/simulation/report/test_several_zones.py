@@ -68,6 +68,18 @@ def test_prediction_errors_are_told_zone_by_zone(result):
     assert [row["coverage"] for row in scores] == [1.0, 1.0]
 
 
+def test_predictions_that_no_reading_answers_are_not_scored(result):
+    """The sensor of the second zone is silent from the 24th step on, that of the first throughout."""
+    nan = float("nan")
+    silent = [
+        replace(step, T_zone_C=np.array([nan, step.T_zone_C[1] if k < 24 else nan]))
+        for k, step in enumerate(result.steps)
+    ]
+    (row,) = forecast_errors(replace(result, steps=silent), horizons_h=(1.0,))
+    assert (row["zone"], row["n"]) == (TWO.zones[1], 23)
+    assert np.isfinite(row["rmse_K"])
+
+
 def test_progress_shows_every_zone_and_marks_those_outside_their_bounds(result):
     console = Console(width=200, record=True, force_terminal=False)
     with LoopDisplay(console, "planner", result.period, lambda: {}, "EUR", quiet=False) as display:

@@ -106,7 +106,9 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
             bands.append(_band_C(step, k))
     found = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
     price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
-    spent = (found["power_W"] * price).sum(axis=0) * found["duration_s"] / JOULE_PER_KWH / area_m2
+    # A machine that is not metered counts for nothing, and does not hide the others.
+    paid = found["power_W"] * price
+    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) * found["duration_s"] / JOULE_PER_KWH / area_m2
     before_C = np.column_stack([result.start.T_zone_C, found["T_zone_C"][:, :-1]])
     outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
     discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S

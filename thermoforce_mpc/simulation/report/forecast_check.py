@@ -33,9 +33,10 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
             if later is not None and 0 <= index < plan.u.shape[-1]:
                 errors.append(plan.T_zone_C[:, index] - later)
         for zone, error in zip(result.names.zones, np.transpose(errors), strict=False):
-            rmse = float(np.sqrt(np.nanmean(error**2)))
-            bias = float(np.nanmean(error))
-            found[zone, hours] = {"zone": zone, "hours": hours, "bias_K": bias, "rmse_K": rmse, "n": error.size}
+            known = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
+            if known.size:
+                rmse, bias = float(np.sqrt(np.mean(known**2))), float(np.mean(known))
+                found[zone, hours] = {"zone": zone, "hours": hours, "bias_K": bias, "rmse_K": rmse, "n": known.size}
     return _by_zone(found, result, horizons_h)
 
 

@@ -19,7 +19,7 @@ from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, fr
 from thermoforce_mpc.simulation.report.other_levels import other_levels_json
 from thermoforce_mpc.simulation.report.packing import Json
 from thermoforce_mpc.simulation.report.page import UPLOT, rendered
-from thermoforce_mpc.simulation.report.plans import plans_json
+from thermoforce_mpc.simulation.report.plans import FINEST_K, TEMPERATURES, plans_json
 from thermoforce_mpc.simulation.report.tables import advice, apart, events, kpi_rows
 from thermoforce_mpc.simulation.watching import watch_spells
 
@@ -132,9 +132,10 @@ def _different_prices(course: Course) -> list[int]:
 
 def _rounding(data: Json) -> str:
     """What of the run is not in the page, or not as exactly as in the run folder."""
+    steps = [row.get("step", 0.0) for name in TEMPERATURES for row in (data["plans"] or {}).get(name, ())]
     says = [
-        "Planned temperatures are rounded to 0.01 K, planned levels to 0.01, and other numbers in this page to the "
-        "65,535th part of their range; the files of the run have all digits."
+        f"Planned temperatures are rounded to {max([FINEST_K, *steps]):.2g} K, planned levels to 0.01, and "
+        "other numbers in this page to the 65,535th part of their range; the files of the run have all digits."
     ]
     if data["own"]["averaged"] > 1:
         says.append(f"Courses are means over {data['own']['averaged']} blocks.")

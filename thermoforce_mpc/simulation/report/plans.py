@@ -17,10 +17,10 @@ from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, row
 # Bytes of all plans in the page, before base64 adds a third; more are thinned to every other step, every fourth, ….
 MOST_BYTES = 1_900_000
 # Planned temperatures are rounded to this, K; beyond the second, large changes would cost too much of it.
-_FINEST_K, _COARSEST_K = 0.01, 0.05
+FINEST_K, _COARSEST_K = 0.01, 0.05
 # Rounding of planned levels, which a byte holds.
 _LEVEL = 0.01
-_TEMPERATURES = ("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C")
+TEMPERATURES = ("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C")
 
 
 def plans_json(result: RunResult, layout: Layout, area_m2: float, most_bytes: int = MOST_BYTES) -> Json | None:
@@ -56,7 +56,7 @@ def plans_json(result: RunResult, layout: Layout, area_m2: float, most_bytes: in
         "time_s": exactly(np.array(times)),
         "step_s": exactly(np.array(lengths)),
         "known": [bool(plan) for plan in kept],
-        **{name: [smooth(row, _FINEST_K, _COARSEST_K) for row in over(name, Z)] for name in _TEMPERATURES},
+        **{name: [smooth(row, FINEST_K, _COARSEST_K) for row in over(name, Z)] for name in TEMPERATURES},
         "u": rows_packed(over("u", A), _LEVEL, bits=8),
         "cost": packed(over("cost", 1)[0], RESOLUTION["cost"]),
         "ahead": _bounds_ahead(last, n),
@@ -78,9 +78,7 @@ def _rows(step: StepRecord, layout: Layout, area_m2: float) -> Mapping[str, Arra
     plan = step.plan
     if not plan.u.size:
         return {}
-    return {name: getattr(plan, name) for name in (*_TEMPERATURES, "u")} | {
-        "cost": _planned_cost(step, layout, area_m2)
-    }
+    return {name: getattr(plan, name) for name in (*TEMPERATURES, "u")} | {"cost": _planned_cost(step, layout, area_m2)}
 
 
 def _planned_cost(step: StepRecord, layout: Layout, area_m2: float) -> Array:
