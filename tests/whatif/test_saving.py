@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import Record
+from thermoforce_mpc.data import Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.research.bench import saving as bench
 from thermoforce_mpc.whatif.saving import verified_saving
@@ -88,13 +88,54 @@ def test_days_with_gaps_are_left_out() -> None:
     ("days", "change", "message"),
     [
         (8, {}, "before: 8 whole days"),
-        (28, {"power_W": np.full((1, 28 * 24), np.nan)}, "neither power nor heat"),
+        (
+            28,
+            {"power_W": np.full((1, 28 * 24), np.nan)},
+            "neither power nor heat.*no power_W before and no heat_W before",
+        ),
     ],
 )
 def test_what_cannot_be_verified_says_why(days: int, change: dict[str, object], message: str) -> None:
     before, after = _halves(_record(5, 0.2))
     with pytest.raises(DataError, match=message):
         verified_saving(replace(before.slice(before.n_steps - 24 * days, before.n_steps), **change), after)  # type: ignore[arg-type]
+
+
+def test_cold_is_energy_like_heat() -> None:
+    record = _record(7, -0.3)
+    by_heat = replace(record, power_W=np.full_like(record.power_W, np.nan), heat_W=record.power_W)
+    by_cold = replace(by_heat, heat_W=-record.power_W)
+    heat, cold = (verified_saving(*_halves(r)) for r in (by_heat, by_cold))
+    assert cold.measured_kWh > 0.0
+    assert (cold.saved_kWh, cold.low_kWh, cold.high_kWh) == (heat.saved_kWh, heat.low_kWh, heat.high_kWh)
+    assert cold.in_words().startswith("no saving: more was used; -")
+    assert "kWh of heat (" in cold.in_words()
+
+
+def test_before_and_after_are_metered_alike() -> None:
+    # The heat pump's power meter came with the change: heat, of which there is three times as much, is all that is
+    # known of both.
+    record = _record(8, 0.0)
+    power = record.power_W.copy()
+    power[0, : 24 * _BEFORE] = np.nan
+    found = verified_saving(*_halves(replace(record, power_W=power, heat_W=3.0 * record.power_W)))
+    assert found.meter == "heat_W"
+    assert not found.claimed
+    assert found.measured_kWh == pytest.approx(3.0 * np.nansum(power) / 1000.0)
+    with pytest.raises(DataError, match="there is no power_W before and no heat_W before, heat_W after; map a meter"):
+        verified_saving(*_halves(replace(record, power_W=power)))
+
+
+def test_a_machine_without_a_meter_is_named() -> None:
+    record = _record(9, 0.2)
+    names = Names(("room",), ("valve", "fan"), ("boiler", "chiller"))
+    nothing = np.full((2, record.n_steps), np.nan)
+    power = np.concatenate([record.power_W, nothing[:1]])
+    two = Record(
+        record.time_s, record.T_zone_C, record.T_out_C, record.solar_W_m2, nothing, power, nothing, names=names
+    )  # fmt: skip
+    with pytest.raises(DataError, match=r"no power_W\[chiller\] before, power_W\[chiller\] after and no heat_W"):
+        verified_saving(*_halves(two))
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -115,6 +156,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert said.output.startswith("saved +")
     kept = json.loads((tmp_path / "s.json").read_text())
     assert kept["claimed"]
+    assert kept["meter"] == "power_W"
     assert (kept["days_before"], kept["days_after"]) == (28, 21)
     assert kept["low_kWh"] < kept["measured_kWh"] * 0.25 / 0.75 < kept["high_kWh"]
     late = CliRunner().invoke(cli, [*words, "2027-01-01"])

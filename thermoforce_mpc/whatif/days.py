@@ -24,7 +24,7 @@ class Days:
 
     Attributes:
         number: day since the record's time 0 (n,).
-        energy_kWh: of all machines, over the day (n,).
+        energy_kWh: of all machines, or the heat that was moved, over the day (n,).
         T_out_C: daily means of the outdoor temperature through a low pass of each of `LAGS_H` (lags, n), °C.
         solar_W_m2: likewise of the irradiance (lags, n), W/m².
         T_zone_C: daily mean temperature of each zone (Z, n), °C.
@@ -46,29 +46,28 @@ class Days:
         return int(self.number.size)
 
 
-def days_of(record: Record, name: str, past: Record | None = None) -> Days:
+def days_of(record: Record, meter: str, name: str, past: Record | None = None) -> Days:
     """The whole days of `record`, midnight to midnight.
 
     Args:
-        record: at any step that divides a day; `power_W` is the energy, or `heat_W` where no power was metered.
+        record: at any step that divides a day.
+        meter: the signal that is the energy, 'power_W' or 'heat_W'.
         name: for messages.
         past: what was recorded just before, so that the weather's low passes start from it.
 
     Raises:
-        DataError: neither power nor heat was metered, the step does not divide a day, or no whole day is there.
+        DataError: the step does not divide a day, or no whole day is there.
     """
     per_day = DAY_S / record.step_s
     if abs(per_day - round(per_day)) > 1e-6:
         raise DataError(f"{name}: a step of {record.step_s:g} s does not divide a day; resample the record")
     k = round(per_day)
-    power = record.power_W if np.isfinite(record.power_W).any() else record.heat_W
-    if not np.isfinite(power).any():
-        raise DataError(f"{name}: neither power nor heat was metered: map a meter of what the machine used")
     low_out, low_sun = _low_passes(record, past)
     first = int(np.ceil(record.time_s[0] / DAY_S - 1e-9))
     last = int(np.floor(record.time_s[-1] / DAY_S + 1e-9))
     offset = round((first * DAY_S - record.time_s[0]) / record.step_s)
-    total = power.sum(axis=0)
+    # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
+    total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
     rows: list[tuple[int, float, Array, Array, Array]] = []
     left_out = 0
     for day in range(first, last):

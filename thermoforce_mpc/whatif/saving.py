@@ -50,6 +50,7 @@ class Saving:
         baseline_kWh: what the old operation would have used in the days after.
         measured_kWh: what was used in them.
         level: of the interval.
+        meter: what the energy was metered by, 'power_W' (of the machines) or 'heat_W' (heat and cold delivered).
         before, after: days that count.
         baseline_of_day_kWh: baseline of each day after (n,); `fitted_of_day_kWh` of each day before, by the best fit.
         rmse_kWh: scatter of a day around the best fit; `correlation` of one day's with the next; its `r2`.
@@ -64,6 +65,7 @@ class Saving:
     baseline_kWh: float
     measured_kWh: float
     level: float
+    meter: str
     before: Days
     after: Days
     baseline_of_day_kWh: Array
@@ -83,8 +85,9 @@ class Saving:
     def in_words(self) -> str:
         """The result in one sentence."""
         share = 100.0 / self.baseline_kWh if self.baseline_kWh > 0 else float("nan")
+        of = " of heat" if self.meter == "heat_W" else ""
         interval = (
-            f"{self.saved_kWh:+.1f} kWh ({share * self.saved_kWh:+.1f} %), {100 * self.level:g} % interval "
+            f"{self.saved_kWh:+.1f} kWh{of} ({share * self.saved_kWh:+.1f} %), {100 * self.level:g} % interval "
             f"{self.low_kWh:+.1f} to {self.high_kWh:+.1f} kWh, over {self.after.n} days"
         )
         if self.claimed:
@@ -100,6 +103,7 @@ class Saving:
             "low_kWh": self.low_kWh,
             "high_kWh": self.high_kWh,
             "level": self.level,
+            "meter": self.meter,
             "claimed": self.claimed,
             "baseline_kWh": self.baseline_kWh,
             "measured_kWh": self.measured_kWh,
@@ -139,13 +143,15 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
         level: of the interval.
 
     Raises:
-        DataError: too few whole days, another number of zones or machines, nothing metered, or a level outside (0, 1).
+        DataError: too few whole days, another number of zones or machines, a machine that is not metered in both
+            records, or a level outside (0, 1).
     """
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
     if before.names != after.names:
         raise DataError(f"the record before is of {before.names}, that after of {after.names}: another building?")
-    old, new = days_of(before, "before"), days_of(after, "after", before)
+    meter = _meter(before, after)
+    old, new = days_of(before, meter, "before"), days_of(after, meter, "after", before)
     for days, least, name in ((old, LEAST_BEFORE, "before"), (new, LEAST_AFTER, "after")):
         if days.n < least:
             raise DataError(
@@ -169,6 +175,7 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
         baseline_kWh=float(baseline.sum()),
         measured_kWh=measured,
         level=level,
+        meter=meter,
         before=old,
         after=new,
         baseline_of_day_kWh=baseline,
@@ -179,6 +186,30 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
         warmer_K=np.asarray(_mean(new.T_zone_C) - _mean(old.T_zone_C)),
         regressors=", ".join(_in_words(column) for column in best.columns),
         notes=tuple(_notes(old, new, best)),
+    )
+
+
+def _meter(before: Record, after: Record) -> str:
+    """The signal that meters all there is, before and after: power of each machine, else heat of each actuator.
+
+    One signal for both, since heat before and power after would differ by the efficiency of the machine.
+    """
+    unmetered = {
+        signal: [
+            f"{before.names.label(signal, row)} {name}"
+            for name, record in (("before", before), ("after", after))
+            for row, values in enumerate(getattr(record, signal))
+            if not np.isfinite(values).any()
+        ]
+        for signal in ("power_W", "heat_W")
+    }
+    for signal, missing in unmetered.items():
+        if not missing:
+            return signal
+    raise DataError(
+        "neither power nor heat was metered before and after: there is no "
+        + " and no ".join(", ".join(missing) for missing in unmetered.values())
+        + "; map a meter of what each machine used, or of the heat of each actuator"
     )
 
 
