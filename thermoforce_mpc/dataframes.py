@@ -12,7 +12,9 @@ from thermoforce_mpc.errors import DataError
 
 
 def new_year(index: pd.Index, what: str) -> pd.Timestamp:
-    """1 January 00:00 of the year in which `index` begins, in its zone's standard time: where `time_s` counts from.
+    """1 January 00:00 of the year in which `index` begins, on its zone's clock of that day: where `time_s` counts from.
+
+    That is standard time in the north, summer time in the south, where days counted from it begin at 23:00 all winter.
 
     Raises:
         DataError: the index does not hold time stamps, is empty, or holds NaT.

@@ -12,9 +12,10 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import Names, Record
+from thermoforce_mpc.data import DAY_S, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.research.bench import saving as bench
+from thermoforce_mpc.whatif.days import days_of
 from thermoforce_mpc.whatif.saving import verified_saving
 
 _BEFORE, _AFTER = 28, 21
@@ -124,6 +125,45 @@ def test_before_and_after_are_metered_alike() -> None:
     assert found.measured_kWh == pytest.approx(3.0 * np.nansum(power) / 1000.0)
     with pytest.raises(DataError, match="there is no power_W before and no heat_W before, heat_W after; map a meter"):
         verified_saving(*_halves(replace(record, power_W=power)))
+
+
+@pytest.mark.parametrize("apart_days", [365, _BEFORE])
+def test_records_of_two_years_are_on_one_calendar(apart_days: int) -> None:
+    # The first of a year and the next; then before and after that adjoin over new year's night.
+    before, after = _halves(replace(_record(10, 0.1), origin=pd.Timestamp("2025-01-01")))
+    start_s = (365 - apart_days) * DAY_S
+    before = replace(before, time_s=before.time_s + start_s)
+    in_its_year = replace(after, time_s=after.time_s - after.time_s[0], origin=pd.Timestamp("2026-01-01"))
+    one_clock = replace(in_its_year, time_s=in_its_year.time_s + 365 * DAY_S, origin=before.origin)
+    found, expected = (verified_saving(before, r) for r in (in_its_year, one_clock))
+    assert found.after.number[0] - found.before.number[0] == apart_days
+    assert found.to_json() == expected.to_json()
+
+
+def test_records_that_overlap_are_refused() -> None:
+    before, after = _halves(_record(10, 0.1))
+    for origin in (None, before.origin):
+        of_next_year = replace(after, time_s=after.time_s - 20 * DAY_S, origin=origin)
+        with pytest.raises(DataError, match="records overlap: before is from"):
+            verified_saving(replace(before, origin=origin), of_next_year)
+    with pytest.raises(DataError, match="time zones: the record after has one"):
+        verified_saving(before, replace(after, origin=pd.Timestamp("2026-01-01", tz="UTC")))
+
+
+@pytest.mark.parametrize("zone", ["UTC", "Europe/Brussels", "Australia/Sydney"])
+def test_a_weekend_is_one_on_both_hemispheres(zone: str) -> None:
+    record = _record(11, 0.0)
+    # Monday, 1 June 2026, where the clock is not that of 1 January.
+    june = replace(record, time_s=record.time_s + 151 * DAY_S, origin=pd.Timestamp("2026-01-01", tz=zone))
+    assert days_of(june, "power_W", "june").weekend.tolist() == 7 * (5 * [False] + 2 * [True])
+
+
+def test_days_without_sun_are_left_out_where_it_is_metered() -> None:
+    record = _record(12, 0.2)
+    sun = record.solar_W_m2.copy()
+    sun[24 * 5 : 24 * 8 + 1] = np.nan
+    assert verified_saving(*_halves(replace(record, solar_W_m2=sun))).before.n == _BEFORE - 3
+    assert verified_saving(*_halves(replace(record, solar_W_m2=0.0 * sun + np.nan))).before.n == _BEFORE
 
 
 def test_a_machine_without_a_meter_is_named() -> None:

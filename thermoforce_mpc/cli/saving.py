@@ -106,7 +106,8 @@ def draw(found: Saving, origin: pd.Timestamp, path: Path) -> None:
     axes = figure.subplots()
 
     def days(of: Days) -> pd.DatetimeIndex:
-        return pd.DatetimeIndex([(origin + pd.Timedelta(days=int(k))).tz_localize(None) for k in of.number])
+        noons = [origin + pd.Timedelta(days=int(k), hours=12) for k in of.number]
+        return pd.DatetimeIndex([noon.tz_localize(None).normalize() for noon in noons])
 
     before, after = days(found.before), days(found.after)
     axes.plot(before, found.before.energy_kWh, "o", color="#1b1f24", markersize=4, label="measured before")

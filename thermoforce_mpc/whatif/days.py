@@ -68,25 +68,31 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
     offset = round((first * DAY_S - record.time_s[0]) / record.step_s)
     # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
     total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
+    known = np.isfinite(total) & np.isfinite(record.T_out_C[:-1])
+    if np.isfinite(record.solar_W_m2).any():
+        known &= np.isfinite(record.solar_W_m2[:-1])
     rows: list[tuple[int, float, Array, Array, Array]] = []
     left_out = 0
     for day in range(first, last):
         at = slice(offset + (day - first) * k, offset + (day - first + 1) * k)
-        measured = np.isfinite(total[at]) & np.isfinite(record.T_out_C[at])
-        if measured.mean() < _LEAST_MEASURED:
+        if known[at].mean() < _LEAST_MEASURED:
             left_out += 1
             continue
         energy = float(np.nanmean(total[at])) * DAY_S / _JOULE_PER_KWH
         zone = np.array([np.nanmean(row[at]) if np.isfinite(row[at]).any() else np.nan for row in record.T_zone_C])
         rows.append((day, energy, low_out[:, at].mean(axis=1), low_sun[:, at].mean(axis=1), zone))
     if not rows:
-        raise DataError(f"{name}: no whole day from midnight to midnight is measured ({left_out} have gaps)")
+        raise DataError(
+            f"{name}: no whole day from midnight to midnight has energy, outdoor temperature and, where it is metered, "
+            f"sun ({left_out} have gaps)"
+        )
     number, energies, outs, suns, zones = zip(*rows, strict=True)
     weekend = np.zeros(len(rows), dtype=bool)
     if record.origin is not None:
         import pandas as pd
 
-        weekend = np.array([(record.origin + pd.Timedelta(days=day)).weekday() >= 5 for day in number])
+        # At noon, since days begin an hour before or after midnight where the clock has moved since 1 January.
+        weekend = np.array([(record.origin + pd.Timedelta(days=day, hours=12)).weekday() >= 5 for day in number])
     return Days(
         np.array(number), np.array(energies), np.array(outs).T, np.array(suns).T, np.array(zones).T, weekend, left_out
     )  # fmt: skip

@@ -16,15 +16,17 @@ a new machine, another use of the rooms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.dataframes import seconds_since
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.whatif.days import LAGS_H, Days, days_of
 
@@ -51,7 +53,7 @@ class Saving:
         measured_kWh: what was used in them.
         level: of the interval.
         meter: what the energy was metered by, 'power_W' (of the machines) or 'heat_W' (heat and cold delivered).
-        before, after: days that count.
+        before, after: days that count, numbered on one calendar where the records have time stamps.
         baseline_of_day_kWh: baseline of each day after (n,); `fitted_of_day_kWh` of each day before, by the best fit.
         rmse_kWh: scatter of a day around the best fit; `correlation` of one day's with the next; its `r2`.
         warmer_K: mean change of the zones' temperature, after minus before (Z,), NaN where it was not measured.
@@ -139,24 +141,26 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
 
     Args:
         before: the old operation, 10 whole days at least, better a month with the weather of what follows.
-        after: the new one, 7 whole days at least, in the same building with the same meters.
+        after: the new one, 7 whole days at least, in the same building with the same meters, in the same or another
+            year; without time stamps, on the same clock.
         level: of the interval.
 
     Raises:
         DataError: too few whole days, another number of zones or machines, a machine that is not metered in both
-            records, or a level outside (0, 1).
+            records, records that overlap or of which one has a time zone, or a level outside (0, 1).
     """
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
     if before.names != after.names:
         raise DataError(f"the record before is of {before.names}, that after of {after.names}: another building?")
+    after = _on_the_clock_of(before, after)
     meter = _meter(before, after)
     old, new = days_of(before, meter, "before"), days_of(after, meter, "after", before)
     for days, least, name in ((old, LEAST_BEFORE, "before"), (new, LEAST_AFTER, "after")):
         if days.n < least:
             raise DataError(
-                f"{name}: {days.n} whole days with energy and outdoor temperature ({days.left_out} more have gaps), "
-                f"need {least}"
+                f"{name}: {days.n} whole days with energy, outdoor temperature and, where it is metered, sun "
+                f"({days.left_out} more have gaps), need {least}"
             )
     fits = _fits(old, new)
     best = min(fits, key=lambda fit: fit.score)
@@ -187,6 +191,23 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
         regressors=", ".join(_in_words(column) for column in best.columns),
         notes=tuple(_notes(old, new, best)),
     )
+
+
+def _on_the_clock_of(before: Record, after: Record) -> Record:
+    """`after` counting from the same instant as `before`: each counts from the new year before it.
+
+    Days are correlated by how far they lie apart, so a day of the next year must not be taken for the same day.
+    """
+    if before.origin is not None and after.origin is not None:
+        shift_s = seconds_since(before.origin, pd.DatetimeIndex([after.origin]), "the record after")
+        after = replace(after, time_s=after.time_s + shift_s, origin=before.origin)
+    if before.time_s[0] < after.time_s[-1] and after.time_s[0] < before.time_s[-1]:
+        (first, last), (begin, end) = ((r.stamps()[0], r.stamps()[-1]) for r in (before, after))
+        raise DataError(
+            f"the records overlap: before is from {first} to {last}, after from {begin} to {end}; give records that "
+            "follow one another, and where they are of two years both with an origin"
+        )
+    return after
 
 
 def _meter(before: Record, after: Record) -> str:
