@@ -91,6 +91,16 @@ def test_a_gap_in_the_day_stays_a_gap(model: ThermalModel) -> None:
     assert found.effect_K == pytest.approx(whole.effect_K)
 
 
+def test_levels_that_were_not_measured_are_not_invented(model: ThermalModel) -> None:
+    record = _run(_levels(2))
+    u = record.u.copy()
+    u[0, _FIRST + 20 : _FIRST + 24] = np.nan
+    gap = replace(record, u=u)
+    with pytest.raises(DataError, match="u was not measured in 4 of the 24 steps from 2026-01-05 on"):
+        counterfactual(model, gap, 0.0, start="2026-01-05")
+    assert np.isfinite(counterfactual(model, gap, 0.0, start="2026-01-05", hours=20).effect_K).all()
+
+
 @pytest.mark.parametrize(
     ("start", "levels", "message"),
     [

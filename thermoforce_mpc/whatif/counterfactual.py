@@ -124,8 +124,8 @@ def counterfactual(
         hours: length of the stretch where `u` is one level.
 
     Raises:
-        DataError: another building, the stretch is not inside the record, nothing was measured in it, or `u` has
-            another shape or leaves [0, 1].
+        DataError: another building, the stretch is not inside the record, a level was not measured in it, a zone never
+            was, or `u` has another shape or leaves [0, 1].
     """
     if model.names != record.names:
         raise DataError(f"the model is of {model.names}, the record of {record.names}: another building?")
@@ -139,6 +139,12 @@ def counterfactual(
         raise DataError(
             f"{n} steps from {start} on are not inside the record, which goes from {stamps[0]} to {stamps[-1]}"
         )
+    for a, unknown in enumerate(~np.isfinite(record.u[:, first : first + n])):
+        if unknown.any():
+            raise DataError(
+                f"{record.names.label('u', a)} was not measured in {unknown.sum()} of the {n} steps from {start} on, so "
+                "that there is nothing to compare with; choose a stretch in which it was"
+            )
     whole, _ = bridged(record.slice(0, first + n))
     past, stretch = whole.slice(0, first), whole.slice(first, first + n)
     forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
