@@ -49,6 +49,33 @@ def seconds_since(origin: pd.Timestamp, index: pd.Index, what: str) -> NDArray[n
     return np.asarray((at - origin) / pd.Timedelta(seconds=1), dtype=np.float64)
 
 
+def seconds_at(origin: pd.Timestamp, time: pd.Timestamp | str, what: str) -> float:
+    """Seconds from `origin` to a time as people write it, on the clock of `origin` where it has no offset.
+
+    Of an hour that the end of summer time repeats, the first is meant.
+
+    Raises:
+        DataError: `time` is no time stamp, does not exist on that clock, or has a zone where `origin` has none.
+    """
+    try:
+        at = pd.Timestamp(time)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"{what} '{time}' is not a time stamp: write for example 2026-01-20 00:00") from error
+    if pd.isna(at):
+        raise DataError(f"{what} '{time}' is not a time stamp: write for example 2026-01-20 00:00")
+    if at.tz is not None and origin.tz is None:
+        raise DataError(f"{what} '{time}' has a time zone and the record has none: write it without")
+    if at.tz is None and origin.tz is not None:
+        there = at.tz_localize(origin.tz, ambiguous=True, nonexistent="NaT")
+        if not isinstance(there, pd.Timestamp):  # NaT
+            raise DataError(
+                f"{what} '{time}' does not exist in {origin.tz}, where summer time begins: name a time before or after "
+                "that hour"
+            )
+        at = there
+    return float((at - origin).total_seconds())
+
+
 def stamps(time_s: NDArray[np.float64], origin: pd.Timestamp | None) -> pd.Index:
     """Time stamps of `time_s` (n,), in the zone of `origin`; the seconds themselves where there is no origin."""
     if origin is None:

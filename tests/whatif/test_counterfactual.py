@@ -118,23 +118,30 @@ def test_what_cannot_be_asked_says_why(model: ThermalModel, start: str, levels: 
 @pytest.fixture
 def house(tmp_path: Path, model: ThermalModel) -> Path:
     """A folder with a model, a table of measurements and its map."""
-    record = _run(_levels(4))
     model.save(tmp_path / "model")
+    _measured(tmp_path, _ORIGIN)
+    return tmp_path
+
+
+def _measured(folder: Path, origin: pd.Timestamp) -> None:
+    """Write six days from `origin` on, in its zone, as a table of measurements and a map."""
+    record = replace(_run(_levels(4)), origin=origin)
     table = pd.DataFrame(
         {
-            "at": record.stamps(),
+            "at": [at.isoformat() for at in record.stamps()],
             "room": record.T_zone_C[0],
             "out": record.T_out_C,
             "valve": np.append(record.u[0], np.nan),
             "power": np.append(record.power_W[0], np.nan),
         }
     )
-    table.to_csv(tmp_path / "data.csv", index=False)
-    (tmp_path / "map.yaml").write_text(
-        "time: {column: at}\noutdoor: out\nstep: 60min\nzones: {zone: {temperature: room}}\n"
+    table.to_csv(folder / "data.csv", index=False)
+    zone = f", zone: {origin.tz}" if origin.tz is not None else ""
+    (folder / "map.yaml").write_text(
+        f"time: {{column: at{zone}}}\n"
+        "outdoor: out\nstep: 60min\nzones: {zone: {temperature: room}}\n"
         "actuators: {actuator: {zone: zone, level: valve}}\nmachines: {machine: {power: power}}\n"
     )
-    return tmp_path
 
 
 def _tf(folder: Path, *words: str) -> tuple[int, str]:
@@ -213,10 +220,69 @@ def test_a_schedule_that_begins_too_late_or_lacks_a_column(house: Path) -> None:
         ("time,valve\n2026-01-05 00:00,0\n", "no column 'actuator'"),
         ("when,u\n2026-01-05 00:00,0\n", "no column 'time'"),
         ("time,u\n2026-01-05 00:00,0\n2026-01-05 00:00,1\n", "row 3 is not later"),
+        ("time,u\n2026-01-05 00:00,0\n,1\n", "row 3, time 'nan' is not a time stamp"),
+        ("time,u\n", "no rows"),
     ):
         file.write_text(text)
         _, said = _tf(house, "counterfactual", "--start", "2026-01-05", "--schedule", str(file))
         assert message in said
+
+
+@pytest.mark.parametrize(
+    ("origin", "start", "schedule", "levels"),
+    [
+        # Rows of a plan of `tf-mpc plan` have the offset of their time.
+        (
+            "2026-03-25 00:00+01:00",
+            "2026-03-29 00:00",
+            "2026-03-29 00:00:00+01:00,0.5\n2026-03-29 01:00:00+01:00,0.2\n2026-03-29 03:00:00+02:00,0.7\n",
+            [0.5, 0.2, 0.7, 0.7],
+        ),
+        # Of two hours with one name the first is meant.
+        (
+            "2026-10-21 00:00+02:00",
+            "2026-10-25 02:00",
+            "2026-10-25 01:00,0\n2026-10-25 03:00,1\n",
+            [0.0, 0.0, 1.0, 1.0],
+        ),
+    ],
+)
+def test_a_stretch_over_a_change_of_the_clock(
+    house: Path, origin: str, start: str, schedule: str, levels: list[float]
+) -> None:
+    _measured(house, pd.Timestamp(origin).tz_convert("Europe/Brussels"))
+    (house / "other.csv").write_text("time,u\n" + schedule)
+    code, said = _tf(house, "counterfactual", "--start", start, "--hours", "4", "--schedule", str(house / "other.csv"),
+                     "--out", str(house / "cf.json"))  # fmt: skip
+    assert code == 0, said
+    assert [row["u_other"] for row in json.loads((house / "cf.json").read_text())["rows"]] == levels
+
+
+@pytest.mark.parametrize(
+    ("origin", "start", "message"),
+    [
+        ("2026-01-01", "2026-01-05T00:00Z", "--start '2026-01-05T00:00Z' has a time zone and the record has none"),
+        ("2026-03-25 00:00+01:00", "2026-03-29 02:30", "does not exist in Europe/Brussels, where summer time begins"),
+        ("2026-01-01", "", "--start '' is not a time stamp"),
+        ("2026-01-01", "noon", "--start 'noon' is not a time stamp"),
+    ],
+)
+@pytest.mark.parametrize("command", [("counterfactual", "--level", "0"), ("forecast",)])
+def test_a_start_that_is_no_time_of_the_record_says_why(
+    house: Path, origin: str, start: str, message: str, command: tuple[str, ...]
+) -> None:
+    at = pd.Timestamp(origin)
+    _measured(house, at if at.tz is None else at.tz_convert("Europe/Brussels"))
+    code, said = _tf(house, *command, "--start", start)
+    assert code != 0
+    assert message in said
+
+
+def test_one_step_is_drawn(house: Path) -> None:
+    code, said = _tf(house, "counterfactual", "--start", "2026-01-05", "--hours", "1", "--level", "0", "--plot",
+                     str(house / "cf.png"))  # fmt: skip
+    assert code == 0, said
+    assert (house / "cf.png").stat().st_size > 5000
 
 
 def test_the_exact_house_is_the_plant() -> None:

@@ -16,6 +16,7 @@ from thermoforce_mpc.cli.options import course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
 from thermoforce_mpc.cli.tables import print_whole
 from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.dataframes import seconds_at, stamps
 from thermoforce_mpc.files import written
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
 
@@ -53,18 +54,12 @@ def command(
 
     if (level is None) == (schedule is None):
         raise click.UsageError("give the other levels, either --level or --schedule")
-    try:
-        begin = pd.Timestamp(start)
-    except ValueError as error:
-        raise click.BadParameter(f"'{start}': write for example 2026-01-20 00:00", param_hint="--start") from error
     thermal = load_model(model)
     record = read_measurements(list(files), map_file).served().record
-    if begin.tzinfo is None and record.origin.tzinfo is not None:
-        begin = begin.tz_localize(record.origin.tz)
-    first_s = (begin - record.origin).total_seconds()
-    time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s))
+    first_s = seconds_at(record.origin, start, "--start")
+    time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s), dtype=np.float64)
     u = levels_of(schedule, level, record.names, time_s, record.origin)
-    found = counterfactual(thermal, record, u, start=begin)
+    found = counterfactual(thermal, record, u, start=start)
     console = Console(highlight=False, markup=False)
     _show(found, console)
     if out is not None:
@@ -76,7 +71,7 @@ def command(
         console.print(f"Course: {out}", soft_wrap=True)
     if plot is not None:
         with written(plot) as aside:
-            draw(found, aside)
+            draw(found, record.step_s, aside)
         console.print(f"Picture: {plot}", soft_wrap=True)
 
 
@@ -119,13 +114,12 @@ def _show(found: Counterfactual, console: Console) -> None:
         console.print("The model's card has no uncertainty of the effect: there is no band.")
 
 
-def draw(found: Counterfactual, path: Path) -> None:
-    """Write a picture: measured and other temperatures with their band, and both schedules."""
+def draw(found: Counterfactual, step_s: float, path: Path) -> None:
+    """Write a picture of steps of `step_s`, s: measured and other temperatures with their band, and both schedules."""
     from matplotlib.figure import Figure
 
-    index = found.to_dataframe().index
-    at = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
-    edges = np.append(at, at[-1] + (at[1] - at[0]))
+    index = stamps(np.append(found.time_s, found.time_s[-1] + step_s), found.origin)
+    edges = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     for z, zone in enumerate(found.names.zones):

@@ -14,6 +14,7 @@ from rich.table import Table
 from thermoforce_mpc.cli.options import course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.dataframes import seconds_at
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
@@ -107,13 +108,7 @@ def command(
 
 def _at(record: Record, start: str, n: int) -> tuple[Record, Record]:
     """The record until `start`, and the `n` steps from it on."""
-    try:
-        at = pd.Timestamp(start)
-    except ValueError as error:
-        raise click.BadParameter(f"'{start}': write for example 2026-01-20 00:00", param_hint="--start") from error
-    if at.tzinfo is None and record.origin.tzinfo is not None:
-        at = at.tz_localize(record.origin.tz)
-    first = round(((at - record.origin).total_seconds() - record.time_s[0]) / record.step_s)
+    first = round((seconds_at(record.origin, start, "--start") - record.time_s[0]) / record.step_s)
     if not 0 < first <= record.n_steps - n:
         stamps = record.stamps()
         raise DataError(f"--start {start}: {n} steps from there are not in the record ({stamps[0]} to {stamps[-1]})")

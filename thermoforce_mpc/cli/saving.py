@@ -12,6 +12,7 @@ from rich.console import Console
 
 from thermoforce_mpc.cli.options import plot_option
 from thermoforce_mpc.data import Record
+from thermoforce_mpc.dataframes import seconds_at
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.whatif.days import Days
@@ -71,13 +72,7 @@ def command(
 
 def _index(record: Record, text: str, option: str) -> int:
     """The boundary of the record nearest to the time `text`, or its nearer end."""
-    try:
-        at = pd.Timestamp(text)
-    except ValueError as error:
-        raise click.BadParameter(f"'{text}': write for example 2026-02-01", param_hint=option) from error
-    if at.tzinfo is None and record.origin.tzinfo is not None:
-        at = at.tz_localize(record.origin.tz)
-    steps = ((at - record.origin).total_seconds() - record.time_s[0]) / record.step_s
+    steps = (seconds_at(record.origin, text, option) - record.time_s[0]) / record.step_s
     return int(np.clip(round(steps), 0, record.n_steps))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import Array, Names
-from thermoforce_mpc.dataframes import column, seconds_since
+from thermoforce_mpc.dataframes import column, seconds_at
 from thermoforce_mpc.errors import DataError, InputError
 
 
@@ -16,33 +16,34 @@ def levels_of(schedule: Path | None, level: float | None, names: Names, time_s: 
     """Levels (A, N) over the steps that begin at `time_s` (N,), s from `origin`.
 
     A schedule has a column `time` and one per actuator, `u` where there is one, else by name or as `u[name]` (a plan of
-    `tf-mpc plan` will do); a level holds until the next row.
+    `tf-mpc plan` will do); a level holds until the next row. Times are on the clock of `origin` or have an offset.
 
     Raises:
-        DataError: the file cannot be read, lacks a column, begins too late, or holds what is no level.
+        DataError: the file cannot be read, lacks a column or rows, begins too late, or holds what is no time or level.
     """
     if schedule is None:
         return np.full((len(names.actuators), time_s.size), level)
     try:
-        frame = pd.read_csv(schedule)
+        frame = pd.read_csv(schedule, dtype={"time": str})
     except (OSError, ValueError) as error:
         raise InputError(f"--schedule {schedule}: cannot be read as CSV ({error})") from error
     if "time" not in frame.columns:
         raise DataError(f"--schedule {schedule}: no column 'time'; there are {', '.join(map(str, frame.columns))}")
-    try:
-        index = pd.DatetimeIndex(pd.to_datetime(frame["time"]))
-    except ValueError as error:
-        raise DataError(f"--schedule {schedule}: column 'time' holds a cell that is no time stamp ({error})") from error
-    if index.tz is None and origin.tzinfo is not None:
-        index = index.tz_localize(origin.tz)
-    starts = seconds_since(origin, index, str(schedule))
+    if frame.empty:
+        raise DataError(f"--schedule {schedule}: no rows; give one at least, at the begin of the stretch or before")
+    # One by one, since over the end or begin of summer time the offsets of a plan differ.
+    starts = np.array(
+        [seconds_at(origin, at, f"--schedule {schedule}: row {k + 2}, time") for k, at in enumerate(frame["time"])]
+    )
     if (np.diff(starts) <= 0).any():
         raise DataError(
             f"--schedule {schedule}: row {int(np.argmax(np.diff(starts) <= 0)) + 3} is not later than before"
         )
     row = np.searchsorted(starts, time_s + 1.0, side="right") - 1
     if row[0] < 0:
-        raise DataError(f"--schedule {schedule}: begins at {index[0]}, after the stretch that is asked about")
+        raise DataError(
+            f"--schedule {schedule}: begins at {frame['time'].iloc[0]}, after the stretch that is asked about"
+        )
     return np.array([column(frame, _column(frame, names, a), str(schedule))[row] for a in range(len(names.actuators))])
 
 

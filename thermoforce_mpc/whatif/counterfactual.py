@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Names, Observation, Record
-from thermoforce_mpc.dataframes import seconds_since, table
+from thermoforce_mpc.dataframes import seconds_at, table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.report import step_response_of
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
@@ -142,8 +142,8 @@ def counterfactual(
     for a, unknown in enumerate(~np.isfinite(record.u[:, first : first + n])):
         if unknown.any():
             raise DataError(
-                f"{record.names.label('u', a)} was not measured in {unknown.sum()} of the {n} steps from {start} on, so "
-                "that there is nothing to compare with; choose a stretch in which it was"
+                f"{record.names.label('u', a)} was not measured in {unknown.sum()} of the {n} steps from {start} on: "
+                "there is nothing to compare with; choose a stretch in which it was"
             )
     whole, _ = bridged(record.slice(0, first + n))
     past, stretch = whole.slice(0, first), whole.slice(first, first + n)
@@ -178,16 +178,10 @@ def counterfactual(
 
 def _boundary(record: Record, start: pd.Timestamp | str | float) -> int:
     """The boundary of the record nearest to `start`; raises `DataError` for a time that cannot be read."""
-    if not isinstance(start, int | float):
+    if not isinstance(start, int | float | np.number):
         if record.origin is None:
             raise DataError(f"start is '{start}', but the record has no time stamps: give seconds")
-        try:
-            at = pd.Timestamp(start)
-        except ValueError as error:
-            raise DataError(f"start '{start}' is not a time stamp: write for example 2026-01-20 00:00") from error
-        if at.tzinfo is None and record.origin.tzinfo is not None:
-            at = at.tz_localize(record.origin.tz)
-        start = float(seconds_since(record.origin, pd.DatetimeIndex([at]), "start")[0])
+        start = seconds_at(record.origin, start, "start")
     return round((start - record.time_s[0]) / record.step_s)
 
 
