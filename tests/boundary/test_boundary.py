@@ -47,6 +47,7 @@ def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
         ("time,price\n3600,1\n7200,1\n", "start at 0"),
         ("time,price\n0,1\n0,2\n", "must rise"),
         ("time,price\n-1e308,1\n1e308,2\n", "a year ends at"),
+        ("time,price\n0,1\n34560000,2\n", "to 3.456e\\+07 s; a year ends at 3.1536e\\+07 s: give the prices of one"),
         ("time,price\n0,1\n60,1e308\n", "a price of 1e\\+308 per kWh"),
         ("time,price\n0,1\n60," + "9" * 200_000 + "\n", "line 3: not CSV"),
         ("time,price\n" + "0,1\n" * 600_100, "more than 600,000 prices"),
@@ -73,6 +74,18 @@ def test_prices_per_MWh_are_doubted(tmp_path):
     path = tmp_path / "prices.csv"
     path.write_text("time,price\n0,250\n3600,260\n")
     with pytest.warns(DoubtfulInput, match=r"prices\.csv: prices of 255 per kWh on average; are they per MWh\?"):
+        tariffs.tariff_from_file(path)
+
+
+def test_the_year_of_a_tariff_file_has_365_days(tmp_path):
+    path = tmp_path / "prices.csv"
+    year = "time,price\n" + "".join(f"{day * DAY_S},{0.1 if day < 364 else 0.2}\n" for day in range(365))
+    for closing in ("", f"{365 * DAY_S},0.9\n"):
+        path.write_text(year + closing)
+        tariff = tariffs.tariff_from_file(path)
+        np.testing.assert_allclose(tariff(np.array([364.5, 365, 365.5]) * DAY_S), [0.2, 0.1, 0.1])
+    path.write_text(year + f"{365 * DAY_S},0.9\n{366 * DAY_S},0.9\n")
+    with pytest.warns(DoubtfulInput, match=r"has prices until day 366; those after day 365 are not used"):
         tariffs.tariff_from_file(path)
 
 

@@ -72,17 +72,21 @@ def tariff_from_file(path: Path) -> Tariff:
     """Read a tariff from a CSV file (or .csv.gz); each price holds until the next time.
 
     Columns: `time`, s since 1 January, increasing from 0, and `price` per kWh, or BOPTEST's
-    PriceElectricPowerHighlyDynamic. A file of a whole year repeats; a shorter one is valid until its end.
+    PriceElectricPowerHighlyDynamic. A file of a whole year (365 days) repeats; a shorter one is valid until its end.
+    The 366th day of a leap year is read with a `DoubtfulInput` warning and not used.
 
     Raises:
-        ConfigError: the file is missing or damaged, has other columns, a value that is not a number, or times that do
-            not increase.
+        ConfigError: the file is missing or damaged, has other columns, a value that is not a number, times that do
+            not increase, or prices beyond a year.
     """
     time_s, price = _read_prices(path, _text(path))
     if time_s.size < 2:
         raise ConfigError(f"{path}: only one price; give at least two, whose distance says how long the last one holds")
-    if time_s.min() < -_YEAR_S or time_s.max() > 2 * _YEAR_S:
-        raise ConfigError(f"{path}: times from {time_s.min():g} to {time_s.max():g} s; a year ends at {_YEAR_S:g} s")
+    if time_s.min() < -_YEAR_S or time_s.max() > _YEAR_S + DAY_S:
+        raise ConfigError(
+            f"{path}: times from {time_s.min():g} to {time_s.max():g} s; a year ends at {_YEAR_S:g} s: "
+            "give the prices of one, which then repeats"
+        )
     if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{path}: times must rise and start at 0 s or before (first is {time_s[0]:g} s)")
     if np.abs(price).max() > _MOST_PRICE:
@@ -92,6 +96,13 @@ def tariff_from_file(path: Path) -> Tariff:
     if np.abs(price).mean() > _USUAL_PRICE:
         warnings.warn(
             f"{path}: prices of {np.abs(price).mean():g} per kWh on average; are they per MWh?",
+            DoubtfulInput,
+            stacklevel=2,
+        )
+    if time_s[-1] > _YEAR_S:  # a row at its end may close the year
+        warnings.warn(
+            f"{path}: has prices until day {time_s[-1] / DAY_S:g}; those after day 365 are not used, since the year "
+            "repeats then",
             DoubtfulInput,
             stacklevel=2,
         )
