@@ -164,6 +164,8 @@ def test_days_without_sun_are_left_out_where_it_is_metered() -> None:
     sun[24 * 5 : 24 * 8 + 1] = np.nan
     assert verified_saving(*_halves(replace(record, solar_W_m2=sun))).before.n == _BEFORE - 3
     assert verified_saving(*_halves(replace(record, solar_W_m2=0.0 * sun + np.nan))).before.n == _BEFORE
+    silent_at_night = np.where(record.solar_W_m2 > 0.0, record.solar_W_m2, np.nan)
+    assert verified_saving(*_halves(replace(record, solar_W_m2=silent_at_night))).before.n == _BEFORE
 
 
 def test_a_machine_without_a_meter_is_named() -> None:

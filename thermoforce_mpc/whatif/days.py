@@ -11,8 +11,9 @@ from scipy.signal import lfilter
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 
-# Least share of a day's steps that must be measured for it to count, and most steps of a gap in the weather.
-_LEAST_MEASURED = 0.9
+# Least share of a day's steps with energy and outdoor temperature for it to count, and with sun, where that is metered:
+# a sensor may be silent at night.
+_LEAST_MEASURED, _LEAST_SUN = 0.9, 0.25
 _JOULE_PER_KWH = 3.6e6
 # Time constants of the weather's low passes, h; 0: the day's own mean.
 LAGS_H: tuple[float, ...] = (0.0, 12.0, 24.0, 48.0)
@@ -69,13 +70,13 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
     # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
     total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
     known = np.isfinite(total) & np.isfinite(record.T_out_C[:-1])
-    if np.isfinite(record.solar_W_m2).any():
-        known &= np.isfinite(record.solar_W_m2[:-1])
+    sunny = np.isfinite(record.solar_W_m2[:-1])
+    least_sun = _LEAST_SUN if sunny.any() else 0.0
     rows: list[tuple[int, float, Array, Array, Array]] = []
     left_out = 0
     for day in range(first, last):
         at = slice(offset + (day - first) * k, offset + (day - first + 1) * k)
-        if known[at].mean() < _LEAST_MEASURED:
+        if known[at].mean() < _LEAST_MEASURED or sunny[at].mean() < least_sun:
             left_out += 1
             continue
         energy = float(np.nanmean(total[at])) * DAY_S / _JOULE_PER_KWH

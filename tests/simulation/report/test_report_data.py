@@ -14,10 +14,11 @@ from two_houses import TWO
 
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, Block, Layout, Names, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Names, Period, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.courses import course_of
 from thermoforce_mpc.simulation.report.decisions import decisions_json
+from thermoforce_mpc.simulation.report.other_levels import other_levels_json
 from thermoforce_mpc.simulation.report.packing import packed, smooth
 from thermoforce_mpc.simulation.report.plans import plans_json
 
@@ -259,6 +260,17 @@ def test_other_levels_and_step_responses_are_those_of_the_model(tmp_path):
     np.testing.assert_allclose(off - measured, -np.convolve(applied, impulse)[:24], atol=0.01)
     ((answer,),) = data["answers"]
     np.testing.assert_allclose(answer["K"][1:25], np.cumsum(impulse), atol=1e-3)
+
+
+def test_other_levels_are_not_asked_about_where_a_level_was_not_measured():
+    house, model = SimpleHouse(), simple_model()
+    config = MPCConfig.model_validate({"step_s": None, "horizon_h": 6})
+    mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
+    run = run_closed_loop(house, mpc, Period("x", 10 * DAY_S, scored_s=3 * DAY_S, warmup_s=2 * DAY_S))
+    unknown = tuple(replace(sample, u_measured=np.array([np.nan])) for sample in run.steps[30].samples)
+    run = replace(run, steps=[*run.steps[:30], replace(run.steps[30], samples=unknown), *run.steps[31:]])
+    other = other_levels_json(run, model, Layout.single())
+    assert ((numbers(other["time_s"]) - run.start.time_s) / HOUR_S).tolist() == [36.0, 42.0, 48.0]
 
 
 def test_rules_have_no_plans_to_show(tmp_path):

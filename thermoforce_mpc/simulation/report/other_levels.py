@@ -70,8 +70,10 @@ def _instants(record: Record, levels: int) -> list[float]:
     per_instant = 2 * 2 * levels * len(record.names.zones) * LENGTH_H * HOUR_S / record.step_s
     most = max(1, int(MOST_BYTES / per_instant))
     every = max(round(EVERY_H * HOUR_S / record.step_s), 1)
-    first, last = round(BEFORE_H * HOUR_S / record.step_s), record.n_steps - round(LENGTH_H * HOUR_S / record.step_s)
-    at = np.arange(max(first, 1), last + 1, every)
+    first, n = round(BEFORE_H * HOUR_S / record.step_s), round(LENGTH_H * HOUR_S / record.step_s)
+    at = np.arange(max(first, 1), record.n_steps - n + 1, every)
+    # Hours whose levels nobody measured cannot be asked about.
+    at = np.array([i for i in at if np.isfinite(record.u[:, i : i + n]).all()], dtype=np.intp)
     return [float(record.time_s[i]) for i in at[:: -(-at.size // most) or 1]]
 
 
