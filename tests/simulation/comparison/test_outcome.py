@@ -48,6 +48,20 @@ def test_targets_compare_with_the_thermostat():
     assert not targets["other mpc over thermostat"].holds
 
 
+@pytest.mark.parametrize(
+    ("ours", "thermostat", "cheapest"), [(0.0, 0.0, "both"), (-0.02, -0.01, "ours"), (0.1, 0.0, "thermostat")]
+)
+def test_a_baseline_that_costs_nothing_or_earns_is_compared_without_a_ratio(ours, thermostat, cheapest):
+    rows = outcome_rows(
+        [record("ours", ours, 0, needs_model=True), record("thermostat", thermostat, 0, needs_model=False)]
+    )
+    best = [row["controller"] for row in rows if row["best_cost"]]
+    assert best == (["ours", "thermostat"] if cheapest == "both" else [cheapest])
+    assert [row["controller"] for row in rows if row["pareto"]] == best
+    assert f"cheapest {', '.join(best)}" in verdicts(rows)[0]
+    assert cost_targets(rows) == []
+
+
 def test_the_files_tell_the_same(tmp_path):
     result = write_outcome(tmp_path, [*RECORDS, FAILED], name="compare", title="A <title>", currency="EUR")
     assert result["bench"] == "compare"

@@ -31,7 +31,7 @@ def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
     for group in grouped(rows).values():
         done = [row for row in group if row["status"] == DONE]
         for row in done:
-            row["best_cost"] = row[COST] <= min(other[COST] for other in done) * (1 + _COST_TIE)
+            row["best_cost"] = not any(_cheaper(other, row) for other in done)
             row["best_discomfort"] = row[DISCOMFORT] <= min(other[DISCOMFORT] for other in done) + _DISCOMFORT_TIE_KH
             row["pareto"] = not any(dominates(other, row) for other in done)
     return rows
@@ -54,11 +54,15 @@ def group_title(group: tuple[str, str, str]) -> str:
 
 def dominates(one: Row, other: Row) -> bool:
     """Whether `one` is no worse than `other` in cost and in discomfort, and better in one of them."""
-    cheaper = one[COST] < other[COST] * (1 - _COST_TIE)
     calmer = one[DISCOMFORT] < other[DISCOMFORT] - _DISCOMFORT_TIE_KH
-    dearer = one[COST] > other[COST] * (1 + _COST_TIE)
     harsher = one[DISCOMFORT] > other[DISCOMFORT] + _DISCOMFORT_TIE_KH
-    return (cheaper or calmer) and not dearer and not harsher
+    return (_cheaper(one, other) or calmer) and not _cheaper(other, one) and not harsher
+
+
+def _cheaper(one: Row, other: Row) -> bool:
+    """Whether `one` costs less; costs may be 0, and negative where prices are."""
+    tie = _COST_TIE * max(abs(one[COST]), abs(other[COST]))
+    return bool(one[COST] < other[COST] - tie)
 
 
 def verdicts(rows: Iterable[Row]) -> list[str]:
@@ -88,7 +92,10 @@ def verdicts(rows: Iterable[Row]) -> list[str]:
 
 
 def cost_targets(rows: Iterable[Row]) -> list[Target]:
-    """One target per model-based cell: cost relative to the thermostat (else the cheapest baseline), at most 1."""
+    """One target per model-based cell: cost relative to the thermostat (else the cheapest baseline), at most 1.
+
+    None in groups where that costs nothing, or earns: there is no share of it.
+    """
     targets: list[Target] = []
     for group, members in grouped(rows).items():
         done = [row for row in members if row["status"] == DONE]
@@ -96,6 +103,8 @@ def cost_targets(rows: Iterable[Row]) -> list[Target]:
         if not baselines:
             continue
         name = "thermostat" if "thermostat" in baselines else min(baselines, key=lambda key: baselines[key][COST])
+        if baselines[name][COST] <= 0:
+            continue
         for row in done:
             if row["needs_model"]:
                 what = f"{group_title(group)}: cost of {row['controller']} over {name}"
@@ -121,7 +130,7 @@ def _losses(row: Row, baselines: Sequence[Row]) -> list[str]:
         )
         if dominates(baseline, row):
             texts.append(f"baseline {baseline['controller']} beats {row['controller']} {pair}")
-        elif baseline[COST] < row[COST] * (1 - _COST_TIE):
+        elif _cheaper(baseline, row):
             texts.append(f"baseline {baseline['controller']} is cheaper than {row['controller']} {pair}")
         elif baseline[DISCOMFORT] < row[DISCOMFORT] - _DISCOMFORT_TIE_KH:
             texts.append(f"baseline {baseline['controller']} is more comfortable than {row['controller']} {pair}")
