@@ -359,6 +359,8 @@ def test_weeks_are_the_coldest_and_a_sunny_one_with_heating():
     assert mean(cold, "T_dry_C") < mean(sunny, "T_dry_C")
     assert mean(cold, "global_W_m2") < mean(sunny, "global_W_m2")
     assert plant.period("44").start_s == 44 * DAY_S
+    # What `tf-mpc run` and `compare` take by default.
+    assert (plant.period("peak_heat_day"), plant.period("typical_heat_day")) == (cold, sunny)
     with pytest.raises(InputError, match="cold_week"):
         plant.period("warm_week")
 

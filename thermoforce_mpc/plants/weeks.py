@@ -8,6 +8,7 @@ from thermoforce_mpc.data import DAY_S, Array, Period
 from thermoforce_mpc.plants.checks import day_period
 
 WEEKS = ("cold_week", "sunny_week")
+_WEEK_OF = {"peak_heat_day": "cold_week", "typical_heat_day": "sunny_week"}
 # First days of the weeks a window is chosen from, and least heat load of the sunny week relative to the design load.
 _COLD_DAYS, _SUNNY_DAYS, _LEAST_LOAD = range(17, 53), range(60, 111), 0.12
 
@@ -21,6 +22,8 @@ def week_or_day(
     radiation of those that start on day 60 to 110 and whose heat load at 20 °C is 12 % of the design load or more;
     without such a week the one with the highest heat load.
 
+    BOPTEST's names stand for them: 'peak_heat_day' for the cold week, 'typical_heat_day' for the sunny one.
+
     Args:
         name: name of the week, or day of the year.
         T_out_C, global_W_m2: outdoor temperature and irradiance of the year every `grid_s`, shape (n,).
@@ -31,6 +34,7 @@ def week_or_day(
     Raises:
         InputError: `name` is neither of these nor a day of the year.
     """
+    name = _WEEK_OF.get(name, name)
     if name not in WEEKS:
         return day_period(name, WEEKS)
     week = round(7 * DAY_S / grid_s)

@@ -31,7 +31,6 @@ SEED = 15
 # The baseline thermostats' set-points above the lower bounds in use, K, as in the shipped test case (21.3 for 21 °C).
 THERMOSTAT_ABOVE_K = 0.3
 
-_WEEK_OF = {"peak_heat_day": "cold_week", "typical_heat_day": "sunny_week"}
 _NAME = re.compile(r"house:(\d+)rooms?(?::(\d+))?")
 _CLOCK_S = 1e-6
 
@@ -122,15 +121,13 @@ class HouseOfRooms:
     def period(self, name: str) -> Period:
         """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day, see `week_or_day`.
 
-        BOPTEST's names stand for them: 'peak_heat_day' for the cold week, 'typical_heat_day' for the sunny one.
-
         Raises:
             InputError: `name` is neither of these nor a day of the year.
         """
         T_out = self._weather[:, physics.T_OUT]
         heat_W = self._gains.sum(axis=1) + self._weather[:, physics.SUN :].sum(axis=1)
         return week_or_day(
-            _WEEK_OF.get(name, name),
+            name,
             T_out_C=T_out,
             global_W_m2=self._weather[:, physics.GLOBAL],
             load_W=self.house.loss_W_K * (20.0 - T_out) - heat_W,
