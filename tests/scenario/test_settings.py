@@ -70,7 +70,8 @@ def test_a_number_is_a_start_day(tmp_path):
     ],
 )
 def test_without_a_period_the_season_of_the_building_decides(tmp_path, testcase, period):
-    assert load_scenario(None, {"testcase": testcase}).period == period
+    found = load_scenario(None, {"testcase": testcase})
+    assert (found.period, found.model_fields_set) == (period, {"testcase"})
     assert load_scenario(write(tmp_path, f"testcase: {testcase}\nperiod: 200\n"), {}).period == "200"
 
 

@@ -47,8 +47,8 @@ def command(**options: Any) -> None:
     elif file is None:
         names = comma_list(_CONTESTANTS, "--controllers")
     variants = variants_by_name(names, file)
-    axes = axes_from(options, file.windows if file else (), file.prices if file else ())
     base = scenario_from(scenario_options_from(options), file.scenario if file else None)
+    axes = axes_from(options, base, file)
     exit_with(
         run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")
     )

@@ -24,7 +24,7 @@ from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, show
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
-from thermoforce_mpc.simulation.comparison.variants import Variant, comma_list, price_names
+from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.display import zone_table
 
@@ -43,12 +43,25 @@ def comparison_options(function: Function) -> Function:
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
             click.option("--config", metavar="FILE", help="Base scenario: a YAML file or a shipped name."),
-            click.option("--windows", metavar="A,B", help="peak_heat_day, typical_heat_day, or start days such as 44."),
-            click.option("--prices", metavar="A,B", help="constant, dynamic, highly_dynamic.  [default: constant]"),
+            click.option(
+                "--windows",
+                metavar="A,B",
+                help="peak_heat_day, typical_heat_day, or start days such as 44.  [default: the scenario's, else the "
+                "peak and typical day of the building's season]",
+            ),
+            click.option(
+                "--prices",
+                metavar="A,B",
+                help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
+            ),
             click.option("--days", type=float, help="Scored days.  [default: 14]"),
             click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
             click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing."),
-            click.option("--forecast-uncertainty", metavar="A,B", help="none, low, medium, high.  [default: none]"),
+            click.option(
+                "--forecast-uncertainty",
+                metavar="A,B",
+                help="none, low, medium, high.  [default: the scenario's, else none]",
+            ),
             click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file."),
             click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
             click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
@@ -76,24 +89,49 @@ class Axes:
     uncertainties: tuple[str, ...]
 
 
-def axes_from(options: Mapping[str, Any], windows: Sequence[str] = (), prices: Sequence[str] = ()) -> Axes:
-    """The axes from a command's options, else the arguments, else two windows under the constant tariff.
+def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile | None = None) -> Axes:
+    """The axes from a command's options, else from its file of variants, else from the scenario.
+
+    A scenario without a period gives the peak and the typical day of the building's season.
 
     Raises:
-        ConfigError: an unknown window, tariff or error level, or one given twice.
+        ConfigError: an unknown window, tariff or error level, one given twice, or one of the scenario that the file
+            would replace.
     """
-    chosen = comma_list(options["windows"], "--windows") if options["windows"] is not None else tuple(windows)
-    chosen = chosen or ("peak_heat_day", "typical_heat_day")
-    for window in chosen:
+    if options["windows"] is not None:
+        windows = comma_list(options["windows"], "--windows")
+    else:
+        windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
+    for window in windows:
         check_window(window)
-    tariffs = price_names(options["prices"]) if options["prices"] is not None else tuple(prices)
+    if options["prices"] is not None:
+        prices = price_names(options["prices"])
+    else:
+        prices = _of_file(base, "price", "prices", file.prices if file else ()) or (base.price,)
     text = options["forecast_uncertainty"]
-    levels = comma_list(text, "--forecast-uncertainty") if text is not None else ("none",)
+    levels = comma_list(text, "--forecast-uncertainty") if text is not None else (base.plant.forecast_uncertainty,)
     for level in levels:
         if level not in UNCERTAINTIES:
             known = ", ".join(UNCERTAINTIES)
             raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {known}")
-    return Axes(chosen, tariffs or ("constant",), levels)
+    return Axes(windows, prices, levels)
+
+
+def _of_file(base: Scenario, key: str, axis: str, values: tuple[str, ...]) -> tuple[str, ...]:
+    """The values that a file of variants gives to an axis; raises `ConfigError` where the scenario has its own."""
+    if values and key in base.model_fields_set and values != (getattr(base, key),):
+        raise ConfigError(
+            f"{key}: the scenario has {getattr(base, key)}, and the file of variants {axis}: {', '.join(values)}; say "
+            f"with --{axis} which to run"
+        )
+    return values
+
+
+def _windows_of(base: Scenario) -> tuple[str, ...]:
+    if "period" in base.model_fields_set:
+        return (base.period,)
+    season = "cool" if load_testcase(base.testcase).mode == "cooling" else "heat"
+    return f"peak_{season}_day", f"typical_{season}_day"
 
 
 def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -63,7 +63,9 @@ def command(**options: Any) -> None:
     beside = variants_by_name(comma_list(options["beside"], "--beside"), None) if options["beside"].strip() else {}
     title = f"{controller} over {key} on {base.testcase}"
     variants = {**swept, **beside}
-    exit_with(run_comparison(base, variants, axes_from(options), options, name="sweep", title=title, swept=labels))
+    exit_with(
+        run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
+    )
 
 
 def _number(word: str) -> float:

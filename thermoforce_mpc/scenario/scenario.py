@@ -158,13 +158,14 @@ def load_testcase(name: str) -> TestCase:
 def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
     """Read a scenario file (or none) and apply `overrides`; raises `ConfigError` naming file and key.
 
-    Without a period, a heated building gets 'peak_heat_day' and a cooled one 'peak_cool_day'.
+    Without a period, a heated building gets 'peak_heat_day' and a cooled one 'peak_cool_day'; `model_fields_set` has no
+    period then.
     """
     data = merge(read_yaml(path) if path else {}, overrides)
     source = str(path) if path else "options"
     scenario = validate(Scenario, data, source)
     if "period" not in data and _is_cooled(scenario.testcase):
-        return scenario.model_copy(update={"period": "peak_cool_day"})
+        return Scenario.model_construct(scenario.model_fields_set, **{**dict(scenario), "period": "peak_cool_day"})
     return scenario
 
 

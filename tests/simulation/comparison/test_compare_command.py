@@ -9,11 +9,13 @@ from click.testing import CliRunner
 from emulator_service import running_emulator_service
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.cli.comparing import Axes, axes_from
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.store import Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
-from thermoforce_mpc.simulation.comparison.variants import Variant
+from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant
 
 TESTCASE = "bestest_hydronic_heat_pump"
 
@@ -98,6 +100,39 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path, monkeypatch, wor
     done = tf_mpc("compare", "--testcase", TESTCASE, *words)
     assert message in str(done.exception)
     assert not list(tmp_path.iterdir())
+
+
+GIVEN_NONE = {"windows": None, "prices": None, "forecast_uncertainty": None}
+
+
+@pytest.mark.parametrize(
+    ("scenario", "axes"),
+    [
+        ({}, Axes(("peak_heat_day", "typical_heat_day"), ("constant",), ("none",))),
+        (
+            {"period": 44, "price": "dynamic", "plant": {"forecast_uncertainty": "high"}},
+            Axes(("44",), ("dynamic",), ("high",)),
+        ),
+        (
+            {"testcase": "energyplus:cooling_phoenix"},
+            Axes(("peak_cool_day", "typical_cool_day"), ("constant",), ("none",)),
+        ),
+    ],
+)
+def test_what_the_scenario_says_is_compared(scenario, axes):
+    base = load_scenario(None, {"testcase": TESTCASE} | scenario)
+    assert axes_from(GIVEN_NONE, base) == axes
+    given = {"windows": "58", "prices": "constant,dynamic", "forecast_uncertainty": "low"}
+    assert axes_from(given, base) == Axes(("58",), ("constant", "dynamic"), ("low",))
+
+
+def test_a_file_of_variants_does_not_replace_what_the_scenario_says():
+    file = ComparisonFile(variants={"n": Variant(controller="native")}, windows=(44, 58), prices=("constant",))
+    assert axes_from(GIVEN_NONE, Scenario(testcase=TESTCASE), file) == Axes(("44", "58"), ("constant",), ("none",))
+    base = Scenario(testcase=TESTCASE, price="dynamic")
+    with pytest.raises(ConfigError, match=r"price: the scenario has dynamic.*prices: constant; say with --prices"):
+        axes_from(GIVEN_NONE, base, file)
+    assert axes_from(GIVEN_NONE | {"prices": "dynamic"}, base, file).prices == ("dynamic",)
 
 
 def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):

@@ -56,6 +56,7 @@ def test_the_ablation_changes_one_part_at_a_time():
         ("variants: {}", "variants"),
         ("variants: {'a/b': {controller: native}}", "a/b"),
         ("variants: {a: {controller: native}}\nprices: [cheap]", "prices"),
+        ("variants: {a: {controller: native}}\nwindows: [44, 44]", "44 is given twice"),
     ],
 )
 def test_a_wrong_file_is_refused_with_file_and_key(tmp_path, text, message):
@@ -85,6 +86,15 @@ def test_names_given_twice_unknown_or_missing_are_refused():
 def test_a_wrong_option_names_its_variant_before_anything_runs():
     with pytest.raises(ConfigError, match=r"(?s)variant 'b': .*horizon_hours"):
         expand(BASE, {"b": Variant(controller="rc_mpc", options={"horizon_hours": 3})}, ["44"], ["constant"])
+
+
+def test_options_of_the_scenario_are_those_of_its_controller():
+    base = Scenario(testcase=TESTCASE, controller={"name": "pi", "options": {"kp": 0.4, "offset_K": 0.2}})
+    variants = {"pi": Variant(controller="pi", options={"kp": 0.5}), "native": Variant(controller="native")}
+    options = [cell.scenario.controller.options for cell in expand(base, variants, ["44"], ["constant"])]
+    assert options == [{"kp": 0.5, "offset_K": 0.2}, {}]
+    with pytest.raises(ConfigError, match=r"controller\.options: .*'pi', and no variant"):
+        expand(base, {"native": Variant(controller="native")}, ["44"], ["constant"])
 
 
 def test_a_run_is_known_by_what_decides_it_not_by_its_name():

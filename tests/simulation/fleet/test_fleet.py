@@ -152,6 +152,7 @@ def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> N
         ({"windows": ["cold_weak"]}, "cold_weak"),
         ({"seeds": [1, 1]}, "twice"),
         ({"scenario": {"perid": 3}}, "perid"),
+        ({"scenario": {"price": "dynamic"}}, "price: has a key of its own in a fleet, which would replace it: prices"),
         ({"variants": {"ours": {"controller": "thermoforce"}}, "reference": "ours"}, "thermoforce"),
         ({"buildings": [{"table": "none.csv"}]}, "none.csv"),
     ],

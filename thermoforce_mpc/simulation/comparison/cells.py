@@ -74,6 +74,12 @@ def expand(
 
     `inputs`: hashes that several calls share.
     """
+    own = base.controller
+    if own.options and own.name not in {variant.controller for variant in variants.values()}:
+        raise ConfigError(
+            f"controller.options: they are options of '{own.name}', and no variant has this controller; give options "
+            "to the variants, or leave these out"
+        )
     inputs = inputs or Inputs()
     cells: list[Cell] = []
     for window in windows:

@@ -45,6 +45,13 @@ class ComparisonFile(StrictModel):
             return value
         return [str(item) if isinstance(item, int | float) and not isinstance(item, bool) else item for item in value]
 
+    @field_validator("windows", "prices")
+    @classmethod
+    def _each_once(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError(f"{next(item for item in value if value.count(item) > 1)} is given twice")
+        return value
+
     @field_validator("variants")
     @classmethod
     def _plain_names(cls, value: dict[str, Variant]) -> dict[str, Variant]:
@@ -118,6 +125,8 @@ def numeric_option(controller: str, key: str) -> str:
 def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, uncertainty: str) -> Scenario:
     """Scenario of one cell: `base` with this variant, window, tariff and forecast error level.
 
+    The controller's options are those of `base` where it is the same controller, then the variant's.
+
     Raises:
         ConfigError: the variant's `identification` has wrong keys.
     """
@@ -131,7 +140,8 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
     if variant.step_s is not None:
         over["step_s"] = variant.step_s
     data = merge(data, over)
-    data["controller"] = {"name": variant.controller, "options": variant.options}
+    own = base.controller.options if variant.controller == base.controller.name else {}
+    data["controller"] = {"name": variant.controller, "options": merge(own, variant.options)}
     data["baselines"] = ()
     return validate(Scenario, data, f"variant of '{variant.controller}'")
 

@@ -13,6 +13,9 @@ from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Varia
 
 # A thermostat on a wall reacts within minutes; at the step of the plans it overshoots and is too easy to beat.
 _THERMOSTAT_STEP_S = 300.0
+# Keys of a scenario, and those of a fleet from which every run has them.
+_ELSEWHERE = {"testcase": "buildings", "period": "windows", "price": "prices", "days": "days", "seed": "seeds",
+              "controller": "variants", "baselines": "variants"}  # fmt: skip
 
 
 class Generated(StrictModel):
@@ -83,8 +86,14 @@ class FleetFile(StrictModel):
     @field_validator("windows", "prices", "seeds")
     @classmethod
     def _each_once(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
-        if len(set(value)) < len(value):
-            raise ValueError(f"{next(item for item in value if value.count(item) > 1)} is given twice")
+        return ComparisonFile._each_once(value)
+
+    @field_validator("scenario")
+    @classmethod
+    def _of_all_runs(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for key in value:
+            if key in _ELSEWHERE:
+                raise ValueError(f"{key}: has a key of its own in a fleet, which would replace it: {_ELSEWHERE[key]}")
         return value
 
     @model_validator(mode="after")
