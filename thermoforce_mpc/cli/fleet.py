@@ -17,7 +17,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute
+from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE
@@ -103,6 +103,13 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     if not quiet:
         taken = f"{len(rows_of_others)} are taken from other datasets, " if reuse else ""
         console.print(f"{len(records)} runs are done, {taken}{len(todo)} are left; {results.folder}", soft_wrap=True)
+        made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
+        if stale := sum(source != source_fingerprint() for source in made_by):
+            console.print(
+                f"Note: {stale} of them were made by other source code of this version; to run all anew, take another "
+                f"--out{' and leave out --reuse' if rows_of_others else ''}",
+                soft_wrap=True,
+            )
     try:
         if todo:
             _run(todo, results, records, console, engine, quiet)
@@ -114,7 +121,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         results.folder, [rows_of_others.get(run.cell.key) or row_of(run, records[run.cell.key]) for run in runs]
     )
     rows = read_dataset(dataset)
-    verdicts = write_models(results.folder, results, own, measured)
+    verdicts = write_models(results.folder, results, own, records, measured)
     page = results.folder / "index.html"
     said = shlex.join(["tf-mpc", "fleet", fleet])
     write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said))

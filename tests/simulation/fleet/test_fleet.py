@@ -15,14 +15,19 @@ from click.testing import CliRunner
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli import fleet as fleet_command
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.simulation.comparison import cells
+from thermoforce_mpc.simulation.comparison.store import Identified
+from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import FORMAT, SCHEMA, read_dataset
 from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.page import fleet_page
+from thermoforce_mpc.simulation.fleet.runs import FleetResults, Ran, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
 
 RULES = {"thermostat": {"controller": "thermostat", "options": {"step_s": 300}}, "native": {"controller": "native"}}
@@ -108,6 +113,31 @@ def test_parts_of_a_fleet_run_apart_come_together(tmp_path: Path) -> None:
     (tmp_path / "more").mkdir()
     more = _file(tmp_path / "more", buildings=[{"generated": {"seed": 5, "count": 3}}])
     assert "8 are taken from other datasets, 4 are left" in _fleet(more, "--reuse", str(tmp_path / "out"))[1]
+
+
+def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours = {"ours": {"controller": "rc_mpc"}}
+    path = _file(tmp_path, variants=ours, reference="ours", buildings=[{"generated": {"seed": 5, "count": 1}}])
+    file, results = load_fleet(str(path))[0], FleetResults(tmp_path / "out")
+    runs = runs_of(file, buildings_of(file, path), path)
+    for run in runs:
+        (task,) = tasks_of([run])
+        record = failure(run.cell, "") | {"status": "done", "kpis": {"cost_tot": 1.0, "tdis_tot": 0.0, "ener_tot": 1.0}}
+        results.put(task, Ran(record))
+        for need in task.needs:
+            results.put(need, Identified(refused="too few steps"))
+    assert _fleet(path)[0] == 0
+    models, rows = (tmp_path / "out" / name for name in ("models.parquet", "runs.parquet"))
+    before = models.read_bytes(), rows.read_bytes()
+    for module in (cells, fleet_command):
+        monkeypatch.setattr(module, "source_fingerprint", lambda: "other")
+    code, said = _fleet(path)
+    assert code == 0, said
+    assert "Note: 2 of them were made by other source code of this version" in said
+    assert (models.read_bytes(), rows.read_bytes()) == before
+    assert pd.read_parquet(models)["verdict"].tolist() == ["refused: too few steps"] * 2
 
 
 def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path) -> None:

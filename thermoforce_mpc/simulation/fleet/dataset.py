@@ -52,7 +52,8 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
         "plant": plant.get("kind", ""),
         "weather": plant.get("weather", ""),
         "key": cell.key,
-        "identification": cell.identification_key or "",
+        # That of the model the run had: after a change of the source the cell's key is another.
+        "identification": record["model"] if cell.identification_key else "",
         "version": record["version"],
         "code": record["source"],
         "start_day": record.get("start_day"),

@@ -85,14 +85,30 @@ def with_models(buildings: Iterable[Building], models: Mapping[str, Path]) -> li
     return found
 
 
-def write_models(folder: Path, results: FleetResults, runs: Sequence[Run], records: Mapping[str, Task]) -> Path:
-    """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`."""
+def write_models(
+    folder: Path,
+    results: FleetResults,
+    runs: Sequence[Run],
+    records: Mapping[str, Mapping[str, Any]],
+    measured: Mapping[str, Task],
+) -> Path:
+    """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`.
+
+    Args:
+        folder: folder of the fleet.
+        results: where its models are.
+        runs: runs that were made here, now or before.
+        records: their records by key; they name the model that a run had.
+        measured: identifications from measurements by building.
+    """
     rows, seen = [], set[str]()
-    for name, task in records.items():
+    for name, task in measured.items():
         rows += _rows(results.model_path(task.key), {"building": name, "window": "", "from": "record", "key": task.key})
     for run in runs:
-        key = run.cell.identification_key
-        if key is not None and key not in seen:
+        if run.cell.identification_key is None:
+            continue
+        key = records[run.cell.key]["model"]
+        if key not in seen:
             seen.add(key)
             rows += _rows(
                 results.model_path(key),
