@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +17,9 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
+from thermoforce_mpc.model.free_response.backbones.loading import shipped_folder
 from thermoforce_mpc.research.bench.factual import run_factual_bench
-from thermoforce_mpc.research.factual import tables
+from thermoforce_mpc.research.factual import suite, tables
 from thermoforce_mpc.research.factual.evaluate import BEST, METHODS, OURS, RAW, RESIDUAL_PERSISTED, Scores
 from thermoforce_mpc.research.factual.homes import Home, prepared
 from thermoforce_mpc.research.factual.protocol import Protocol
@@ -104,6 +106,29 @@ def test_scores_are_kept_and_computed_anew_for_other_data(
     assert computed == 1
     assert anew[0].errors == scores[0].errors
     assert anew[1].errors != scores[1].errors
+
+
+def test_scores_are_computed_anew_for_other_weights(
+    homes: list[Home], engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = tmp_path / "weights"
+    shutil.copytree(shipped_folder("shipped_tiny"), weights)
+
+    def computed() -> int:
+        return run_suite([homes[1]], _SMALL, tmp_path / "scores", backbone=str(weights), engine=engine)[2]
+
+    monkeypatch.setattr(suite, "_evaluate", _nothing)
+    assert (computed(), computed()) == (1, 0)
+    (weights / "more.json").write_text("{}")
+    assert (computed(), computed()) == (1, 0)
+    monkeypatch.setattr(suite, "source_fingerprint", lambda: "other")
+    assert computed() == 1
+
+
+def _nothing(task: tuple) -> Scores:
+    """Scores of a home without forecasting anything."""
+    zero = {"0": {"6": 0.0}, "3": {"6": 0.0}}
+    return Scores(task[0].home.name, "made", {RAW: zero, BEST: zero})
 
 
 def test_nothing_is_chosen_on_the_test_part(

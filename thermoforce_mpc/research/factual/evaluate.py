@@ -27,7 +27,6 @@ RESIDUAL_PERSISTED, BEST = "ThermoForce, residual, persist-weather", "ThermoForc
 METHODS = (
     PERSISTENCE, RAW, RC_FULL, RC_PERSISTED, COVARIATES, COVARIATES_AR, OURS, RESIDUAL, RESIDUAL_PERSISTED, BEST,
 )  # fmt: skip
-_WITHOUT_BUDGET = (PERSISTENCE, RAW)
 _LEAD_EDGES_H = (3.0, 6.0, 12.0)
 # Prior weights of the composed forecast and of the residual free response's three candidates, and their strength.
 _PRIOR, _STRENGTH = np.full(4, 0.25), 1.0

@@ -10,12 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.execution import Engine, run_all, source_fingerprint
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, shipped_folder
 from thermoforce_mpc.research.factual.evaluate import BEST, RAW, Evaluation, Scores
 from thermoforce_mpc.research.factual.homes import Home, Prepared, prepared
 from thermoforce_mpc.research.factual.protocol import Protocol
+from thermoforce_mpc.simulation.comparison.cells import Inputs
 from thermoforce_mpc.simulation.run_folder import write_json
-from thermoforce_mpc.version import VERSION
 
 Say = Callable[[str], None]
 
@@ -37,7 +38,8 @@ def run_suite(
     Args:
         homes: as read.
         protocol: how they are cut and scored.
-        folder: where each home's scores are kept; those of the same settings and data are read, not computed.
+        folder: where each home's scores are kept; those of the same settings, data, weights and source code are read,
+            not computed.
         backbone: weights of the forecaster.
         others: further backbones for their table.
         engine: where homes are scored; results do not depend on it.
@@ -45,6 +47,7 @@ def run_suite(
 
     Raises:
         BackboneError: the forecaster's weights cannot be loaded.
+        ConfigError: they cannot be read.
         DataError: no home can be scored; the message says why not.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -52,6 +55,7 @@ def run_suite(
     found: dict[str, Scores] = {}
     tasks: list[_Task] = []
     keys: dict[str, str] = {}
+    weights = _weights((backbone, *others))
     for home in homes:
         try:
             ready = prepared(home, protocol)
@@ -59,7 +63,7 @@ def run_suite(
             left_out[home.name] = str(error)
             say(f"left out: {error}")
             continue
-        keys[home.name] = _key(ready, protocol, backbone, others)
+        keys[home.name] = _key(ready, protocol, weights)
         kept = _read(_file(folder, home.name), keys[home.name])
         if kept:
             found[home.name] = kept
@@ -95,11 +99,17 @@ def _file(folder: Path, home: str) -> Path:
     return folder / f"{re.sub(r'[^A-Za-z0-9]+', '_', home)}.json"
 
 
-def _key(home: Prepared, protocol: Protocol, backbone: str, others: Sequence[str]) -> str:
-    """Hash of everything that a home's scores depend on, the suite's own code included."""
-    digest = hashlib.sha256(json.dumps([protocol.to_json(), backbone, list(others), VERSION]).encode())
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(file.read_bytes())
+def _weights(backbones: Sequence[str]) -> list[list[str]]:
+    """The forecasters by name and, where their weights are in a folder, its content."""
+    content = Inputs()
+    folders = {name: shipped_folder(name) if name in SHIPPED_SCALES else Path(name) for name in backbones}
+    return [[name, content(str(at)) if (at := folders[name]).expanduser().is_dir() else ""] for name in backbones]
+
+
+def _key(home: Prepared, protocol: Protocol, weights: Sequence[Sequence[str]]) -> str:
+    """Hash of everything that a home's scores depend on, the source code included."""
+    settings = [protocol.to_json(), list(weights), source_fingerprint()]
+    digest = hashlib.sha256(json.dumps(settings).encode())
     record = home.record
     for values in (record.time_s, home.truth_C, record.T_out_C, record.solar_W_m2, *home.levels.values(), home.usable):
         digest.update(values.tobytes())
