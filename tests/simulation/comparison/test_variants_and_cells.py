@@ -178,7 +178,10 @@ def test_files_that_decide_a_run_count_by_content(tmp_path):
     fmu.write_bytes(b"two")
     second = key()
     (backbone / "config.json").write_text("two", encoding="utf-8")
-    assert len({first, second, key()}) == 3
+    third = key()
+    (backbone / "below").mkdir()
+    (backbone / "below" / "weights.bin").write_bytes(b"three")
+    assert len({first, second, third, key()}) == 4
 
 
 def test_defaults_written_out_are_the_same_run():

@@ -107,8 +107,8 @@ class Inputs:
             where = Path(path).expanduser()
             try:
                 if where.is_dir():
-                    files = sorted(p for p in where.iterdir() if p.is_file())
-                    self._known[path] = digest({file.name: file_sha256(file) for file in files})
+                    files = sorted(p for p in where.rglob("*") if p.is_file())
+                    self._known[path] = digest({p.relative_to(where).as_posix(): file_sha256(p) for p in files})
                 else:
                     self._known[path] = file_sha256(where)
             except OSError as error:
