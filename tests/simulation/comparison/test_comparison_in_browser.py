@@ -123,6 +123,23 @@ def test_confidence_is_shown_beside_any_reference(seen):
     assert not any(row.startswith("native") for row in rows)
 
 
+def test_differences_are_told_with_their_own_windows(browser, tmp_path):
+    costs = {"ours": {"16": 0.5, "44": 0.4}, "pi": {"44": 0.7}, "thermostat": {"16": 0.5, "44": 0.5}}
+    records = [
+        record(name, cost, 0.1, needs_model=name == "ours", window=window)
+        for name in ("pi", "ours", "thermostat")
+        for window, cost in costs[name].items()
+    ]
+    write_outcome(tmp_path, records, name="compare", title="t", currency="EUR")
+    seen = Seen(browser, tmp_path / "comparison.html")
+    line = seen.page.locator("#paired svg .difference[data-name=ours]").first
+    line.locator("rect.hit").hover(position={"x": 3, "y": 3})
+    tip = seen.page.locator(".tip").inner_text()
+    assert "16: 0.0 %" in tip
+    assert "44: −20.0 %" in tip
+    seen.close()
+
+
 def test_markup_in_names_is_shown_and_never_run(seen):
     assert EVIL in seen.page.locator("h1").inner_text()
     assert EVIL in seen.page.locator("#pareto-legend").inner_text()

@@ -15,7 +15,7 @@ const Paired = (() => {
     return `${sign(difference.mean)} ${kind.unit}, 95 % between ${sign(difference.mean - difference.half)} and ${sign(difference.mean + difference.half)}`;
   }
 
-  function plot(place, rows, kind, windows) {
+  function plot(place, rows, kind) {
     const width = Math.max(280, place.clientWidth), height = TOP + ROW * rows.length + BOTTOM;
     const longest = Math.max(...rows.map((row) => Marks.label(row.controller).length));
     const left = Math.min(NAME, 0.36 * width, 14 + 7.4 * longest);
@@ -23,7 +23,7 @@ const Paired = (() => {
     // An interval of two or three windows may be far wider than what was seen: it is cut at three times that.
     const seen = Math.max(...rows.flatMap((row) => row[kind.key].values.map(Math.abs)), kind.key === "cost" ? 1 : 0.1);
     const cut = (value) => Math.max(-3 * seen, Math.min(3 * seen, value));
-    const low = Math.min(0, ...values.map(cut)), high = Math.max(0, ...values.map(cut)), room = 0.06 * (high - low);
+    const low = Math.min(0, ...values.map(cut)), high = Math.max(0, ...values.map(cut)), room = 0.06 * (high - low || seen);
     const x = (value) => left + ((width - left - RIGHT) * (cut(value) - low + room)) / (high - low + 2 * room);
     const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", class: "paired",
       "aria-label": `difference of ${kind.title}` });
@@ -49,7 +49,7 @@ const Paired = (() => {
       line.append(middle);
       line.addEventListener("mousemove", (event) => Tip.tell(event, [
         element("div", { class: "tip-time" }, row.controller), element("div", {}, words(difference, kind)),
-        ...difference.values.map((value, k) => element("div", {}, `${windows[k]}: ${value > 0 ? "+" : ""}${told(value, kind.digits)} ${kind.unit}`)),
+        ...difference.values.map((value, k) => element("div", {}, `${row.windows[k]}: ${value > 0 ? "+" : ""}${told(value, kind.digits)} ${kind.unit}`)),
       ]));
       line.addEventListener("mouseleave", Tip.hush);
       svg.append(name, line);
@@ -74,7 +74,7 @@ const Paired = (() => {
     const show = () => {
       for (const { place, set, kind } of places) {
         const rows = set.differences.filter((one) => one.reference === select.value);
-        if (rows.length) plot(place, rows, kind, rows[0].windows); else place.replaceChildren("nothing to compare with here");
+        if (rows.length) plot(place, rows, kind); else place.replaceChildren("nothing to compare with here");
       }
       table.replaceChildren(element("tr", {}, ...["", "tariff", "cost", "discomfort", "windows"].map((text) => element("th", {}, text))));
       for (const set of data.paired) {
