@@ -34,7 +34,7 @@ from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
-from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
+from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
 
 RUNS_FAILED = 3
 _SHOWN_FAILURES = 10
@@ -124,7 +124,8 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     verdicts = write_models(results.folder, results, own, records, measured)
     page = results.folder / "index.html"
     said = shlex.join(["tf-mpc", "fleet", fleet])
-    write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said))
+    scenarios = {run.cell.key: run.cell.scenario for run in runs}
+    write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said, scenarios))
     _show(console, rows, file.reference)
     console.print(f"Runs: {shlex.quote(str(dataset))}; models: {shlex.quote(str(verdicts))}", soft_wrap=True)
     console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
@@ -191,6 +192,14 @@ def _line(outcome: Outcome) -> str:
     return f"{outcome.task.title}: {kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f} K·h ({outcome.seconds:.0f} s)"
 
 
+def _saving(group: Group) -> tuple[str, str, str]:
+    """Median saving, its range and the share that is cheaper, %; dashes where nothing was heated."""
+    if not group.heated:
+        return "–", "–", "–"
+    low, middle, high = (100 * value for value in group.saving)
+    return f"{middle:+.1f}", f"{low:+.1f} to {high:+.1f}", f"{100 * group.cheaper:.0f}"
+
+
 def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
     for variant in [name for name in dict.fromkeys(rows["variant"]) if name != reference]:
         pairs = paired(rows, variant, reference)
@@ -203,13 +212,10 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
         for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
             table.add_column(heading, justify="right")
         for group in found:
-            low, middle, high = (100 * value for value in group.saving)
             table.add_row(
                 f"{group.by} {group.value}".strip(),
                 str(group.runs),
-                f"{middle:+.1f}",
-                f"{low:+.1f} to {high:+.1f}",
-                f"{100 * group.cheaper:.0f}",
+                *_saving(group),
                 f"{100 * group.colder:.0f}",
             )
         console.print(table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +17,20 @@ from click.testing import CliRunner
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli import fleet as fleet_command
+from thermoforce_mpc.cli.options import scenario_from
+from thermoforce_mpc.cli.run import command as run_one
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import FORMAT, SCHEMA, read_dataset
 from thermoforce_mpc.simulation.fleet.file import load_fleet
-from thermoforce_mpc.simulation.fleet.page import fleet_page
+from thermoforce_mpc.simulation.fleet.page import fleet_page, headline, run_command
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Ran, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
 
@@ -269,13 +273,41 @@ def test_saving_and_discomfort_are_counted_against_the_same_run_of_the_reference
 
 def test_the_page_says_what_a_stranger_named(tmp_path: Path) -> None:
     rows = _rows(
-        building=["<b>", "<b>"], variant=["mpc", "rule"], cost_tot=[1.2, 1.0], tdis_tot=[0.0, 0.0], seed=[3, 3]
+        building=["<b>", "<b>"], variant=["mpc", "rule"], cost_tot=[1.2, 1.0], tdis_tot=[0.0, 0.0], key=["k", "l"]
     )
-    page = fleet_page(rows, "rule", "Fleet", "tf-mpc fleet x")
+    page = fleet_page(rows, "rule", "Fleet", "tf-mpc fleet x", {"k": Scenario(testcase="x", seed=3)})
     assert "<b>" not in page
     assert "&lt;b&gt;" in page
     assert "--seed 3" in page
     assert "dearer: the plans acted on their model" in page
+
+
+def test_the_commands_of_the_page_repeat_their_runs(tmp_path: Path) -> None:
+    (tmp_path / "few.csv").write_text("name,testcase,weather\nnorth wing,bestest_hydronic_heat_pump,w.epw\n")
+    (tmp_path / "w.epw").write_text("")
+    path = _file(
+        tmp_path,
+        buildings=[{"table": "few.csv"}],
+        windows=["44"],
+        scenario={"plant": {"forecast_uncertainty": "high"}, "identification": {"days": 2}},
+        variants=RULES
+        | {"slow": {"controller": "rc_mpc", "step_s": 3600, "options": {"objective": {"comfort_weight": 1e-5}}}},
+    )
+    file = load_fleet(str(path))[0]
+    for run in runs_of(file, buildings_of(file, path), path):
+        words = shlex.split(run_command(run.cell.scenario))
+        assert words[:2] == ["tf-mpc", "run"]
+        assert scenario_from(run_one.make_context("run", words[2:]).params) == run.cell.scenario
+
+
+def test_without_a_heated_run_no_saving_is_said() -> None:
+    rows = _rows(
+        building=["a", "a"], variant=["mpc", "rule"], cost_tot=[0.0, 0.0], tdis_tot=[0, 0], ener_tot=[0.0, 0.0]
+    )
+    (everything,) = groups(paired(rows, "mpc", "rule"))
+    said = headline(everything, "mpc", "rule")
+    assert said.startswith("mpc against rule in 1 runs, 0 of them heated: saving –; 0 % more than 0.5 K·h a week")
+    assert fleet_command._saving(everything) == ("–", "–", "–")
 
 
 MAP = """\

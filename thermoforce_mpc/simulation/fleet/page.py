@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import yaml
 from markupsafe import Markup, escape
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.summary import (
     LEAST_HEATING_KWH_M2,
@@ -30,10 +32,10 @@ _EDGE = (0.5, 99.5)
 _MOST_POINTS = 4000
 
 
-def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str) -> str:
-    """The page of the dataset `runs`, against the variant `reference`."""
+def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str, scenarios: Mapping[str, Scenario]) -> str:
+    """The page of the dataset `runs`, against the variant `reference`; `scenarios`: what was run, by key."""
     variants = [name for name in dict.fromkeys(runs["variant"]) if name != reference]
-    parts = [_part(paired(runs, name, reference), name, reference) for name in variants]
+    parts = [_part(paired(runs, name, reference), name, reference, scenarios) for name in variants]
     failed = runs[runs["status"] != DONE]
     count = ", ".join(
         f"{n} {what}"
@@ -66,17 +68,21 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str) -> 
 
 def headline(everything: Group, variant: str, reference: str) -> str:
     """The result in a sentence, of the group of all runs."""
-    low, middle, high = (100 * value for value in everything.saving)
-    range_of = f"{middle:+.1f} % (median; 10 to 90 %: {low:+.1f} to {high:+.1f} %)"
-    shares = f"{100 * everything.cheaper:.0f} %", f"{100 * everything.colder:.0f} %"
+    colder = f"{100 * everything.colder:.0f} %"
+    saving = "saving –"
+    if everything.heated:
+        low, middle, high = (100 * value for value in everything.saving)
+        saving = (
+            f"saving {middle:+.1f} % (median; 10 to 90 %: {low:+.1f} to {high:+.1f} %), "
+            f"cheaper in {100 * everything.cheaper:.0f} % of them"
+        )
     return (
         f"{variant} against {reference} in {everything.runs} runs, {everything.heated} of them heated: "
-        f"saving {range_of}, cheaper in {shares[0]} of them; {shares[1]} more than {MORE_DISCOMFORT_KH:g} K·h a week "
-        "less comfortable."
+        f"{saving}; {colder} more than {MORE_DISCOMFORT_KH:g} K·h a week less comfortable."
     )
 
 
-def _part(pairs: pd.DataFrame, variant: str, reference: str) -> dict[str, Any]:
+def _part(pairs: pd.DataFrame, variant: str, reference: str, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
     if pairs.empty:
         return {}
     worst, found = lost(pairs), groups(pairs)
@@ -88,13 +94,23 @@ def _part(pairs: pd.DataFrame, variant: str, reference: str) -> dict[str, Any]:
         "cumulative": _cumulative(heated) if len(heated) else "",
         "groups": found,
         "causes": causes(worst),
-        "lost": [row | {"command": _command(row)} for row in worst.head(_SHOWN).to_dict("records")],
+        "lost": [
+            row | {"command": run_command(scenarios[row["key"]])} for row in worst.head(_SHOWN).to_dict("records")
+        ],
     }
 
 
-def _command(row: Mapping[Any, Any]) -> str:
-    words = ["tf-mpc", "run", "--testcase", row["building"], "--period", row["window"], "--price", row["price"],
-             "--days", f"{row['days']:g}", "--seed", str(row["seed"])]  # fmt: skip
+def run_command(scenario: Scenario) -> str:
+    """`tf-mpc run` of a scenario, without baselines."""
+    words = ["tf-mpc", "run", "--testcase", scenario.testcase, "--controller", scenario.controller.name,
+             "--baselines", "", "--period", scenario.period, "--price", scenario.price,
+             "--days", f"{scenario.days:.12g}", "--seed", str(scenario.seed)]  # fmt: skip
+    settings = scenario.model_dump(mode="json", include={"plant", "step_s", "identification"}, exclude_defaults=True)
+    if scenario.controller.options:
+        settings["controller.options"] = scenario.controller.options
+    for key, value in settings.items():
+        text = yaml.safe_dump(value, default_flow_style=True, width=10**6, allow_unicode=True)
+        words += ["--set", f"{key}={text.strip().removesuffix('...').strip()}"]
     return shlex.join(words)
 
 
