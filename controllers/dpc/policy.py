@@ -110,8 +110,7 @@ class Policy:
             ArtifactError: `folder` exists, unless `overwrite` and it holds a policy.
             StorageError: it cannot be written.
         """
-        if folder.exists() and not (overwrite and (folder / JSON_NAME).is_file()):
-            raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
+        check_target(folder, overwrite=overwrite)
         raw = save_tensors({name: np.ascontiguousarray(w) for name, w in zip(_LAYERS, self.weights, strict=True)})
         document: dict[str, Any] = {
             "format": FORMAT,
@@ -130,6 +129,20 @@ class Policy:
 
 
 _FIELDS = ("highest", "lowest", "step_s", "operator_sha256", "iterations", "loss")
+
+
+def check_target(folder: Path, *, overwrite: bool) -> None:
+    """Check that a policy may be written to `folder`.
+
+    Raises:
+        ArtifactError: `folder` exists, unless `overwrite` and it holds a policy.
+    """
+    if not folder.exists():
+        return
+    if not overwrite:
+        raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
+    if not (folder / JSON_NAME).is_file():
+        raise ArtifactError(f"{folder}: not overwritten, since it holds no {JSON_NAME} and so is no saved policy")
 
 
 def load_policy(folder: Path) -> Policy:

@@ -186,6 +186,10 @@ def test_from_the_command_line(tmp_path: Path) -> None:
     assert done.exit_code == 0
     assert "policy of 2 iterations" in done.output
     assert CliRunner().invoke(cli, [*command, *short]).exit_code != 0
+    (tmp_path / "else").mkdir()
+    refused = CliRunner().invoke(cli, [*command, *short, "--out", str(tmp_path / "else"), "--force"])
+    assert "else: not overwritten, since it holds no policy.json" in str(refused.exception)
+    assert "of 2  loss" not in refused.output, "refused before the training"
     options = {"policy": str(tmp_path / "policy"), "step_s": 3600.0}
     built = build_controller("dpc", options, load_testcase("bestest_hydronic_heat_pump"), model())
     assert isinstance(built, DPC)

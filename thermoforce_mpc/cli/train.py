@@ -34,6 +34,7 @@ def command(model: Path, testcase: str, out: Path, force: bool, settings: tuple[
         --set controller.options.policy=my_policy
     """
     from controllers.dpc.config import DPCConfig
+    from controllers.dpc.policy import check_target
     from controllers.dpc.solver import DPC
     from controllers.registry import controller_config
     from thermoforce_mpc.model.thermal_model import load_model
@@ -41,6 +42,7 @@ def command(model: Path, testcase: str, out: Path, force: bool, settings: tuple[
 
     if out.exists() and not force:
         raise ConfigError(f"--out: {out} exists already; choose another folder, or give --force")
+    check_target(out, overwrite=force)
     building = load_testcase(testcase)
     config = controller_config("dpc", parse_overrides(settings), building)
     assert isinstance(config, DPCConfig)
