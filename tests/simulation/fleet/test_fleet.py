@@ -271,6 +271,13 @@ def test_saving_and_discomfort_are_counted_against_the_same_run_of_the_reference
     assert [n for _, n in causes(worst)] == [1, 1]
 
 
+def test_a_rule_has_no_model_though_a_step_was_refused() -> None:
+    rows = _rows(
+        building=["a", "a"], variant=["pi", "rule"], cost_tot=[1.1, 1.0], plans_rule=[96, 96], plans_refused=[1, 0]
+    )
+    assert paired(rows, "pi", "rule")["why"].tolist() == ["dearer"]
+
+
 def test_the_page_says_what_a_stranger_named(tmp_path: Path) -> None:
     rows = _rows(
         building=["<b>", "<b>"], variant=["mpc", "rule"], cost_tot=[1.2, 1.0], tdis_tot=[0.0, 0.0], key=["k", "l"]

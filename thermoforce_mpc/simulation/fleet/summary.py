@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.simulation.comparison.store import DONE
 
 # Runs whose reference uses less than this are left out of the savings, kWh/m² a week.
@@ -106,7 +107,8 @@ def _why(row: pd.Series) -> str:
     colder, dearer = row["more_Kh"] > MORE_DISCOMFORT_KH, row["saving"] < 0.0
     if not (colder or dearer):
         return ""
-    plans = {name.removeprefix("plans_"): row[name] for name in row.index if name.startswith("plans_")}
+    # Those that were refused have a status too.
+    plans = {status.value: row[f"plans_{status.value}"] for status in PlanStatus}
     total = max(sum(plans.values()), 1)
     what = "less comfortable" if colder else "dearer"
     if plans["rule"] == total:
