@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +16,6 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.bench import plant as bench
 from thermoforce_mpc.research.bench import plant_speed
 from thermoforce_mpc.research.bench.plant_scores import Thermostat, thermostat_energy
-from thermoforce_mpc.research.bench.plant_speed import run_in_processes
 
 
 @pytest.fixture
@@ -128,10 +130,17 @@ def test_an_empty_folder_is_refused(tmp_path, own_weather):
         bench.run_plant_bench(tmp_path)
 
 
+def _in_processes(weather, levels, n):
+    """Zone temperatures of one run of two days per level, in `n` processes as the bench starts them."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(n, context, initializer=plant_speed._begin, initargs=(weather,)) as executor:
+        return list(executor.map(plant_speed._run, levels, [2] * len(levels)))
+
+
 @pytest.mark.slow
 def test_processes_and_their_number_leave_no_trace_in_the_results():
     weather = synthetic_weather()
-    one, two = (run_in_processes(weather, [0.3, 0.9, 0.3], 2, n) for n in (1, 2))
+    one, two = (_in_processes(weather, (0.3, 0.9, 0.3), n) for n in (1, 2))
     plant = EmbeddedPlant(weather)
     for level, alone, beside in zip((0.3, 0.9, 0.3), one, two, strict=True):
         start = plant.reset(0.0, 0.0).T_zone_C[0]

@@ -80,17 +80,6 @@ def scaling(weather: Weather, *, days: int = 10) -> list[dict[str, Any]]:
     return [rate.row(n, how, alone) for n, how, rate in measured]
 
 
-def run_in_processes(weather: Weather, levels: list[float], days: int, n_processes: int) -> list[Array]:
-    """Hourly zone temperatures (24 days + 1,), °C, of one run per level, simulated in `n_processes` processes.
-
-    Results are bit-identical for any number of processes.
-    """
-    # Spawned, not forked: a fork would copy locks of the compiled code in an undefined state.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(n_processes, context, initializer=_begin, initargs=(weather,)) as executor:
-        return list(executor.map(_run, levels, [days] * len(levels)))
-
-
 def _threads(plants: list[EmbeddedPlant], days: int, threads: int) -> Rate:
     levels = [0.5] * len(plants)
     with ThreadPoolExecutor(threads) as executor:
