@@ -12,7 +12,7 @@ with the best plan so far; how far that may be from the optimum of the programme
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import OUTDOOR
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.scenario.settings import StrictModel
+
+if TYPE_CHECKING:
+    import highspy
 
 # Largest difference between the heat planned as a share of later steps and that of the level it is reported as, K.
 _SAME_K = 1e-4
@@ -69,9 +72,8 @@ class Highs:
         """Solve one programme in which the columns `choices` are whole, from `start` (all columns) if given."""
         import highspy
 
-        solver = highspy.Highs()
+        solver = silent_highs()
         for name, value in {
-            "output_flag": False,
             "threads": 1,
             "time_limit": self._config.max_seconds,
             "mip_rel_gap": self._config.gap,
@@ -103,6 +105,20 @@ class Highs:
         x = np.array(solver.getSolution().col_value, dtype=np.float64)
         optimal = status == highspy.HighsModelStatus.kOptimal
         return ChoiceResult(x, word, int(info.mip_node_count), float(info.mip_dual_bound), optimal)
+
+
+def silent_highs() -> highspy.Highs:
+    """A HiGHS that prints nothing: the first of a process says its version while it is made, before options are set."""
+    import highspy
+
+    class Silent(highspy.Highs):
+        def enableCallbacks(self) -> None:  # what its constructor does first
+            self.setOptionValue("output_flag", False)
+            super().enableCallbacks()
+
+    solver = Silent()
+    solver.setOptionValue("output_flag", False)
+    return solver
 
 
 class MilpSolver:

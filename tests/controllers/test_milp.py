@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -224,6 +226,13 @@ def test_heat_that_does_not_grow_with_the_level_is_had_at_the_lowest():
     T_out = np.array([-5.0, 3.0])
     level = held_level(HeatInput(heat=flat), np.array([1.0, 0.5]), T_out, 1.0)
     np.testing.assert_allclose(flat(level, T_out), np.array([1.0, 0.5]) * flat(np.ones(2), T_out))
+
+
+def test_the_solver_prints_nothing():
+    """Its version was printed into the output of commands, by the first solver of a process."""
+    code = "from controllers.milp import silent_highs; silent_highs().run()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == done.stderr == ""
 
 
 def test_numbers_that_are_not_finite_are_a_failed_solve():
