@@ -111,6 +111,7 @@ def test_a_run_ended_between_identification_and_the_first_step_can_be_resumed(ca
     assert call(SimpleHouse(), *with_model).exit_code != 0
     assert (tmp_path / "run" / "INCOMPLETE.txt").read_text() == "This run did not finish: interrupted\n"
     monkeypatch.setattr(simulation_run, "build_controller", build)
+    shutil.rmtree(tmp_path / "model")  # the run has its own
     done = call(SimpleHouse(), "resume", tmp_path / "run")
     assert done.exit_code == 0, done.output + str(done.exception)
     assert (tmp_path / "run" / "kpis.json").exists()

@@ -41,12 +41,12 @@ def check_contestants(scenario: Scenario, testcase: TestCase) -> None:
         ArtifactError: the saved model cannot be read.
         BackboneError: the forecaster's weights cannot be loaded.
     """
-    for name in (scenario.controller.name, *scenario.baselines):
+    contestants = [name for name in (scenario.controller.name, *scenario.baselines) if find_entry(name).needs_model]
+    model = saved_model(scenario, testcase) if contestants and scenario.identification.model is not None else None
+    for name in contestants:
         options = controller_options(scenario, name)
-        if not find_entry(name).needs_model:
-            continue
-        if scenario.identification.model is not None:
-            build_controller(name, options, testcase, saved_model(scenario, testcase))
+        if model is not None:
+            build_controller(name, options, testcase, model)
             continue
         method = getattr(controller_config(name, options, testcase), "free_response", None)
         if method is not None and not needs_identified(method.name):

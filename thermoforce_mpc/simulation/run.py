@@ -220,7 +220,8 @@ def _execute(
     With a `book`, all that the controllers are told is written to its journal, or taken from it.
     """
     testcase = validate_scenario(scenario)
-    check_contestants(scenario, testcase)
+    if book is None or not book.told:  # a run that is resumed has its models in its folder
+        check_contestants(scenario, testcase)
     name = scenario.controller.name
 
     def build(testid: str | None = None) -> Plant:
