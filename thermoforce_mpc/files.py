@@ -9,7 +9,21 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from thermoforce_mpc.errors import StorageError
+from thermoforce_mpc.errors import ArtifactError, StorageError
+
+
+def check_replaceable(folder: Path, mark: str, what: str, *, overwrite: bool) -> None:
+    """Check that `folder` may be written: it is not there, or `overwrite` and its file `mark` says it is a `what`.
+
+    Raises:
+        ArtifactError: it may not.
+    """
+    if not folder.exists():
+        return
+    if not overwrite:
+        raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
+    if not (folder / mark).is_file():
+        raise ArtifactError(f"{folder}: not overwritten, since it holds no {mark} and so is not a saved {what}")
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import storage_errors, write_whole
+from thermoforce_mpc.files import check_replaceable, storage_errors, write_whole
 from thermoforce_mpc.model.model_file import content_sha256
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.reading import parse_json, read_bounded
@@ -137,12 +137,7 @@ def check_target(folder: Path, *, overwrite: bool) -> None:
     Raises:
         ArtifactError: `folder` exists, unless `overwrite` and it holds a policy.
     """
-    if not folder.exists():
-        return
-    if not overwrite:
-        raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
-    if not (folder / JSON_NAME).is_file():
-        raise ArtifactError(f"{folder}: not overwritten, since it holds no {JSON_NAME} and so is no saved policy")
+    check_replaceable(folder, JSON_NAME, "policy", overwrite=overwrite)
 
 
 def load_policy(folder: Path) -> Policy:

@@ -21,7 +21,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import write_folder
+from thermoforce_mpc.files import check_replaceable, write_folder
 from thermoforce_mpc.reading import parse_json, read_bounded
 from thermoforce_mpc.version import VERSION
 
@@ -42,12 +42,7 @@ def check_target(folder: Path, *, overwrite: bool) -> None:
     Raises:
         ArtifactError: `folder` exists, unless `overwrite` is set and it contains a model.
     """
-    if not folder.exists():
-        return
-    if not overwrite:
-        raise ArtifactError(f"{folder}: exists already; choose another folder or ask to overwrite it")
-    if not (folder / JSON_NAME).is_file():
-        raise ArtifactError(f"{folder}: not overwritten, since it holds no {JSON_NAME} and so is not a saved model")
+    check_replaceable(folder, JSON_NAME, "model", overwrite=overwrite)
 
 
 def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
