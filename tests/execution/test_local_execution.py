@@ -95,7 +95,7 @@ def test_what_cannot_travel_is_a_failure_with_a_name(engine):
     back = Task("b", "b", functions.unsendable, {})
     reasons = {o.task.key: o.reason for o in execute([local, back, Task("c", "c", functions.process_id, {})], engine)}
     assert "cannot be sent to a worker" in reasons["a"]
-    assert "pickle" in reasons["b"]
+    assert "unsendable" in reasons["b"]
     assert reasons["c"] == ""
 
 
