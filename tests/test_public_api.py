@@ -149,11 +149,17 @@ def test_days_on_which_the_clock_changes_are_as_long_as_they_are(day):
         (lambda df: df.drop(df.index[7]), r"a step of 1800 s among steps of 900 s.*resample"),
         (lambda df: df.assign(T_room=df.T_room.astype(str) + " °C"), r"column 'T_room' holds a cell that is no number"),
         (lambda df: df.iloc[:0], r"record: the table has no rows"),
+        (lambda df: pd.concat([df, df[["T_out"]]], axis=1), "record: there are 2 columns 'T_out'; give each a name"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused_with_what_to_do(tables, change, message):
     with pytest.raises(DataError, match=message):
         tf.Record.from_dataframe(change(tables[0]), **NAMES)
+
+
+def test_a_room_is_not_outdoors(tables):
+    with pytest.raises(DataError, match="zone and outdoor are the same column, 'T_room'"):
+        tf.Record.from_dataframe(tables[0], **NAMES | {"outdoor": "T_room"})
 
 
 @pytest.mark.parametrize(
@@ -168,6 +174,21 @@ def test_a_forecast_that_does_not_follow_is_refused(tables, change, message):
     record = tf.Record.from_dataframe(tables[0], **NAMES)
     with pytest.raises(DataError, match=message):
         tf.Boundary.from_dataframe(change(tables[1]), record, **AHEAD)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ({"lower": 24, "upper": 21}, r"at 20.* the lower bound, 24 °C, is above the upper one, 21 °C: exchange"),
+        ({"lower": "T_max", "upper": "T_min"}, "exchange lower and upper"),
+        ({"lower": 68, "upper": 75}, r"lower is 68 at 20.* between -30 and 60 °C; convert °F or K"),
+        ({"lower": 21, "upper": 297}, "upper is 297 at"),
+    ],
+)
+def test_bounds_that_would_heat_without_end_are_refused(tables, bounds, message):
+    record = tf.Record.from_dataframe(tables[0], **NAMES)
+    with pytest.raises(DataError, match=message):
+        tf.Boundary.from_dataframe(tables[1], record, **AHEAD, **bounds)
 
 
 def test_a_forecast_needs_the_step_of_its_record(tables):

@@ -92,13 +92,16 @@ def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
     """The numbers of a column, shape (n,), NaN where a cell is empty.
 
     Raises:
-        DataError: there is no such column, or it holds text; names near misses and the columns there are.
+        DataError: there is no such column or more than one, or it holds text; names near misses and the columns there
+            are.
     """
     if name not in df.columns:
         known = [str(key) for key in df.columns]
         close = difflib.get_close_matches(str(name), known, n=1)
         hint = f", did you mean '{close[0]}'?" if close else ""
         raise DataError(f"{what}: no column '{name}'{hint}; there are {', '.join(known)}")
+    if isinstance(df[name], pd.DataFrame):
+        raise DataError(f"{what}: there are {df[name].shape[1]} columns '{name}'; give each a name of its own")
     try:
         return np.asarray(pd.to_numeric(df[name]), dtype=np.float64)
     except (ValueError, TypeError) as error:

@@ -78,6 +78,28 @@ def test_units_and_several_zones(tmp_path):
     np.testing.assert_array_equal(hall.record.T_zone_C[0], r.T_zone_C[1])
 
 
+@pytest.mark.parametrize("marks", ["start", "end"])
+@pytest.mark.parametrize("beside", ["none", "weather at other minutes", "quarters of an hour", "a few empty cells"])
+def test_energy_per_step_is_that_of_its_own_interval_in_a_joined_table(beside, marks):
+    """2 kWh an hour are 2 kW, whatever rows other columns add between them."""
+    at = pd.date_range("2025-01-10", periods=49, freq="h")
+    meter = pd.DataFrame({"E": 2.0}, index=at)
+    minutes = {"weather at other minutes": ["7min"], "quarters of an hour": ["15min", "30min", "45min"]}
+    stamps = at.union([s for gap in minutes.get(beside, []) for s in at[:-1] + pd.Timedelta(gap)])
+    df = pd.DataFrame({"T": 21.0, "out": 5.0}, index=stamps).join(meter)
+    df["T"] += np.arange(len(df)) / 100
+    if beside == "a few empty cells":
+        df.loc[df.index[5:45:4], "E"] = np.nan
+    rules = {
+        "time": {"marks": marks},
+        "step": "1h",
+        "outdoor": "out",
+        "zones": {"room": {"temperature": "T"}},
+        "machines": {"grid": {"power": {"column": "E", "unit": "kWh per step"}}},
+    }
+    np.testing.assert_allclose(tf.read_measurements(df, rules).record.power_W[0], 2000.0)
+
+
 def test_metered_energy_is_a_share_of_its_robust_maximum(tmp_path):
     df = house()
     df.loc[50, "P"] = 40_000.0  # one wrong peak
@@ -209,6 +231,23 @@ CASES = {
     "no stamp": (lambda d: broken(d, time=(9, None)), {}, r"line 11: the time stamp is empty"),
     "day first": (lambda d: d.assign(time=d["time"].dt.strftime("%d/%m/%Y %H:%M")), {}, r"line 2: .*set time\.format"),
     "numbers": (lambda d: d.assign(time=range(192)), {}, r"numbers.*set time\.unit"),
+    "microseconds for seconds": (
+        lambda d: d.assign(time=[1.7e15 + 9e8 * k for k in range(192)]),
+        {"time": {"unit": "s", "since": "1970-01-01"}},
+        r"line 193: the time stamp 1700171900000000 is no date, read in s since 1970-01-01: check time\.unit",
+    ),
+    "an endless stamp": (
+        lambda d: d.assign(time=[np.inf if k == 5 else 900.0 * k for k in range(192)]),
+        {"time": {"unit": "s", "since": "2025-01-01"}},
+        "line 7: the time stamp is inf; remove the row",
+    ),
+    "since nothing": (lambda d: d, {"time": {"unit": "s", "since": ""}}, "time: since is no date"),
+    "since no hour": (
+        lambda d: d,
+        {"time": {"zone": "Europe/Brussels", "unit": "s", "since": "2024-03-31 02:30"}},
+        "since does not exist in Europe/Brussels, where summer time begins: 2024-03-31 02:30",
+    ),
+    "of no column": (lambda d: d, {"outdoor": {"column": []}}, "outdoor: column: name one at least"),
     "two offsets": (
         lambda d: d.assign(time=[f"{t:%Y-%m-%d %H:%M}+0{1 + (i > 90)}:00" for i, t in enumerate(d["time"])]),
         {},
@@ -221,6 +260,17 @@ CASES = {
     ),
     "zone": (lambda d: d, {"time": {"zone": "Europe/Brussel"}}, r"time\.zone: no such time zone"),
     "unknown key": (lambda d: d, {"outdor": "out"}, "outdor: unknown key, did you mean 'outdoor'"),
+    "a zone called as a tag": (
+        lambda d: d,
+        {"zones": {"room": {"temperature": {"column": "T", "unit": "R", "range": [5]}}}},
+        r"line \d: zones\.room\.temperature\.unit: Input should be '°C'",
+    ),
+    "bounds in °F": (
+        lambda d: d,
+        {"zones": {"room": {"temperature": "T", "lower": 68, "upper": 75}}},
+        r"zones\.room\.lower: 68 is no comfort bound in °C, between -30 and 60: convert °F or K",
+    ),
+    "bounds ahead in K": (lambda d: d, {"forecast": {"lower": 294.0}}, r"forecast\.lower: 294 is no comfort bound"),
     "unknown unit": (lambda d: d, {"outdoor": {"column": "out", "unit": "R"}}, r"outdoor\.unit"),
     "no such zone": (
         lambda d: d,
@@ -251,6 +301,36 @@ def test_lines_with_other_than_all_cells_are_refused(tmp_path):
     assert tf.read_measurements(path, rules).record.n_steps == 191, "a separator at the end of every row"
 
 
+COMMA = BASE | {"csv": {"decimal": ","}}
+
+
+def test_what_is_no_number_beside_decimal_commas_is_named(tmp_path):
+    """Before, one such cell made a complaint of every number with a comma, and 1.002 kWh of a counter was 1 kWh."""
+    df = house()
+    path, _ = written(tmp_path, df, sep=";", decimal=",")
+    text = path.read_text()
+    path.write_text(text.replace(";20,04;", ";---;", 1))
+    with pytest.raises(DataError, match=r"line 6: column 'T' holds '---', which is no number; if it stands for"):
+        tf.read_measurements(path, COMMA)
+    found = tf.read_measurements(path, COMMA | {"csv": {"decimal": ",", "missing": ["---"]}})
+    np.testing.assert_allclose(found.record.T_zone_C[0, 5], 20.05)
+    for counts, first in (([f"{0.998 + k / 1000:.3f}" for k in range(192)], "0.998"), (["1.002,5"] * 192, "1.002,5")):
+        df.assign(P=counts).to_csv(path, sep=";", decimal=",", index=False)
+        with pytest.raises(DataError, match=rf"line 2: column 'P' holds '{first}'.*without marks between thousands"):
+            tf.read_measurements(path, COMMA)
+
+
+def test_any_end_of_line_and_cells_of_any_length(tmp_path):
+    path, rules = written(tmp_path, house())
+    text = path.read_text()
+    for end in ("\r", "\r\n"):
+        path.write_bytes(text.replace("\n", end).encode())
+        assert tf.read_measurements(path, rules).record.n_steps == 191
+    path.write_text("x" * 200_000)
+    with pytest.raises(DataError, match=r"house\.csv: cannot be read as CSV \(field larger"):
+        tf.read_measurements(path, rules)
+
+
 def test_columns_without_a_name_or_with_two(tmp_path):
     df = house()
     path, rules = written(tmp_path, df)
@@ -279,6 +359,12 @@ def test_excursions_are_flagged_and_lasting_jumps_are_told():
     found = tf.read_measurements(endless, BASE)
     assert np.isnan(found.record.power_W[0, 7])
     assert [f.first for s in found.understood.signals for f in s.flags] == ["an infinite one at 2025-01-10 01:45:00"]
+
+
+def test_a_level_in_shares_that_is_said_to_be_in_percent_is_doubted():
+    found = tf.read_measurements(house(), BASE | {"actuators": {"heater": {"level": {"column": "u", "unit": "%"}}}})
+    level = next(s for s in found.understood.signals if s.key == "actuators.heater.level")
+    assert level.doubt == "never above 0.01: check the unit, 0-1 is likelier than %"
 
 
 def test_files_of_different_clocks_are_refused(tmp_path):
@@ -316,6 +402,38 @@ def test_a_counter_that_starts_anew_is_flagged():
     flags = [flag for s in found.understood.signals for flag in s.flags]
     assert [(flag.rule, flag.count) for flag in flags] == [("counter", 1)]
     np.testing.assert_allclose(np.delete(found.record.power_W[0], 99), np.delete(df["P"].to_numpy()[1:], 99))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "rows", "unknown", "said"),
+    [
+        (0.0, [100], 2, "fell below the one before and came back, first at 2025-01-11 01:00"),
+        (0.0, [60, 61, 100, 140], 7, "fell below the one before and came back, first at 2025-01-10 15:00"),
+        (9.9e6, [100], 2, "rises of more than 10 times the usual largest"),
+    ],
+)
+def test_wrong_readings_of_a_counter_are_no_energy(wrong, rows, unknown, said):
+    """Before, a single 0 counted all that the meter had ever counted once more."""
+    df = house()
+    df["meter"] = 150_000.0 + df["P"].cumsum() / 4
+    df.loc[rows, "meter"] = wrong
+    found = tf.read_measurements(df, BASE | {"machines": {"g": {"power": {"column": "meter", "unit": "Wh counter"}}}})
+    flags = [flag for s in found.understood.signals for flag in s.flags]
+    assert any(said in flag.first for flag in flags)
+    power = found.record.power_W[0]
+    assert np.nanmax(power) == pytest.approx(1500.0)
+    assert np.isnan(power[:-1]).sum() <= unknown
+
+
+def test_a_counter_that_begins_anew_each_day_keeps_its_energy():
+    df = house(periods=385)
+    day = df["time"].dt.day
+    df["meter"] = (df["P"] / 4).groupby(day).cumsum()
+    found = tf.read_measurements(df, BASE | {"machines": {"g": {"power": {"column": "meter", "unit": "Wh counter"}}}})
+    expected = df["P"].to_numpy()[1:]
+    known = np.isfinite(found.record.power_W[0])
+    np.testing.assert_allclose(found.record.power_W[0][known], expected[known])
+    assert known.sum() >= expected.size - 5
 
 
 def test_mended_by_the_rules_that_the_messages_name(tmp_path):

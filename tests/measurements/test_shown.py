@@ -37,6 +37,16 @@ def test_a_starting_map_reads_its_table(tmp_path):
         starting_map(tmp_path / "birds.csv")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("at,T_room,T_room\n2025-01-01,20,21\n", "more than one column 'T_room'"), ("at,T_room\n", "has no rows")],
+)
+def test_a_starting_map_needs_rows_and_names(tmp_path, text, message):
+    (tmp_path / "house.csv").write_text(text)
+    with pytest.raises(DataError, match=message):
+        starting_map(tmp_path / "house.csv")
+
+
 def test_a_map_for_stamps_that_are_numbers_asks_what_they_count_from(tmp_path):
     (tmp_path / "box.csv").write_text("s,T_int,T_ext\n0,20,5\n900,21,5\n1800,22,5\n")
     rules = yaml.safe_load(starting_map(tmp_path / "box.csv"))

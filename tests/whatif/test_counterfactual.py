@@ -179,6 +179,19 @@ def test_forecast_of_a_past_day_beside_what_was_measured(house: Path) -> None:
 
 
 @pytest.mark.slow
+def test_forecast_beside_a_hole_in_what_was_measured(house: Path) -> None:
+    table = pd.read_csv(house / "data.csv")
+    table.loc[table["at"].between("2026-01-05T12", "2026-01-05T20"), "room"] = None
+    whole = (house / "data.csv").read_bytes()
+    table.to_csv(house / "data.csv", index=False)
+    code, said = _tf(house, "forecast", "--start", "2026-01-05")
+    (house / "data.csv").write_bytes(whole)
+    assert code == 0, said
+    assert "–" in said
+    assert "nan" not in said
+
+
+@pytest.mark.slow
 def test_forecast_of_the_coming_day_needs_only_weather(house: Path) -> None:
     time_s = _DAYS * DAY_S + np.arange(30) * HOUR_S
     ahead = pd.DataFrame({"at": _ORIGIN + pd.to_timedelta(time_s, unit="s"), "out": outdoor_C(time_s)})
@@ -205,6 +218,9 @@ def test_forecast_of_the_coming_day_needs_only_weather(house: Path) -> None:
             "end the name in .csv or .json",
         ),
         (("counterfactual", "--start", "2026-01-05", "--schedule", "nowhere.csv"), "cannot be read as CSV"),
+        (("counterfactual", "--start", "2026-01-05", "--level", "0", "--hours", "inf"), "'--hours': inf is no number"),
+        (("forecast", "--start", "2026-01-05", "--hours", "nan"), "'--hours': nan is no number"),
+        (("forecast", "--start", "2026-01-05", "--level", "nan"), "must be finite"),
     ],
 )
 def test_commands_say_what_is_missing(house: Path, words: tuple[str, ...], message: str) -> None:
@@ -222,6 +238,8 @@ def test_a_schedule_that_begins_too_late_or_lacks_a_column(house: Path) -> None:
         ("time,u\n2026-01-05 00:00,0\n2026-01-05 00:00,1\n", "row 3 is not later"),
         ("time,u\n2026-01-05 00:00,0\n,1\n", "row 3, time 'nan' is not a time stamp"),
         ("time,u\n", "no rows"),
+        ("time,u\n2026-01-05 00:00,0\n2026-01-05 06:00,50\n", "late.csv: row 3, u is 50: give one from 0 to 1"),
+        ("time,u\n2026-01-05 00:00,n/a\n", "late.csv: row 2, u is nan: give one"),
     ):
         file.write_text(text)
         _, said = _tf(house, "counterfactual", "--start", "2026-01-05", "--schedule", str(file))

@@ -113,6 +113,34 @@ def test_cold_is_energy_like_heat() -> None:
     assert "kWh of heat (" in cold.in_words()
 
 
+@pytest.mark.parametrize("wrong", ["all", "some days"])
+def test_energy_below_0_is_no_saving(wrong: str) -> None:
+    record = _record(13, 0.0)
+    power = record.power_W.copy()
+    if wrong == "all":
+        power *= -1.0
+    else:
+        power[0, 24 * 40 : 24 * 42] *= -1.0  # sunny days on which more was fed in than used
+    part, day = ("before", "2026-01-01") if wrong == "all" else ("after", "2026-02-10")
+    with pytest.raises(DataError, match=rf"{part}: the energy of the day from {day} 00:00:00 is -.*check the meter"):
+        verified_saving(*_halves(replace(record, power_W=power)))
+
+
+def test_a_meter_that_reads_a_little_below_0_while_all_is_off_is_no_error() -> None:
+    record = _record(15, 0.0)
+    power = record.power_W.copy()
+    power[0, 24 * _BEFORE :] = -0.5
+    assert verified_saving(*_halves(replace(record, power_W=power))).claimed
+
+
+def test_a_reading_without_end_is_a_gap() -> None:
+    record = _record(14, 0.2)
+    power = record.power_W.copy()
+    power[0, 24 * 40 + 3] = np.inf
+    found = verified_saving(*_halves(replace(record, power_W=power)))
+    assert np.isfinite([found.low_kWh, found.high_kWh, found.measured_kWh]).all()
+
+
 def test_before_and_after_are_metered_alike() -> None:
     # The heat pump's power meter came with the change: heat, of which there is three times as much, is all that is
     # known of both.

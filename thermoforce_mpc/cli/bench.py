@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 
 if TYPE_CHECKING:
     from thermoforce_mpc.research.bench.fleet import Part
@@ -82,7 +82,7 @@ def gym_command(quick: bool, json_file: Path | None) -> None:
 
 
 @command.command("dpc")
-@click.option("--days", type=click.FloatRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
+@click.option("--days", type=FiniteRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
 @click.option(
     "--price",
     type=click.Choice(["constant", "dynamic", "highly_dynamic"]),

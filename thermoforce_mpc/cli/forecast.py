@@ -11,7 +11,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.options import course_options, measured_model_options
+from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.dataframes import seconds_at
@@ -26,7 +26,7 @@ _ROWS, _BACK_DAYS = 25, 28.0
 @measured_model_options
 @click.option("--forecast", "forecast_file", metavar="FILE", help="Weather from the end of the measurements on.")
 @click.option("--start", metavar="TIME", help="Instead: a past time, whose weather and levels were measured.")
-@click.option("--hours", type=click.FloatRange(1.0, 96.0), default=24.0, show_default=True, help="Length.")
+@click.option("--hours", type=FiniteRange(1.0, 96.0), default=24.0, show_default=True, help="Length.")
 @course_options("One level in [0, 1] for all of it.  [default with --start: as applied]")
 def command(
     model: Path,
@@ -85,7 +85,7 @@ def command(
         ahead = ahead.head(n)
     if level is not None or schedule is not None:
         applied = levels_of(schedule, level, record.names, ahead.time_s[:-1], record.origin)
-    if applied is None or not np.isfinite(applied).all():
+    elif applied is None or not np.isfinite(applied).all():
         raise DataError(f"the levels from {start} on were not all measured: give --level or --schedule")
     found = thermal.predict(past.last(round(_BACK_DAYS * DAY_S / record.step_s)), ahead, applied)
     console = Console(highlight=False, markup=False)
@@ -137,11 +137,11 @@ def _show(found: Prediction, truth: Array, console: Console) -> None:
                 f"{F:+.1f}",
             ]
             if known:
-                cells.append(f"{truth[z, k]:.1f}")
+                cells.append(f"{truth[z, k]:.1f}" if np.isfinite(truth[z, k]) else "–")
         shown.add_row(*cells)
     console.print(shown)
     for z, zone in enumerate(found.names.zones):
-        if known:
+        if np.isfinite(truth[z]).any():
             error = found.total_C[z] - truth[z]
             F = found.forced_K[z]
             seen = np.isfinite(truth[z])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import scenario_from, scenario_options
+from thermoforce_mpc.cli.options import FiniteRange, scenario_from, scenario_options
 from thermoforce_mpc.errors import ArtifactError, DataError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _OF_PLANTS = (
 @click.option("--controller", metavar="NAME", help="Probe at the levels that this controller uses.")
 @click.option("--data", "files", multiple=True, metavar="FILE", help="Measurements instead of probing; repeatable.")
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map of the measurements (YAML).")
-@click.option("--data-days", type=click.FloatRange(1.0, 120.0), help="Days of longer measurements used.  [default: 28]")
+@click.option("--data-days", type=FiniteRange(1.0, 120.0), help="Days of longer measurements used.  [default: 28]")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("model"), show_default=True, help="Model folder.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing model.")
 def command(**options: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,17 @@ if TYPE_CHECKING:
 Function = Callable[..., Any]
 # Opens the engine that a user asked for; told what is to be said.
 Opening = Callable[[Callable[[str], None]], "LocalEngine | DaskEngine"]
+
+
+class FiniteRange(click.FloatRange):
+    """A number in a range. Of click's own, NaN is in every range and infinity in those without an end."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """`value` as a number of the range; refused where it is NaN or infinite."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is no number that can be used", param, ctx)
+        return number
 
 
 def scenario_options(function: Function) -> Function:

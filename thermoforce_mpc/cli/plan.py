@@ -12,7 +12,7 @@ import pandas as pd
 from rich.table import Table
 
 from thermoforce_mpc.cli.identify import BELOW_THE_BAR
-from thermoforce_mpc.cli.options import plot_option
+from thermoforce_mpc.cli.options import FiniteRange, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
@@ -29,7 +29,7 @@ _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 @click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
 @click.option("--forecast", required=True, metavar="FILE", help="Weather, prices and bounds from their end on.")
 @click.option("--step", default="60min", show_default=True, help="Step of the plan.")
-@click.option("--hours", type=click.FloatRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
+@click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the plan: .csv or .json.")
 @plot_option(of="the plan")

@@ -150,8 +150,11 @@ def _start(record: Record, awake: tuple[int, int], start: str | None) -> tuple[f
         return np.ceil((now_s - hours[0] * HOUR_S) / DAY_S) * DAY_S + hours[0] * HOUR_S, hours
     try:
         day = pd.Timestamp(start)
-    except ValueError as error:
-        raise DataError(f"--start {start}: no date; write for example 2025-01-31") from error
+        dated = not pd.isna(day)
+    except ValueError:
+        dated = False
+    if not dated:
+        raise DataError(f"--start {start}: no date; write for example 2025-01-31")
     at = (day.normalize().tz_localize(None) - origin.tz_localize(None)).total_seconds() + HOUR_S * hours[0]
     if at < record.time_s[-1]:
         raise DataError(f"--start {start}: lies before the end of the data, {end}; name a later day")

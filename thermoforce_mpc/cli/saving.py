@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from thermoforce_mpc.cli.options import plot_option
+from thermoforce_mpc.cli.options import FiniteRange, plot_option
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.dataframes import seconds_at
 from thermoforce_mpc.errors import DataError
@@ -25,7 +25,7 @@ from thermoforce_mpc.whatif.saving import Saving, verified_saving
 @click.option("--changed", required=True, metavar="TIME", help="When the operation changed, such as '2026-02-01'.")
 @click.option("--from", "first", metavar="TIME", help="Leave out what was recorded before.")
 @click.option("--until", "last", metavar="TIME", help="Leave out what was recorded later.")
-@click.option("--interval", type=click.FloatRange(0.5, 0.999), default=0.95, show_default=True, help="Its level.")
+@click.option("--interval", type=FiniteRange(0.5, 0.999), default=0.95, show_default=True, help="Its level.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result as JSON.")
 @plot_option()
 def command(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Names
 from thermoforce_mpc.dataframes import column, seconds_at
@@ -44,7 +45,20 @@ def levels_of(schedule: Path | None, level: float | None, names: Names, time_s: 
         raise DataError(
             f"--schedule {schedule}: begins at {frame['time'].iloc[0]}, after the stretch that is asked about"
         )
-    return np.array([column(frame, _column(frame, names, a), str(schedule))[row] for a in range(len(names.actuators))])
+    return np.array([_levels(frame, _column(frame, names, a), schedule, row) for a in range(len(names.actuators))])
+
+
+def _levels(frame: pd.DataFrame, name: str, schedule: Path, row: NDArray[np.intp]) -> Array:
+    """The levels in the rows `row` (N,) of a column; raises `DataError` for one that is none."""
+    levels = column(frame, name, f"--schedule {schedule}")
+    used = np.unique(row)
+    wrong = used[~(np.abs(levels[used]) <= 1.0)]
+    if wrong.size:
+        raise DataError(
+            f"--schedule {schedule}: row {wrong[0] + 2}, {name} is {levels[wrong[0]]:g}: give one from 0 to 1 (from -1 "
+            "where it also cools)"
+        )
+    return levels[row]
 
 
 def _column(frame: pd.DataFrame, names: Names, a: int) -> str:

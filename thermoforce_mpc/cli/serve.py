@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from thermoforce_mpc.cli.options import FiniteRange
 from thermoforce_mpc.errors import ConfigError
 
 
@@ -21,14 +22,14 @@ from thermoforce_mpc.errors import ConfigError
 )
 @click.option(
     "--idle",
-    type=click.FloatRange(1.0),
+    type=FiniteRange(1.0),
     default=900.0,
     show_default=True,
     help="Seconds after which an idle test is dropped.",
 )
 @click.option(
     "--lifetime",
-    type=click.FloatRange(1.0),
+    type=FiniteRange(1.0),
     default=7 * 86400.0,
     show_default=True,
     help="Seconds after which any test is dropped.",
@@ -42,7 +43,7 @@ from thermoforce_mpc.errors import ConfigError
 )
 @click.option(
     "--rate",
-    type=click.FloatRange(1.0),
+    type=FiniteRange(1.0),
     default=500.0,
     show_default=True,
     help="Requests a second from one address; more get status 429.",

@@ -20,6 +20,8 @@ CONDITIONS = (
     "time_s", "T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh", "emission_kg_per_kWh",
     "heating_price_per_kWh",
 )  # fmt: skip
+# Comfort bounds lie where zone temperatures do (`model/limits.py`), °C: °F and K do not.
+_BOUND_C = (-30.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -85,10 +87,11 @@ class Boundary:
             emission: kg CO2/kWh; a column, or one number.
 
         Raises:
-            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order, or
-                `record` is one instant, which has no step.
+            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order, a bound
+                is no room temperature in °C or the lower above the upper one, or `record` is one instant, which has no
+                step.
         """
-        from thermoforce_mpc.dataframes import seconds_since, series
+        from thermoforce_mpc.dataframes import seconds_since, series, stamps
 
         if record.origin is None:
             raise DataError("forecast: the record has no time stamps; make it with Record.from_dataframe")
@@ -115,7 +118,28 @@ class Boundary:
             return series(df, given, "forecast")[held]
 
         sun = np.zeros(time_s.size) if solar is None else line(solar)
-        return cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+        found = cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+        found._check_bounds(stamps(time_s, record.origin))
+        return found
+
+    def _check_bounds(self, at: pd.Index) -> None:
+        """Raises `DataError` where a bound is no room temperature in °C, or the lower one is above the upper."""
+        for name in ("lower", "upper"):
+            bound = getattr(self, f"{name}_C")[0]
+            wrong = (bound < _BOUND_C[0]) | (bound > _BOUND_C[1])
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                raise DataError(
+                    f"forecast: {name} is {bound[k]:g} at {at[k]}: a comfort bound is a temperature between "
+                    f"{_BOUND_C[0]:g} and {_BOUND_C[1]:g} °C; convert °F or K"
+                )
+        crossed = self.lower_C[0] > self.upper_C[0]
+        if crossed.any():
+            k = int(np.argmax(crossed))
+            raise DataError(
+                f"forecast: at {at[k]} the lower bound, {self.lower_C[0, k]:g} °C, is above the upper one, "
+                f"{self.upper_C[0, k]:g} °C: exchange lower and upper, or mend the row"
+            )
 
     @classmethod
     def measured(cls, record: Record) -> Boundary:

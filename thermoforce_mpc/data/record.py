@@ -89,11 +89,13 @@ class Record:
             return_water: column of the return water temperature, °C.
 
         Raises:
-            DataError: a column is missing or holds text, the index holds no time stamps, or they are not equally
-                spaced; the message says what to do.
+            DataError: a column is missing, twice there or holds text, zone and outdoor are one column, the index has no
+                time stamps, or they are not equally spaced; the message says what to do.
         """
         from thermoforce_mpc.dataframes import new_year, seconds_since, series
 
+        if zone == outdoor:
+            raise DataError(f"record: zone and outdoor are the same column, '{zone}'")
         origin = new_year(df.index, "record")
         steps = slice(0, len(df) - 1)
         return cls(

@@ -69,7 +69,7 @@ def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: Csv
         df, line = _parquet(path, stamps, columns), 1
     else:
         df, line = _csv(path, stamps, columns, form)
-    return raw_table(df, stamps, columns, str(path), line)
+    return raw_table(df, stamps, columns, str(path), line, form.decimal)
 
 
 def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> pd.DataFrame:
@@ -114,7 +114,7 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
             skip_blank_lines=False,  # so that the number of a row tells its line
             low_memory=False,
         ).set_axis([names[place] for place in places], axis=1)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError, EOFError) as error:
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, csv.Error, ValueError, OSError, EOFError) as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
     filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
     return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
@@ -122,7 +122,7 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
 
 def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
     """Refuse lines with more or fewer than `n` cells, whose values would land in wrong columns."""
-    with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding, newline="\n") as lines:
+    with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
         begun = 1
         while block := lines.readlines(_BLOCK):
             for k in np.flatnonzero(np.array([line.count(separator) for line in block]) != n - 1):
@@ -137,7 +137,21 @@ def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
 
 
 def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
-    """The first `rows` rows of a file with all its columns, the time stamps (or the index) first."""
+    """The first `rows` rows of a file with all its columns, the time stamps (or the index) first.
+
+    Raises:
+        DataError: the file cannot be read, has no rows, or two columns of one name.
+    """
+    head = _head(path, rows, form)
+    if head.columns.has_duplicates:
+        name = head.columns[head.columns.duplicated()][0]
+        raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
+    if head.empty:
+        raise DataError(f"{path}: the table has no rows")
+    return head
+
+
+def _head(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     if path.suffix in _PARQUET:
         df = _parquet(path, None, None).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
@@ -191,7 +205,11 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
     except (OSError, EOFError, LookupError, lzma.LZMAError) as error:
         raise DataError(f"{path}: cannot be read ({_short(error)})") from error
     separator = form.separator or max(_SEPARATORS, key=header.count)
-    return separator, [name.strip() for name in next(csv.reader([header], delimiter=separator, skipinitialspace=True))]
+    try:
+        names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
+    except csv.Error as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    return separator, [name.strip() for name in names]
 
 
 def _short(error: Exception) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from thermoforce_mpc.measurements.units import IrradianceUnit, LevelUnit, PowerUnit, PriceUnit, TemperatureUnit
+from thermoforce_mpc.model.limits import ZONE_C
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -32,6 +33,12 @@ class Signal(StrictModel):
     stuck_h: float | None = Field(
         None, ge=0, description="time after which an unchanging reading is stuck, h; 0: never; default: by kind"
     )
+
+    @model_validator(mode="after")
+    def _has_a_column(self) -> Signal:
+        if not self.columns:
+            raise ValueError("column: name one at least")
+        return self
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -83,11 +90,20 @@ def _number_or_named(value: Any) -> Any:
     return value if isinstance(value, int | float) else _named(value)
 
 
+def _in_celsius(bound: float | Temperature) -> float | Temperature:
+    if not isinstance(bound, Temperature) and not ZONE_C[0] <= bound <= ZONE_C[1]:
+        least, most = ZONE_C
+        raise ValueError(f"{bound:g} is no comfort bound in °C, between {least:g} and {most:g}: convert °F or K")
+    return bound
+
+
 OfTemperature = Annotated[Temperature, BeforeValidator(_named, json_schema_input_type=str | Temperature)]
 OfPower = Annotated[Power, BeforeValidator(_named, json_schema_input_type=str | Power)]
 OfLevel = Annotated[Level, BeforeValidator(_named, json_schema_input_type=str | Level)]
 Bound = Annotated[
-    float | Temperature, BeforeValidator(_number_or_named, json_schema_input_type=float | str | Temperature)
+    float | Temperature,
+    BeforeValidator(_number_or_named, json_schema_input_type=float | str | Temperature),
+    AfterValidator(_in_celsius),
 ]
 OfPrice = Annotated[float | Price, BeforeValidator(_number_or_named, json_schema_input_type=float | str | Price)]
 

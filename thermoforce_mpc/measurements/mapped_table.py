@@ -60,11 +60,27 @@ class Clock(StrictModel):
         if (self.unit is None) != (self.since is None):
             raise ValueError("unit and since belong together: stamps that are numbers need both")
         if self.since is not None:
-            try:
-                pd.Timestamp(self.since)
-            except ValueError as error:
-                raise ValueError(f"since is no date: {self.since}") from error
+            self.counted_from()
         return self
+
+    def counted_from(self) -> pd.Timestamp:
+        """The instant `since`, in `zone` where it has no offset; of an hour that comes twice the first is meant.
+
+        Raises:
+            ValueError: it is no date, or does not exist on that clock.
+        """
+        try:
+            since = pd.Timestamp(str(self.since))
+        except ValueError as error:
+            raise ValueError(f"since is no date: {self.since}") from error
+        if pd.isna(since):
+            raise ValueError(f"since is no date: {self.since}")
+        if since.tz is not None or self.zone is None:
+            return since
+        there = since.tz_localize(self.zone, ambiguous=True, nonexistent="NaT")
+        if not isinstance(there, pd.Timestamp):  # NaT
+            raise ValueError(f"since does not exist in {self.zone}, where summer time begins: {self.since}")
+        return there
 
 
 class CsvFormat(StrictModel):

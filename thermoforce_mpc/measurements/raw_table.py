@@ -34,8 +34,10 @@ class RawTable:
         return f"{self.name}, {'row' if self.line == 1 else 'line'} {row + self.line}"
 
 
-def raw_table(df: pd.DataFrame, stamps: str | None, columns: Sequence[str], name: str, line: int = 1) -> RawTable:
-    """The time stamps and `columns` of a data frame; raises `DataError` as `read_table` does."""
+def raw_table(
+    df: pd.DataFrame, stamps: str | None, columns: Sequence[str], name: str, line: int = 1, decimal: str = "."
+) -> RawTable:
+    """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_table` does."""
     if isinstance(df.index, pd.DatetimeIndex) and (stamps is None or stamps == df.index.name):
         at = df.index.to_series().reset_index(drop=True)
     elif not len(df.columns):
@@ -46,7 +48,7 @@ def raw_table(df: pd.DataFrame, stamps: str | None, columns: Sequence[str], name
         raise DataError(f"{name}: the table has no rows")
     table = RawTable(name, at, {}, line)
     for key in dict.fromkeys(columns):
-        table.columns[key] = _numbers(df[known_column(key, df.columns, name)], key, table)
+        table.columns[key] = _numbers(df[known_column(key, df.columns, name)], key, table, decimal)
     return table
 
 
@@ -62,30 +64,35 @@ def known_column(key: str, columns: pd.Index, name: str) -> str:
     return key
 
 
-def as_numbers(column: pd.Series) -> pd.Series:
-    """The numbers of a column of text, 1 and 0 where it holds nothing but on and off; NaN for what is none."""
+def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
+    """The numbers of a column of text, 1 and 0 where it holds nothing but on and off; NaN for what is none.
+
+    With the mark ',' a point is none of a number: it may stand between thousands.
+    """
     switch = column.dropna().astype(str).str.strip().str.lower()
     if len(switch) and switch.isin(_SWITCH).all():
         return column.astype(str).str.strip().str.lower().map(_SWITCH)
+    if decimal == "," and not pd.api.types.is_numeric_dtype(column):
+        text = column.astype(str)
+        column = text.str.replace(",", ".").where(column.notna() & ~text.str.contains(".", regex=False))
     return pd.to_numeric(column, errors="coerce")
 
 
-def _numbers(column: pd.Series, key: str, table: RawTable) -> Array:
+def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str) -> Array:
     if isinstance(column, pd.DataFrame):
         raise DataError(f"{table.name}: there are {column.shape[1]} columns '{key}'; give each a name of its own")
     if pd.api.types.is_numeric_dtype(column):
         return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
-    numbers = as_numbers(column)
+    numbers = as_numbers(column, decimal)
     wrong = np.flatnonzero((numbers.isna() & column.notna()).to_numpy())
     if wrong.size:
         more = f" ({wrong.size} such cells)" if wrong.size > 1 else ""
         first = str(column.iloc[wrong[0]])
-        comma = re.fullmatch(r"\s*-?\d+,\d+\s*", first) is not None
-        advice = (
-            "a decimal comma: set csv: {decimal: ','} in the map"
-            if comma
-            else "if it stands for an empty cell, name it in csv.missing of the map"
-        )
+        advice = "if it stands for an empty cell, name it in csv.missing of the map"
+        if decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
+            advice = "a decimal comma: set csv: {decimal: ','} in the map"
+        elif re.fullmatch(r"\s*-?\d+([.,' ]\d+)+\s*", first):
+            advice = f"write numbers without marks between thousands, with '{decimal}' as decimal mark (csv.decimal)"
         raise DataError(
             f"{table.where(int(wrong[0]))}: column '{key}' holds {first!r}, which is no number{more}; {advice}"
         )

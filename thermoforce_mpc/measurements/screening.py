@@ -25,7 +25,7 @@ from thermoforce_mpc.model import limits
 
 _MOST_REFUSED = 0.1
 # Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
-_EXCURSION_S = 6 * HOUR_S
+EXCURSION_S = 6 * HOUR_S
 # Flagged readings that are kept for a picture.
 _SHOWN = 200
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
@@ -147,7 +147,7 @@ def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
     while k + 1 < rows.size:
         out, back = int(rows[k]), int(rows[k + 1])
         returned = abs(values[back + 1] - values[out]) <= most and jumps[out] * jumps[back] < 0.0
-        if returned and time_s[back + 1] - time_s[out] <= _EXCURSION_S:
+        if returned and time_s[back + 1] - time_s[out] <= EXCURSION_S:
             away[out + 1 : back + 1] = True
             k += 1
         k += 1

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.measurements import screening
@@ -19,12 +22,14 @@ from thermoforce_mpc.measurements.resampling import (
     sampled,
     usual_s,
 )
-from thermoforce_mpc.measurements.screening import Flag, Rules, screened
+from thermoforce_mpc.measurements.screening import EXCURSION_S, Flag, Rules, screened
 from thermoforce_mpc.measurements.understood import SignalSummary
 from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, converted
 
 # A largest power below this makes kW likelier than W, one above makes W likelier than kW.
 _SMALLEST_W, _LARGEST_W = 15.0, 2e6
+# A counter that rises by this many times the 99th percentile of its rises did not count energy.
+_UNUSUAL = 10.0
 
 
 class SignalReader:
@@ -100,16 +105,15 @@ class SignalReader:
         raw = np.sum([self._table.columns[column] for column in signal.columns], axis=0) * signal.factor
         values, time_s = converted(raw, declared), self._time_s
         if declared.endswith(PER_STEP):
-            # Energy of a row's interval, whose length is that between rows, whether or not the cell beside is empty.
-            values = values / durations_s(time_s, longest_s(time_s, 0.0, signal.hold_h), self._marks)
+            values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks)
         flags: list[Flag] = []
         if (endless := np.isinf(values)).any():
             flags.append(Flag("range", int(endless.sum()), f"an infinite one at {self._at(int(np.argmax(endless)))}"))
         known = np.isfinite(values)
         values, time_s, raw = values[known], time_s[known], raw[known]
         if declared.endswith(COUNTER) and values.size > 1:
-            values, time_s, raw, back = _from_counter(values, time_s, raw, self._marks)
-            flags += [Flag("counter", back, "readings below the one before: a reset or a new meter")] if back else []
+            values, time_s, raw, of_counter = _from_counter(values, time_s, raw, self._marks, self._when)
+            flags += of_counter
         name = f"{key} (column {' + '.join(signal.columns)})"
         if values.size:
             holds, found = screened(time_s, values, raw, rules, name, declared or rules.unit, self._at)
@@ -119,6 +123,9 @@ class SignalReader:
 
     def _at(self, row: int) -> str:
         return str(self._table.index[row])
+
+    def _when(self, at_s: float) -> str:
+        return self._at(int(np.searchsorted(self._time_s, at_s)))
 
     def _told(
         self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
@@ -155,6 +162,8 @@ def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
     if rules.kind == "temperature" and not rules.usual[0] <= median <= rules.usual[1]:
         return f"a median of {median:.1f} °C is unusual: check the unit"
+    if rules.kind == "level" and 0.0 < most < rules.usual[0]:
+        return f"never above {most:.3g}: check the unit, 0-1 is likelier than %"
     if rules.kind == "power" and 0.0 < most < _SMALLEST_W:
         return f"never above {most:.3g} W: check the unit, kW or kWh per step is likelier"
     if rules.kind == "power" and most > _LARGEST_W:
@@ -169,10 +178,62 @@ def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
     return ""
 
 
-def _from_counter(values: Array, time_s: Array, raw: Array, marks: str) -> tuple[Array, Array, Array, int]:
-    """Mean power between readings of a counter, W, at the stamps that mark its intervals; how often it went back."""
+def _intervals_s(time_s: Array, known: NDArray[np.bool_], hold_h: float | None, marks: str) -> Array:
+    """Lengths (n,) of the intervals of energies that stand at the rows `time_s` (n,) where they are `known`, s.
+
+    An interval reaches from row to row where cells beside are empty by chance, and from reading to reading where other
+    columns have rows of their own (a table joined of several): of both what is nearer to the column's usual distance.
+    """
+    rows = durations_s(time_s, longest_s(time_s, 0.0, hold_h), marks)
+    read_s = time_s[known]
+    if read_s.size < 2:
+        return rows
+    own, usual = durations_s(read_s, longest_s(read_s, 0.0, hold_h), marks), usual_s(read_s)
+    rows[known] = np.where(np.abs(own - usual) < np.abs(rows[known] - usual), own, rows[known])
+    return rows
+
+
+def _from_counter(
+    values: Array, time_s: Array, raw: Array, marks: str, at: Callable[[float], str]
+) -> tuple[Array, Array, Array, list[Flag]]:
+    """Mean power between readings of a counter, W, at the stamps that mark its intervals; and what was flagged.
+
+    A reading that falls below the one before and comes back at once is none, since a counter that begins anew climbs as
+    slowly as it did before. A rise of more than 10 times what the machine takes at most is no energy.
+    """
+    flags: list[Flag] = []
+
+    def flag(wrong: NDArray[np.bool_], instants_s: Array, what: str) -> None:
+        if wrong.any():
+            words = f"{what}, first at {at(float(instants_s[int(np.argmax(wrong))]))}"
+            flags.append(Flag("counter", int(wrong.sum()), words))
+
+    fell = _fell_and_came_back(values, time_s)
+    flag(fell, time_s, "readings that fell below the one before and came back")
+    values, time_s, raw = values[~fell], time_s[~fell], raw[~fell]
     amount, lasts = np.diff(values), np.diff(time_s)
-    forward = amount >= 0.0
-    power = np.where(forward, amount / lasts, 0.0)
-    at = time_s[1:] if marks == "end" else time_s[:-1]
-    return power[forward], at[forward], raw[1:][forward], int((~forward).sum())
+    back = amount < 0.0
+    flag(back, time_s[1:], "readings below the one before: a reset or a new meter")
+    # Readings that came late, in a burst, rise by no more than in the usual time.
+    load = amount / np.maximum(lasts, usual_s(time_s))
+    taken = load[load > 0.0]
+    most = _UNUSUAL * float(np.percentile(taken, 99.0, method="lower")) if taken.size else np.inf
+    jumped = load > most
+    flag(jumped, time_s[1:], f"rises of more than {_UNUSUAL:g} times the usual largest: a new meter or a wrong reading")
+    sound = ~back & ~jumped
+    stamps_s = time_s[1:] if marks == "end" else time_s[:-1]
+    return (amount / lasts)[sound], stamps_s[sound], raw[1:][sound], flags
+
+
+def _fell_and_came_back(values: Array, time_s: Array) -> NDArray[np.bool_]:
+    """Which readings of a counter (n,) lie below an earlier one to which it returns in one rise within 6 h."""
+    away = np.zeros(values.size, dtype=bool)
+    for i in np.flatnonzero(np.diff(values) < 0.0):
+        if away[i]:
+            continue
+        fall = values[i] - values[i + 1]
+        for k in range(i + 2, int(np.searchsorted(time_s, time_s[i] + EXCURSION_S, side="right"))):
+            if values[k] >= values[i] and values[k] - values[k - 1] >= fall:
+                away[i + 1 : k] = True
+                break
+    return away

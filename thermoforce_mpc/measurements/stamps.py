@@ -46,11 +46,18 @@ def _counted(table: RawTable, clock: Clock) -> pd.Series:
             f"{table.name}: the time stamps are numbers (first {table.stamps.iloc[0]:g}); set time.unit (s, ms, min, "
             "h, D) and time.since (what they count from), or name another column as time.column"
         )
-    since = pd.Timestamp(clock.since)
-    if since.tz is None and clock.zone is not None:
-        since = since.tz_localize(clock.zone)
-    elapsed = pd.to_timedelta(np.asarray(table.stamps, dtype=np.float64), unit=clock.unit)
-    return pd.Series(since + elapsed).dt.round("1ms")
+    numbers = np.asarray(table.stamps, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        row = int(np.argmin(np.isfinite(numbers)))
+        raise DataError(f"{table.where(row)}: the time stamp is {numbers[row]:g}; remove the row")
+    try:
+        return pd.Series(clock.counted_from() + pd.to_timedelta(numbers, unit=clock.unit)).dt.round("1ms")
+    except (ValueError, OverflowError) as error:
+        row = int(np.argmax(np.abs(numbers)))
+        raise DataError(
+            f"{table.where(row)}: the time stamp {numbers[row]:.17g} is no date, read in {clock.unit} since "
+            f"{clock.since}: check time.unit, or mend the row"
+        ) from error
 
 
 def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:

@@ -51,7 +51,7 @@ def starting_map(file: str | Path) -> str:
     stamps, *columns = [str(column) for column in head.columns]
     found: dict[str, list[str]] = {kind: [] for kind, _ in _WORDS}
     for column in columns:
-        numbers = as_numbers(head[column])
+        numbers = as_numbers(head[column], form.decimal)
         kind = next((kind for kind, words in _WORDS if re.search(words, column.lower())), None)
         if kind in (None, "power") and set(numbers.dropna()) == {0.0, 1.0}:
             kind = "level" if re.search(_SWITCHED, column.lower()) else kind
@@ -102,7 +102,7 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, found: d
         lines.append(f"    zone: {_name(rooms[0])}  # the zone that it serves")
     lines.append("    mode: heating  # or cooling")
     if acts:
-        unit = "'%'" if as_numbers(head[acts[0]]).max() > 1.5 else "0-1"
+        unit = "'%'" if as_numbers(head[acts[0]], form.decimal).max() > 1.5 else "0-1"
         lines.append(f"    level: {{column: {_quoted(acts[0])}, unit: {unit}}}")
     else:
         lines.append("    # level: {column: ..., unit: '%'}  # without it, power over its 99th percentile")

@@ -27,7 +27,7 @@ _BRIEF.maxdict = _BRIEF.maxlist = _BRIEF.maxtuple = 12
 
 
 UNION_TAGS = ("direct", "room", "one_zone", "weather_only", "meters", "factors", "air")
-"""Tags of the alternatives of a key, which pydantic puts into the place of an error; no key has these names."""
+"""Tags of the alternatives of a key, which pydantic puts into the place of an error; no key of ours has these names."""
 
 
 def configs_folder() -> Path:
@@ -77,7 +77,7 @@ def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
         return model.model_validate(dict(data))
     except ValidationError as error:
         items = error.errors()
-        lines = [_line(data, item) + _explain(model, item) for item in items[:_MOST_LISTED]]
+        lines = [_line(data, item) + _explain(model, data, item) for item in items[:_MOST_LISTED]]
         if len(items) > _MOST_LISTED:
             lines.append(f"and {len(items) - _MOST_LISTED} more")
         raise ConfigError(f"{source}:\n" + "\n".join(f"  {line}" for line in lines)) from error
@@ -128,9 +128,23 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
     return out
 
 
-def _explain(model: type[BaseModel], item: Any) -> str:
+def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
+    """Return the keys and indices that lead to an error, without tags; a zone called 'room' is no tag."""
+    place: list[Any] = []
+    here: Any = data
+    for part in item["loc"]:
+        inside = isinstance(here, Mapping) and part in here
+        if part in UNION_TAGS and not inside:
+            continue
+        place.append(part)
+        if inside or (isinstance(here, list | tuple) and isinstance(part, int) and part < len(here)):
+            here = here[part]
+    return tuple(place)
+
+
+def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
     """Return one line per pydantic error: dotted key, reason, value; for an unknown key, the allowed keys."""
-    path = [str(part) for part in item["loc"] if part not in UNION_TAGS]
+    path = [str(part) for part in _place(data, item)]
     key = ".".join(path) or "(top level)"
     if item["type"] == "extra_forbidden":
         known = _keys_at(model, path[:-1])
@@ -146,7 +160,7 @@ def _line(data: Mapping[str, Any], item: Any) -> str:
     """Return "line N: " for an error in a file, else an empty string."""
     if not isinstance(data, YamlDocument):
         return ""
-    line = data.line(tuple(part for part in item["loc"] if part not in UNION_TAGS))
+    line = data.line(_place(data, item))
     return "" if line is None else f"line {line}: "
 
 

@@ -69,6 +69,7 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
     offset = round((first * DAY_S - record.time_s[0]) / record.step_s)
     # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
     total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
+    total = np.where(np.isfinite(total), total, np.nan)
     known = np.isfinite(total) & np.isfinite(record.T_out_C[:-1])
     sunny = np.isfinite(record.solar_W_m2[:-1])
     least_sun = _LEAST_SUN if sunny.any() else 0.0

@@ -25,8 +25,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.dataframes import seconds_since
+from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.dataframes import seconds_since, stamps
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.whatif.days import LAGS_H, Days, days_of
 
@@ -146,8 +146,9 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
         level: of the interval.
 
     Raises:
-        DataError: too few whole days, another number of zones or machines, a machine that is not metered in both
-            records, records that overlap or of which one has a time zone, or a level outside (0, 1).
+        DataError: too few whole days, one with an energy below 0, another number of zones or machines, a machine that
+            is not metered in both records, records that overlap or of which one has a time zone, or a level outside
+            (0, 1).
     """
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
@@ -161,6 +162,16 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
             raise DataError(
                 f"{name}: {days.n} whole days with energy, outdoor temperature and, where it is metered, sun "
                 f"({days.left_out} more have gaps), need {least}"
+            )
+    usual = float(np.quantile(np.abs(np.concatenate([old.energy_kWh, new.energy_kWh])), 0.9))
+    for days, record, name in ((old, before, "before"), (new, after, "after")):
+        below = np.flatnonzero(days.energy_kWh < -_IDLE * usual)
+        if below.size:
+            begin = stamps(np.array([days.number[below[0]] * DAY_S]), record.origin)[0]
+            raise DataError(
+                f"{name}: the energy of the day from {begin} is {days.energy_kWh[below[0]]:.1f} kWh ({below.size} such "
+                "days), and what machines use is not below 0: check the meter and its sign, and that it does not count "
+                "what is fed into the grid"
             )
     fits = _fits(old, new)
     best = min(fits, key=lambda fit: fit.score)
