@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import requests
 from click.testing import CliRunner
+from rich.console import Console
 from simple_house import SimpleHouse, simple_model
 from two_houses import TwoHouses, two_model
 
@@ -142,6 +143,39 @@ def test_several_zones_and_a_step_under_way(tmp_path):
         assert word in done.output
 
 
+def test_without_a_power_meter_there_is_no_cost(tmp_path):
+    class Unmetered(SimpleHouse):
+        """Its power is not known."""
+
+        def advance(self, u, duration_s):
+            return replace(super().advance(u, duration_s), power_W=np.array([np.nan]))
+
+    run(tmp_path, Unmetered(), simple_model(), hours=2)
+    view = LiveRun(tmp_path).now()
+    assert np.isnan([view.cost, view.energy_kWh]).all()
+    told = CliRunner().invoke(cli, ["watch", str(tmp_path), "--once"]).output
+    assert "so far: cost –, energy –, discomfort 0." in told
+
+
+def test_less_than_an_hour_of_a_plan_is_its_first_steps(single):
+    told = CliRunner().invoke(cli, ["watch", str(single[0]), "--once", "--hours", "0.1"]).output
+    assert f"{LiveRun(single[0]).now().plan[0].T_C[0]:.2f}" in told.split("bounds")[-1]
+    told = CliRunner().invoke(cli, ["explain", str(single[0]), "--hours", "0.1"]).output
+    assert "day 10 12:00" in told.split("Alternatives")[0].split("Plan, the first 0.1")[1]
+
+
+def test_a_narrow_terminal_shows_all_figures(tmp_path, monkeypatch):
+    run(tmp_path, TwoHouses(), two_model(), hours=3)
+    view = LiveRun(tmp_path).now()
+    monkeypatch.setenv("COLUMNS", "60")
+    told = CliRunner().invoke(cli, ["watch", str(tmp_path), "--once"]).output
+    assert "…" not in told
+    assert max(map(len, told.splitlines())) <= 60
+    for zone, planned in zip(view.zones, view.plan[7].T_C, strict=True):
+        for figure in (f"{zone.T_C:.2f} °C", f"{zone.lower_C:g}–{zone.upper_C:g}", f"{planned:.2f}"):
+            assert figure in told
+
+
 def test_the_end_of_a_run_is_said(single, tmp_path):
     shutil.copy(single[0] / "journal.jsonl", tmp_path)
     (tmp_path / "INCOMPLETE.txt").write_text("This run did not finish: the plant is gone\n")
@@ -151,7 +185,7 @@ def test_the_end_of_a_run_is_said(single, tmp_path):
     for name in ("manifest.json", "report.html"):
         (tmp_path / name).touch()
     assert LiveRun(tmp_path).now().state == "finished"
-    assert shown(view, 3.0)
+    assert shown(view, 3.0, Console())
 
 
 def test_a_finished_run_shows_its_controller_and_names_the_baselines(tmp_path):

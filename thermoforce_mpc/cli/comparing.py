@@ -27,6 +27,7 @@ from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.display import zone_table
+from thermoforce_mpc.simulation.whole_tables import print_whole
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3
@@ -233,10 +234,10 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
             figures = dict(zip(HEADINGS, shown_figures(row), strict=True))
             style = "bold" if row["pareto"] else None
             table.add_row(row["controller"], *(figures[key] for key in _ON_CONSOLE), style=style)
-        console.print(table)
+        print_whole(table, console, folded=True)
         zones = {row["controller"]: row["zones"] for row in members}
         if any(zones.values()):
-            console.print(zone_table(zones))
+            print_whole(zone_table(zones), console)
     for text in verdicts(rows):
         console.print(text, soft_wrap=True, markup=False)
     for row in rows:

@@ -12,12 +12,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.options import course_options, measured_model_options
+from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
 from thermoforce_mpc.cli.schedule_file import levels_of
-from thermoforce_mpc.cli.tables import print_whole
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.dataframes import seconds_at, stamps
 from thermoforce_mpc.files import written
+from thermoforce_mpc.simulation.whole_tables import print_whole
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
 
 _ROWS = 25
@@ -26,7 +26,7 @@ _ROWS = 25
 @click.command(short_help="What another schedule would have done on a past day.")
 @measured_model_options
 @click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
-@click.option("--hours", type=click.FloatRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")
+@click.option("--hours", type=FiniteRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")
 @course_options("One level in [0, 1] for all of it.")
 def command(
     model: Path,

@@ -12,11 +12,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.tables import print_whole
+from thermoforce_mpc.cli.options import FiniteRange
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.simulation.explaining import Decision, decision_at, words_of
+from thermoforce_mpc.simulation.explaining import Decision, decision_at, hour_ends, words_of
 from thermoforce_mpc.simulation.other_courses import alternatives_json, alternatives_of
 from thermoforce_mpc.simulation.run_folder import write_json
+from thermoforce_mpc.simulation.whole_tables import print_whole
 
 if TYPE_CHECKING:
     from controllers.alternatives import Alternatives
@@ -41,7 +42,7 @@ _RUNGS = {
     "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
 )
 @click.option("--controller", metavar="NAME", help="Which of the run.  [default: the scenario's own]")
-@click.option("--hours", type=click.FloatRange(0.1), default=12.0, show_default=True, help="Hours of the plan to show.")
+@click.option("--hours", type=FiniteRange(0.1), default=12.0, show_default=True, help="Hours of the plan to show.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all of it to this JSON file.")
 def command(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
     """Tell what the run in folder RUN decided at an instant, and why: readings, forecast, plan, what bound, what acted.
@@ -144,7 +145,8 @@ def _table(decision: Decision, hours: float) -> Table:
     """The planned course, hour by hour, with the forecast it was made on."""
     boundary, names, plan = decision.boundary, decision.names, decision.plan
     n = plan["u"].shape[-1]
-    every = max(1, round(HOUR_S / boundary.step_s))
+    ends = hour_ends(n, boundary.step_s, hours)
+    every = ends.step
     all_h = n * boundary.step_s / HOUR_S
     part = f", the first {hours:g} of {all_h:g} h (--hours {all_h:g} shows all)" if hours < all_h else ""
     table = Table(title=f"Plan{part}", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
@@ -156,7 +158,7 @@ def _table(decision: Decision, hours: float) -> Table:
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True)
     T = decision.T_zone_C
-    for end in range(every, min(n, round(hours * HOUR_S / boundary.step_s)) + 1, every):
+    for end in ends:
         step = slice(end - every, end)
         row = [
             words_of(boundary.time_s[end]),

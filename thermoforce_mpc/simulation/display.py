@@ -16,6 +16,7 @@ from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
 from thermoforce_mpc.simulation.identifying import ProbingProgress
+from thermoforce_mpc.simulation.whole_tables import print_whole
 
 Kpis = Callable[[], Mapping[str, float]]
 
@@ -24,7 +25,7 @@ KPI_COLUMNS = {
     "tdis_tot": "discomf.\nK·h",
     "ener_tot": "energy\nkWh/m²",
     "emis_tot": "CO2\nkg/m²",
-    "pele_tot": "peak\nkW/m²",
+    "pele_tot": "el. peak\nkW/m²",
     "time_rat": "time\nratio",
 }
 
@@ -203,10 +204,10 @@ class RunDisplay:
                     for key, v in values.items()
                 ),
             )
-        self.console.print(table)
+        print_whole(table, self.console)
         zones = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
         if any(zones.values()):
-            self.console.print(zone_table(zones))
+            print_whole(zone_table(zones), self.console)
         for name, why in (held or {}).items():
             self.console.print(f"{name}: {why}", soft_wrap=True, markup=False)
 

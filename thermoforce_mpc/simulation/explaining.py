@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement, Names, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.simulation.forecasts import empty_forecast
@@ -187,6 +187,12 @@ def seconds_of(at: str) -> float:
             continue
         return (told - datetime(2021, 1, 1)).total_seconds()
     raise InputError(f"--at {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'")
+
+
+def hour_ends(n: int, step_s: float, hours: float) -> range:
+    """Number of steps at the end of each of the first `hours` of a plan of `n` steps; of less than one hour its end."""
+    every = max(1, round(min(hours, 1.0) * HOUR_S / step_s))
+    return range(every, min(n, max(every, round(hours * HOUR_S / step_s))) + 1, every)
 
 
 def words_of(time_s: float) -> str:

@@ -60,8 +60,8 @@ class View:
 
     `state`: running, finished, or ended early, and `said` why; `levels`: mean level of each actuator in the step under
     way, NaN under its own control; `cost` by metered power and prices in force (currency), `energy_kWh` and
-    `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where prices or bounds are not known; `counts`:
-    steps by status; `past` and `plan` by step.
+    `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where no power was metered yet, or prices or
+    bounds are not known; `counts`: steps by status; `past` and `plan` by step.
     """
 
     run: str
@@ -119,6 +119,7 @@ class LiveRun:
         self._last: ToldStep | None = None
         self._start_s = float("nan")
         self._cost, self._kWh, self._Kh = 0.0, 0.0, 0.0
+        self._metered = False
         self._counts: Counter[str] = Counter()
         self._past: deque[Point] = deque(maxlen=_MOST_POINTS)
         self._boundary: Boundary | None = None
@@ -166,6 +167,7 @@ class LiveRun:
         for one, reported in zip(step.advances, step.after, strict=True):
             after = with_level(reported, block_of(one["asked"]))
             hours = (after.time_s - start_s) / HOUR_S
+            self._metered |= bool(np.isfinite(after.power_W).any())
             kWh = np.nan_to_num(after.power_W) * hours / 1000.0
             self._kWh += float(kWh.sum())
             if self._boundary is not None:
@@ -235,8 +237,8 @@ class LiveRun:
             acting=tuple(str(one) for one in told["acting"]),
             why=str(told["why"]),
             notes=step.notes,
-            cost=self._cost,
-            energy_kWh=self._kWh,
+            cost=self._cost if self._metered else float("nan"),
+            energy_kWh=self._kWh if self._metered else float("nan"),
             discomfort_Kh=self._Kh,
             counts=dict(self._counts),
             past=tuple(point for point in self._past if point.time_s > since_s),

@@ -103,6 +103,17 @@ def test_the_page_says_where_cost_so_far_does_not_end_at_the_kpi(tmp_path):
     told = body_of(report_of(own, {"gas": dearer}, tmp_path, Layout.single()))
     assert f"cost of gas: {cost:.4g}, KPI {2 * cost:.4g}" in told
     assert "cost of thermostat" not in told
+    # A generated house counts discomfort by its temperature, its sensor is late: the blocks alone are not the reason.
+    assert "which a sensor with noise, a lag or sun on it misreads" in told
+
+
+def test_a_peak_is_that_of_its_carrier(result, tmp_path):
+    kpis = {**result.kpis, "pele_tot": 0.0046, "pgas_tot": 0.0925}
+    body = body_of(report_of(replace(result, kpis=kpis), {}, tmp_path))
+    for label, value in (("Peak of electricity", "0.0046"), ("Peak of gas", "0.0925")):
+        assert value in body.split(label)[1].split("</tr>")[0]
+    assert "Peak power" not in body
+    assert "Peak of district heat" not in body
 
 
 def test_the_planned_cost_is_that_of_the_planned_power(result):
@@ -282,6 +293,7 @@ def test_rules_have_no_plans_to_show(tmp_path):
     assert data["plans"] is None
     assert data["other_levels"] is None
     assert "plan-slider" not in body_of(page)
+    assert "free and forced part" not in body_of(page)
 
 
 def test_the_library_goes_with_its_licence(result, tmp_path):

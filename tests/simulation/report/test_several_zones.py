@@ -94,6 +94,17 @@ def test_progress_shows_every_zone_and_marks_those_outside_their_bounds(result):
     assert "!" in marks, "the second house begins cold"
 
 
+def test_the_final_table_keeps_its_figures_in_a_narrow_terminal(result, capsys):
+    display = RunDisplay()
+    display.console = Console(width=50)
+    kpis = dict.fromkeys(("cost_tot", "tdis_tot", "ener_tot", "emis_tot", "pele_tot"), 0.2446) | {"time_rat": 2e-4}
+    display.kpi_table({"thermoforce_mpc": kpis, "native": kpis}, "title", "EUR", {"thermoforce_mpc": "not competent"})
+    told = capsys.readouterr().out
+    assert "…" not in told
+    assert told.count("0.2446*") == 8
+    assert told.count("0.245*") == 2
+
+
 def test_the_final_table_has_the_discomfort_of_every_zone(result, capsys):
     RunDisplay().kpi_table({"planner": result.kpis}, "title", "EUR")
     told = capsys.readouterr().out

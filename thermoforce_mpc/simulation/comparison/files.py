@@ -28,7 +28,7 @@ HEADINGS = {
     "tdis_tot": "discomfort, K·h",
     "ener_tot": "energy, kWh/m²",
     "emis_tot": "CO₂, kg/m²",
-    "pele_tot": "peak, kW/m²",
+    "pele_tot": "electric peak, kW/m²",
     "plan_ms": "plan, ms",
     "fallbacks": "fallbacks",
 }

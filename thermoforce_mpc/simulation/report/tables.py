@@ -17,7 +17,9 @@ KPI_LABELS = {
     "ener_tot": ("Energy", "kWh/m²"),
     "tdis_tot": ("Discomfort", "K·h"),
     "emis_tot": ("Emissions", "kg CO₂/m²"),
-    "pele_tot": ("Peak power (15 min)", "kW/m²"),
+    "pele_tot": ("Peak of electricity (15 min)", "kW/m²"),
+    "pgas_tot": ("Peak of gas (15 min)", "kW/m²"),
+    "pdih_tot": ("Peak of district heat (15 min)", "kW/m²"),
     "time_rat": ("Computing time / real time", "–"),
 }
 # KPIs that are shown as bars, too.

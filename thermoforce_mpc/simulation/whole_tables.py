@@ -1,0 +1,21 @@
+"""Tables for people."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+# Widest table, characters.
+_WIDEST = 1000
+
+
+def width_of(table: Table, console: Console, *, folded: bool = False) -> int:
+    """Characters that a table needs to show all of its figures; `folded`: where names may take several lines."""
+    needed = console.measure(table, options=console.options.update(width=_WIDEST))
+    return needed.minimum if folded else needed.maximum
+
+
+def print_whole(table: Table, console: Console, *, folded: bool = False) -> None:
+    """Print a table, wider than a narrow terminal rather than with figures cut off; `folded`: see `width_of`."""
+    wide = max(console.width, width_of(table, console, folded=folded))
+    Console(file=console.file, highlight=False, markup=False, width=wide).print(table)
