@@ -26,7 +26,7 @@ from thermoforce_mpc.simulation.fleet.dataset import (
     check_dataset,
     finished_rows,
     read_dataset,
-    reused_rows,
+    reused_row,
     row_of,
     write_dataset,
 )
@@ -35,6 +35,7 @@ from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, 
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
+from thermoforce_mpc.simulation.whole_tables import print_whole
 
 RUNS_FAILED = 3
 _SHOWN_FAILURES = 10
@@ -69,12 +70,12 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     Examples:
       tf-mpc fleet small --count
       tf-mpc fleet small --out runs/small
-      tf-mpc fleet portfolio.yaml --scheduler tcp://host:8786
+      tf-mpc fleet portfolio --scheduler tcp://host:8786
       tf-mpc fleet whole.yaml --reuse runs/north --reuse runs/south
 
     \b
-    Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed (the others are kept), 7 the cluster is gone,
-    130 interrupted.
+    Exit codes: 0 all runs have a result, 2 bad input, 3 a run or identification failed (the others are kept), 7 the
+    cluster is gone, 130 interrupted.
     """
     console = Console(highlight=False, markup=False)
     file, path = load_fleet(fleet)
@@ -93,11 +94,14 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         return
     results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
     check_dataset(results.folder)
+    no_model: dict[str, str] = {}
     if measured:
-        models = _identify(measured, results, console, engine, quiet)
+        models, no_model = _identify(measured, results, console, engine, quiet)
         runs = runs_of(file, with_models(buildings, models), path)
     records = {run.cell.key: record for run in runs if (record := results.record(run)) is not None}
-    rows_of_others = reused_rows(finished, [run for run in runs if run.cell.key not in records])
+    rows_of_others = {
+        run.cell.key: finished[run.cell.key] for run in runs if run.cell.key in finished and run.cell.key not in records
+    }
     own = [run for run in runs if run.cell.key not in rows_of_others]
     todo = [run for run in own if run.cell.key not in records]
     if not quiet:
@@ -118,10 +122,16 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
         raise
     dataset = write_dataset(
-        results.folder, [rows_of_others.get(run.cell.key) or row_of(run, records[run.cell.key]) for run in runs]
+        results.folder,
+        [
+            reused_row(run, rows_of_others[run.cell.key])
+            if run.cell.key in rows_of_others
+            else row_of(run, records[run.cell.key])
+            for run in runs
+        ],
     )
     rows = read_dataset(dataset)
-    verdicts = write_models(results.folder, results, own, records, measured)
+    verdicts = write_models(results.folder, results, own, records, measured, no_model)
     page = results.folder / "index.html"
     said = shlex.join(["tf-mpc", "fleet", fleet])
     scenarios = {run.cell.key: run.cell.scenario for run in runs}
@@ -129,7 +139,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     _show(console, rows, file.reference)
     console.print(f"Runs: {shlex.quote(str(dataset))}; models: {shlex.quote(str(verdicts))}", soft_wrap=True)
     console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
-    if (rows["status"] != DONE).any():
+    if no_model or (rows["status"] != DONE).any():
         sys.exit(RUNS_FAILED)
 
 
@@ -149,9 +159,12 @@ def _counted(runs: list[Run]) -> str:
 
 def _identify(
     measured: Mapping[str, Task], results: FleetResults, console: Console, engine: Opening, quiet: bool
-) -> dict[str, Path]:
-    """Identify from measurements; where each building's model is, by name. Those without one are said."""
-    models = {}
+) -> tuple[dict[str, Path], dict[str, str]]:
+    """Identify from measurements; by name where each building's model is, and why an identification failed.
+
+    A building whose measurements are refused has neither. Those without a model are said.
+    """
+    models, failed = dict[str, Path](), dict[str, str]()
     with TaskProgress(console, quiet=quiet) as progress, engine(_sayer(console, quiet)) as where:
         for outcome in execute(measured.values(), where, results, progress):
             made_of = outcome.task.inputs
@@ -161,7 +174,9 @@ def _identify(
                 console.print(f"{made_of.building}: no model, it is not run: {why}", soft_wrap=True)
             else:
                 models[made_of.building] = results.model_path(outcome.task.key)
-    return models
+            if outcome.reason:
+                failed[made_of.building] = outcome.reason
+    return models, failed
 
 
 def _sayer(console: Console, quiet: bool) -> Callable[[str], None]:
@@ -193,8 +208,8 @@ def _line(outcome: Outcome) -> str:
 
 
 def _saving(group: Group) -> tuple[str, str, str]:
-    """Median saving, its range and the share that is cheaper, %; dashes where nothing was heated."""
-    if not group.heated:
+    """Median saving, its range and the share that is cheaper, %; dashes where no run has a saving."""
+    if not group.counted:
         return "–", "–", "–"
     low, middle, high = (100 * value for value in group.saving)
     return f"{middle:+.1f}", f"{low:+.1f} to {high:+.1f}", f"{100 * group.cheaper:.0f}"
@@ -218,7 +233,7 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
                 *_saving(group),
                 f"{100 * group.colder:.0f}",
             )
-        console.print(table)
+        print_whole(table, console, folded=True)
         for cause, n in causes(lost(pairs)):
             console.print(f"{n} runs {cause}", soft_wrap=True)
     failed = rows[rows["status"] != DONE]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from click.testing import CliRunner
+from pages import ROOT
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
@@ -27,6 +29,7 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.comparison.tasks import failure
+from thermoforce_mpc.simulation.fleet import models as fleet_models
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import FORMAT, SCHEMA, read_dataset
 from thermoforce_mpc.simulation.fleet.file import load_fleet
@@ -119,6 +122,27 @@ def test_parts_of_a_fleet_run_apart_come_together(tmp_path: Path) -> None:
     assert "8 are taken from other datasets, 4 are left" in _fleet(more, "--reuse", str(tmp_path / "out"))[1]
 
 
+def test_rows_in_the_repository_are_those_of_the_fleet_that_ships() -> None:
+    file, path = load_fleet("portfolio")
+    (source,) = file.buildings
+    assert source.generated is not None
+    first = source.model_copy(update={"generated": source.generated.model_copy(update={"count": 2})})
+    runs = runs_of(file, buildings_of(file.model_copy(update={"buildings": (first,)}), path), path)
+    kept = pd.read_parquet(ROOT / "docs" / "evidence" / "fleet_runs.parquet", columns=["building", "key"])
+    assert len(kept) == 24 * source.generated.count
+    assert {run.cell.key for run in runs} == set(kept.key[kept.building.isin({run.building.name for run in runs})])
+
+
+def test_reused_runs_of_the_same_inputs_keep_their_own_names(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text("name,testcase\nnorth,generated:5:0\nsouth,generated:5:0\n")
+    path = _file(tmp_path, buildings=[{"table": "two.csv"}], variants=RULES | {"again": RULES["thermostat"]})
+    assert _fleet(path)[0] == 0
+    made = (tmp_path / "out").rename(tmp_path / "made")
+    code, said = _fleet(path, "--reuse", str(made))
+    assert (code, "0 are left" in said) == (0, True)
+    pd.testing.assert_frame_equal(read_dataset(tmp_path / "out"), read_dataset(made))
+
+
 def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,6 +174,16 @@ def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path)
     assert (code, "other.parquet: its schema is none" in said) == (2, True)
     code, said = _fleet(_file(tmp_path), "--reuse", str(tmp_path / "nowhere.parquet"))
     assert (code, "nowhere.parquet: is missing" in said) == (2, True)
+    texts = pa.schema([(name, pa.string()) for name in SCHEMA.names], metadata=SCHEMA.metadata)
+    pq.write_table(texts.empty_table(), tmp_path / "texts.parquet")
+    code, said = _fleet(_file(tmp_path), "--reuse", str(tmp_path / "texts.parquet"))
+    assert (code, "texts.parquet: its schema is 1 with other columns" in said) == (2, True)
+    row = {field.name: "" if field.type == pa.string() else 0 for field in SCHEMA}
+    pq.write_table(pa.Table.from_pylist([row], SCHEMA), tmp_path / "damaged.parquet")
+    whole = (tmp_path / "damaged.parquet").read_bytes()
+    (tmp_path / "damaged.parquet").write_bytes(whole[:4] + bytes([255]) * 400 + whole[404:])
+    code, said = _fleet(_file(tmp_path), "--reuse", str(tmp_path / "damaged.parquet"))
+    assert (code, "damaged.parquet: is damaged" in said) == (2, True)
     code, said = _fleet(_file(tmp_path, trajectories=True), "--reuse", str(tmp_path / "other.parquet"))
     assert (code, "trajectories: true goes without --reuse" in said) == (2, True)
     assert not (tmp_path / "out").exists()
@@ -184,6 +218,8 @@ def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> N
         ({"reference": "pi"}, "'pi' is not among the variants"),
         ({"prices": ["free"]}, "prices"),
         ({"windows": ["cold_weak"]}, "cold_weak"),
+        ({"windows": [400]}, "'400': a start day lies between 0 and 365"),
+        ({"windows": ["nan"]}, "'nan': a start day lies between 0 and 365"),
         ({"seeds": [1, 1]}, "twice"),
         ({"scenario": {"perid": 3}}, "perid"),
         ({"scenario": {"price": "dynamic"}}, "price: has a key of its own in a fleet, which would replace it: prices"),
@@ -229,6 +265,8 @@ def test_a_table_names_buildings_and_their_own_files(tmp_path: Path) -> None:
         ("name\n", "needs the columns name and testcase"),
         ("name,record,map\na,x.csv,\n", "line 2: record and map go together"),
         ("name,testcase\n", "has no buildings"),
+        ("name,testcase,testcase\na,house:2rooms,house:3rooms\n", "a column is given twice"),
+        (f"name,testcase\n{'a' * 200_000},house:2rooms\n", "is not CSV"),
         ("name,testcase\na,house:2rooms\n,house:2rooms\n", "line 3: needs a name"),
         ("name,testcase\na,house:99rooms\n", "line 2: .*99"),
         ("name,testcase,url,fmu\na,bestest_air,http://x,y.fmu\n", "line 2: url and fmu"),
@@ -262,13 +300,32 @@ def test_saving_and_discomfort_are_counted_against_the_same_run_of_the_reference
 
     pairs = pairs.reset_index()
     everything, boilers, electric = groups(pairs)
-    assert (everything.runs, everything.heated) == (4, 3)
+    assert (everything.runs, everything.counted) == (4, 3)
     assert everything.cheaper == pytest.approx(2 / 3)
     assert (boilers.value, boilers.saving[1]) == ("boiler", pytest.approx(0.0))
     assert electric.colder == 0.5
     worst = lost(pairs)
     assert worst["building"].tolist() == ["c", "b"]  # comfort before cost
     assert [n for _, n in causes(worst)] == [1, 1]
+
+
+def test_where_the_reference_earns_or_costs_nothing_there_is_no_share_and_the_lower_cost_is_no_loss() -> None:
+    rows = _rows(
+        building=["a", "b", "c", "a", "b", "c"],
+        variant=["mpc"] * 3 + ["rule"] * 3,
+        cost_tot=[-2.0, -0.5, 0.1, -1.0, -1.0, 0.0],
+        tdis_tot=[0.0] * 6,
+        key=[*"abcdef"],
+    )
+    pairs = paired(rows, "mpc", "rule")
+    assert pairs["saving"].isna().all()
+    assert [why.split(":")[0] for why in pairs["why"]] == ["", "dearer", "dearer"]
+    (everything,) = groups(pairs)
+    assert everything.counted == 0
+    assert "saving –;" in headline(everything, "mpc", "rule")
+    page = fleet_page(rows, "rule", "Fleet", "tf-mpc fleet x", {key: Scenario(testcase="x") for key in "abcdef"})
+    assert "No run has a saving" in page
+    assert "A point is a run" not in page
 
 
 def test_a_rule_has_no_model_though_a_step_was_refused() -> None:
@@ -313,7 +370,7 @@ def test_without_a_heated_run_no_saving_is_said() -> None:
     )
     (everything,) = groups(paired(rows, "mpc", "rule"))
     said = headline(everything, "mpc", "rule")
-    assert said.startswith("mpc against rule in 1 runs, 0 of them heated: saving –; 0 % more than 0.5 K·h a week")
+    assert said.startswith("mpc against rule in 1 runs, 0 of which count for the saving: saving –; 0 % more than 0.5 K")
     assert fleet_command._saving(everything) == ("–", "–", "–")
 
 
@@ -343,6 +400,18 @@ def _measured(path: Path, *, heated: bool) -> None:
     ends = {"level": [*record.u[0], np.nan], "power": [*record.power_W[0], np.nan]}
     columns = {"room": record.T_zone_C[0], "out": record.T_out_C, "sun": record.solar_W_m2}
     pd.DataFrame(columns | ends, index=at).to_csv(path)
+
+
+def test_an_identification_that_fails_is_listed_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("map.yaml", "good.csv"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "few.csv").write_text("name,record,map\nnorth,good.csv,map.yaml\n")
+    # A function that a worker finds, and that fails there.
+    monkeypatch.setattr(fleet_models, "identified_from", os.abort)
+    code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}]))
+    assert (code, "north: no model, it is not run: TypeError" in said) == (3, True)
+    (row,) = pd.read_parquet(tmp_path / "out" / "models.parquet").to_dict("records")
+    assert (row["building"], row["verdict"].startswith("failed: TypeError")) == ("north", True)
 
 
 @pytest.mark.slow

@@ -97,8 +97,16 @@ def _of_table(table: Path) -> Iterator[Building]:
         text = read_bounded(table, _MOST_BYTES, ConfigError).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{table}: is not UTF-8 ({error})") from error
-    reader = csv.DictReader(io.StringIO(text))
+    try:
+        yield from _of_lines(csv.DictReader(io.StringIO(text)), table)
+    except csv.Error as error:
+        raise ConfigError(f"{table}: is not CSV ({error})") from error
+
+
+def _of_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
     columns = reader.fieldnames or []
+    if len(set(columns)) < len(columns):
+        raise ConfigError(f"{table}: a column is given twice; found {', '.join(columns)}")
     for column in columns:
         if column not in _COLUMNS:
             raise ConfigError(

@@ -94,9 +94,9 @@ def finished_rows(datasets: Iterable[Path]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def reused_rows(finished: Mapping[str, Mapping[str, Any]], runs: Iterable[Run]) -> dict[str, dict[str, Any]]:
-    """The rows among `finished` of runs with the same inputs, as rows of these runs, by key."""
-    return {run.cell.key: {**finished[run.cell.key], **_place(run)} for run in runs if run.cell.key in finished}
+def reused_row(run: Run, row: Mapping[str, Any]) -> dict[str, Any]:
+    """The `row` of a run with the same inputs as a row of this run."""
+    return {**row, **_place(run)}
 
 
 def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
@@ -117,7 +117,8 @@ def check_dataset(path: Path) -> None:
     except (OSError, pa.ArrowException) as error:
         raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another folder, or remove it") from error
     found = (schema.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
-    if found != FORMAT or schema.names != SCHEMA.names:
+    if found != FORMAT or schema.names != SCHEMA.names or schema.types != SCHEMA.types:
+        found += " with other columns" if found == FORMAT else ""
         raise ConfigError(
             f"{path}: its schema is {found}, this release writes {FORMAT}; give another folder, or remove it to have "
             "it written anew from the runs beside it"
@@ -130,7 +131,10 @@ def read_dataset(path: Path) -> pd.DataFrame:
     if not path.exists():
         raise ConfigError(f"{path}: is missing; make it with `tf-mpc fleet`")
     check_dataset(path)
-    return pd.read_parquet(path)
+    try:
+        return pd.read_parquet(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ConfigError(f"{path}: is damaged ({str(error).strip()}); remove it, or give another dataset") from error
 
 
 def _file(path: Path) -> Path:

@@ -91,6 +91,7 @@ def write_models(
     runs: Sequence[Run],
     records: Mapping[str, Mapping[str, Any]],
     measured: Mapping[str, Task],
+    failed: Mapping[str, str],
 ) -> Path:
     """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`.
 
@@ -100,10 +101,15 @@ def write_models(
         runs: runs that were made here, now or before.
         records: their records by key; they name the model that a run had.
         measured: identifications from measurements by building.
+        failed: why one of them failed, by building.
     """
     rows, seen = [], set[str]()
     for name, task in measured.items():
-        rows += _rows(results.model_path(task.key), {"building": name, "window": "", "from": "record", "key": task.key})
+        of = {"building": name, "window": "", "from": "record", "key": task.key}
+        if name in failed:
+            rows.append({**of, "actuator": "", "competent": False, "verdict": f"failed: {failed[name]}"})
+        else:
+            rows += _rows(results.model_path(task.key), of)
     for run in runs:
         if run.cell.identification_key is None:
             continue

@@ -70,14 +70,14 @@ def headline(everything: Group, variant: str, reference: str) -> str:
     """The result in a sentence, of the group of all runs."""
     colder = f"{100 * everything.colder:.0f} %"
     saving = "saving –"
-    if everything.heated:
+    if everything.counted:
         low, middle, high = (100 * value for value in everything.saving)
         saving = (
             f"saving {middle:+.1f} % (median; 10 to 90 %: {low:+.1f} to {high:+.1f} %), "
             f"cheaper in {100 * everything.cheaper:.0f} % of them"
         )
     return (
-        f"{variant} against {reference} in {everything.runs} runs, {everything.heated} of them heated: "
+        f"{variant} against {reference} in {everything.runs} runs, {everything.counted} of which count for the saving: "
         f"{saving}; {colder} more than {MORE_DISCOMFORT_KH:g} K·h a week less comfortable."
     )
 
@@ -86,12 +86,12 @@ def _part(pairs: pd.DataFrame, variant: str, reference: str, scenarios: Mapping[
     if pairs.empty:
         return {}
     worst, found = lost(pairs), groups(pairs)
-    heated = pairs.dropna(subset=["saving"])
+    counted = pairs.dropna(subset=["saving"])
     return {
         "variant": variant,
         "headline": headline(found[0], variant, reference),
-        "scatter": _scatter(heated) if len(heated) else "",
-        "cumulative": _cumulative(heated) if len(heated) else "",
+        "scatter": _scatter(counted) if len(counted) else "",
+        "cumulative": _cumulative(counted) if len(counted) else "",
         "groups": found,
         "causes": causes(worst),
         "lost": [

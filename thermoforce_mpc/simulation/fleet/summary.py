@@ -25,15 +25,15 @@ _SAME = ["building", "window", "price", "seed"]
 class Group:
     """Distribution over the runs of one kind: `by` and `value` say which.
 
-    `runs`, of which `heated` count for the saving. `saving`: 10th, 50th and 90th percentile, relative to the cost of
-    the reference; `cheaper`: share of heated runs. `more_Kh`: the same percentiles of discomfort above the reference,
+    `runs`, of which `counted` have a saving. `saving`: 10th, 50th and 90th percentile, relative to the cost of the
+    reference; `cheaper`: share of the counted runs. `more_Kh`: the same percentiles of discomfort above the reference,
     K·h a week; `colder`: share of runs above `MORE_DISCOMFORT_KH`. NaN where there is none.
     """
 
     by: str
     value: str
     runs: int
-    heated: int
+    counted: int
     saving: tuple[float, float, float]
     cheaper: float
     more_Kh: tuple[float, float, float]
@@ -43,8 +43,9 @@ class Group:
 def paired(runs: pd.DataFrame, variant: str, reference: str) -> pd.DataFrame:
     """The finished runs of `variant` beside the same of `reference`.
 
-    Adds the columns `saving` (NaN where the reference hardly heats), `more_Kh` (discomfort above the reference's,
-    K·h a week), `cost_ref`, `tdis_ref`, and `why`: what the run lost by, '' where it lost nothing.
+    Adds the columns `saving` (NaN where the reference hardly heats, costs nothing or earns), `more_Kh` (discomfort
+    above the reference's, K·h a week), `cost_ref`, `tdis_ref`, and `why`: what the run lost by, '' where it lost
+    nothing.
     """
     done = runs[runs["status"] == DONE]
     ours, theirs = done[done["variant"] == variant], done[done["variant"] == reference]
@@ -52,7 +53,10 @@ def paired(runs: pd.DataFrame, variant: str, reference: str) -> pd.DataFrame:
     both = both.rename(columns={"cost_tot_ref": "cost_ref", "tdis_tot_ref": "tdis_ref"})
     weeks = both["days"] / 7.0
     heated = both["ener_tot_ref"] / weeks >= LEAST_HEATING_KWH_M2
-    both["saving"] = np.where(heated, 1.0 - both["cost_tot"] / both["cost_ref"].where(heated), np.nan)
+    # Of a cost of 0 or less there is no share; which of two such costs is the lower is known.
+    share = heated & (both["cost_ref"] > 0.0)
+    both["saving"] = 1.0 - both["cost_tot"] / both["cost_ref"].where(share)
+    both["dearer"] = heated & (both["cost_tot"] > both["cost_ref"])
     both["more_Kh"] = (both["tdis_tot"] - both["tdis_ref"]) / weeks
     both["why"] = [_why(row) for _, row in both.iterrows()] if len(both) else []
     return both
@@ -104,7 +108,7 @@ def _percentiles(values: Sequence[float] | np.ndarray) -> tuple[float, float, fl
 
 def _why(row: pd.Series) -> str:
     """What a run lost by, in words; '' where it is neither dearer nor less comfortable than the reference."""
-    colder, dearer = row["more_Kh"] > MORE_DISCOMFORT_KH, row["saving"] < 0.0
+    colder, dearer = row["more_Kh"] > MORE_DISCOMFORT_KH, row["dearer"]
     if not (colder or dearer):
         return ""
     # Those that were refused have a status too.
