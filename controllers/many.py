@@ -13,7 +13,7 @@ from itertools import islice
 
 from controllers.bounded import BoundedCalls
 from controllers.errors import ControllerConfigError, said
-from controllers.inputs import checked_state
+from controllers.inputs import check_later, checked_state
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.planner import MPCState
@@ -122,9 +122,11 @@ class Together:
         """`state` where it is one of the building, so that its run goes on; None begins a new one."""
         names = self._known[name][0].names if name in self._known else observation.names
         try:
-            return checked_state(state, MPCState, names)
+            found = checked_state(state, MPCState, names)
+            check_later(None if found is None else found.last_s, observation.time_s)
         except DataError:
             return None
+        return found
 
     def _controller(self, name: str) -> ThermoForceMPC:
         if name not in self._known:

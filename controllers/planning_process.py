@@ -9,10 +9,9 @@ import signal
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 
 from controllers.many import Known, Together, Wanted
-from thermoforce_mpc.execution.local import one_thread_each
+from thermoforce_mpc.execution.local import Remembering, one_thread_each
 
 
 class PlanningProcess:
@@ -20,8 +19,8 @@ class PlanningProcess:
 
     def __init__(self, known: Known, grace_s: float) -> None:
         self._begin = (known, grace_s)
+        self._context = Remembering()
         self._pool: ProcessPoolExecutor | None = None
-        self._pid: Future[int] | None = None
 
     def asked(self, wanted: list[Wanted]) -> Future[bytes]:
         """The pickled plans of buildings, to come; raises `BrokenProcessPool` from its result."""
@@ -34,18 +33,22 @@ class PlanningProcess:
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
             # Spawned: a fork would copy the locks of compiled code in whatever state they are.
-            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin, self._begin)
+            self._context = Remembering()
+            self._pool = ProcessPoolExecutor(1, self._context, _begin, self._begin)
             with one_thread_each():
-                self._pid = self._pool.submit(os.getpid)
+                self._pool.submit(os.getpid)  # starts the process
         return self._pool
 
     def end(self) -> None:
-        """End the process at once; it holds nothing that outlives it."""
-        if self._pool is not None and self._pid is not None:
-            with suppress(BrokenProcessPool, ProcessLookupError):
-                os.kill(self._pid.result(), signal.SIGKILL)
-            self._pool.shutdown(cancel_futures=True)
-        self._pool = self._pid = None
+        """End the process at once, even while it starts: it holds nothing that outlives it.
+
+        What it was asked for ends with `BrokenProcessPool`.
+        """
+        if self._pool is not None:
+            for process in self._context.started:
+                process.kill()
+            self._pool.shutdown()
+        self._pool = None
 
 
 _together: Together | None = None

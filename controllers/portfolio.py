@@ -142,10 +142,11 @@ class Portfolio:
             plans: _Plans = pickle.loads(future.result(max(0.0, until_s - time.monotonic())))
             return plans
         except BrokenProcessPool:
-            return self._again(worker, wanted, until_s)
+            if time.monotonic() < until_s:
+                return self._again(worker, wanted, until_s)
         except TimeoutError:
             worker.end()
-            return self._left(wanted, f"no plan within {self._deadline_s:g} s")
+        return self._left(wanted, f"no plan within {self._deadline_s:g} s")
 
     def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> _Plans:
         left_s = until_s - time.monotonic()

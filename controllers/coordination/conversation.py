@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import TypeVar
 
 import numpy as np
 
 from controllers.coordination.limit import SharedPower
-from controllers.coordination.member import Answer, Member
+from controllers.coordination.member import LIMIT_TOLERANCE_KW, Answer, Member, Settled
 from controllers.errors import said
 from thermoforce_mpc.data import Array
 
-A = TypeVar("A")
+A = TypeVar("A", Answer, Settled)
+B = TypeVar("B")
 
 # Answers that are kept, of all buildings together: what a linear programme combines in a second.
 _ANSWERS = 1200
@@ -29,7 +30,7 @@ class Conversation:
 
     def __init__(self, members: Sequence[Member], shared: SharedPower, executor: Executor | None) -> None:
         self._shared = shared
-        self._map: Callable[[Callable[[Member], A], Iterable[Member]], Iterable[A]] = executor.map if executor else map
+        self._map: Callable[[Callable[[Member], B], Iterable[Member]], Iterable[B]] = executor.map if executor else map
         self.members = {member.name: member for member in members}
         self.silent: dict[str, str] = {}
         self.powers: dict[str, Array] = {}
@@ -58,18 +59,12 @@ class Conversation:
     @property
     def why_over(self) -> str:
         """'', or why the limit may be exceeded whatever the others do."""
-        over = self.reserved_kW > self._shared.limit_kW
-        if not over.any():
-            return ""
-        return (
-            f"the {len(self.silent)} buildings that do not answer may draw {self.reserved_kW[over].max():.4g} kW, more "
-            f"than the limit of {self._shared.limit_kW[over].min():.4g} kW"
-        )
+        return self._shared.why_over(self.reserved_kW, len(self.silent))
 
     def all_answer(self, question: Callable[[Member], Answer | None]) -> None:
         """Ask all, keep what they answer, and leave out who does not."""
-        for member, answer, why in self.ask(question, self._unfit):
-            if why or answer is None:
+        for member, answer, why in self.ask(question):
+            if answer is None:
                 self.leave_out(member, why)
                 continue
             self.powers[member.name] = answer.power_kW
@@ -78,8 +73,8 @@ class Conversation:
     def all_at(self, price: Array) -> float:
         """Least sum of cost and price · power of all, currency; −∞ if one does not answer, which costs only that."""
         nothing, total = np.zeros(price.size), 0.0
-        for member, answer, why in self.ask(lambda member: member.answer(price, nothing, 0.0), self._unfit):
-            if why or answer is None:
+        for member, answer, _ in self.ask(lambda member: member.answer(price, nothing, 0.0)):
+            if answer is None:
                 total = -np.inf
                 continue
             total += answer.cost + float(price @ answer.power_kW)
@@ -97,28 +92,34 @@ class Conversation:
         for kept in (self.members, self.powers, self.answers):
             kept.pop(member.name, None)
 
-    def ask(
-        self, question: Callable[[Member], A | None], unfit: Callable[[A], str] = lambda answer: ""
-    ) -> Iterator[tuple[Member, A | None, str]]:
+    def ask(self, question: Callable[[Member], A | None]) -> Iterator[tuple[Member, A | None, str]]:
         """Each building with its answer, and why that is none, or ''."""
 
-        def asked(member: Member) -> A | Exception | None:
+        def asked(member: Member) -> tuple[A | None, str]:
             try:
-                return question(member)
+                answer = question(member)
+                return answer, "did not answer" if answer is None else self._unfit(answer)
             except Exception as error:
-                return error
+                return None, f"did not answer ({said(error)})"
 
         members = list(self.members.values())
         self.messages += len(members)
-        for member, answer in zip(members, list(self._map(asked, members)), strict=True):
-            if isinstance(answer, Exception):
-                yield member, None, f"did not answer ({said(answer)})"
-                continue
+        for member, (answer, why) in zip(members, list(self._map(asked, members)), strict=True):
             self.messages += answer is not None
-            yield member, answer, "did not answer" if answer is None else unfit(answer)
+            yield member, None if why else answer, why
 
-    def _unfit(self, answer: Answer) -> str:
-        if np.shape(answer.power_kW) != self.reserved_kW.shape:
-            return f"answered with powers of shape {np.shape(answer.power_kW)}, not {self.reserved_kW.shape}"
+    def plans(self, shares: Mapping[str, Array]) -> Iterator[tuple[Member, Settled | None, str]]:
+        """Each building with its plan within its share, kW (N,), and why there is none, or ''."""
+        for member, plan, why in self.ask(lambda member: member.settle(shares[member.name])):
+            if plan is not None and (plan.power_kW > shares[member.name] + LIMIT_TOLERANCE_KW).any():
+                yield member, None, "answered with powers above its share of the limit"
+            else:
+                yield member, plan, why
+
+    def _unfit(self, answer: Answer | Settled) -> str:
+        if not isinstance(answer.power_kW, np.ndarray):
+            return f"answered with powers in a {type(answer.power_kW).__name__}, not an array"
+        if answer.power_kW.shape != self.reserved_kW.shape:
+            return f"answered with powers of shape {answer.power_kW.shape}, not {self.reserved_kW.shape}"
         finite = np.isfinite(answer.power_kW).all() and np.isfinite(answer.cost)
         return "" if finite else "answered with numbers that are not finite"

@@ -71,10 +71,11 @@ def coordinate(
     if not names or len(set(names)) < len(names):
         raise DataError("coordination: expected one building or more, each name once")
     for member in members:
-        if member.largest_kW.shape != shared.limit_kW.shape or not np.isfinite(member.largest_kW).all():
+        largest = np.asarray(member.largest_kW)
+        if largest.shape != shared.limit_kW.shape or not (np.isfinite(largest) & (largest >= 0.0)).all():
             raise DataError(
-                f"{member.name}: largest_kW has shape {member.largest_kW.shape}, expected {shared.limit_kW.shape} and "
-                "finite"
+                f"{member.name}: largest_kW has shape {largest.shape}, expected {shared.limit_kW.shape} with finite "
+                "powers of at least 0 kW"
             )
     config = config or Coordination()
     talk = Conversation(members, shared, executor)

@@ -28,7 +28,7 @@ class SharedPower:
 
     def __post_init__(self) -> None:
         limit = np.array(self.limit_kW, dtype=np.float64)
-        if limit.ndim != 1 or not (limit >= 0.0).all():
+        if limit.ndim != 1 or not limit.size or not (limit >= 0.0).all():
             raise DataError(f"shared power: limit_kW needs one value of at least 0 per step; found {limit}")
         for name in ("peak_price_per_kW", "peak_so_far_kW"):
             value = getattr(self, name)
@@ -44,6 +44,16 @@ class SharedPower:
             np.maximum(self.limit_kW - reserved_kW, 0.0),
             self.peak_price_per_kW,
             max(self.peak_so_far_kW - float(np.max(reserved_kW, initial=0.0)), 0.0),
+        )
+
+    def why_over(self, reserved_kW: Array, buildings: int) -> str:
+        """'', or why the limit may be exceeded by a draw of `reserved_kW` (N,) of as many buildings."""
+        over = reserved_kW > self.limit_kW
+        if not over.any():
+            return ""
+        return (
+            f"the {buildings} buildings that take no part may draw {reserved_kW[over].max():.4g} kW, more than the "
+            f"limit of {self.limit_kW[over].min():.4g} kW"
         )
 
     def cost(self, total_kW: Array) -> float:

@@ -16,7 +16,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
 # Power above its limit that a checked plan may have, kW: a solver's tolerance.
-_LIMIT_TOLERANCE_KW = 1e-5
+LIMIT_TOLERANCE_KW = 1e-5
 
 
 def diagonal(values: Array) -> sparse.csc_matrix:
@@ -43,7 +43,7 @@ class Settled:
 
 
 class Member(Protocol):
-    """What a coordinator asks of a building; an answer of None, or an exception, is no answer.
+    """What a coordinator asks of a building; None, an exception, or numbers that make no sense are no answer.
 
     `largest_kW` (N,): the most it may draw over each step whatever happens.
     """
@@ -87,6 +87,10 @@ class QPMember:
                 "without feedback"
             )
         self.name, self._config = name, config
+        if problem.power_per_u2_W is not None:  # rows of power are linear in u: its chord, too high at part load
+            problem = replace(
+                problem, power_per_u_W=problem.power_per_u_W + problem.power_per_u2_W, power_per_u2_W=None
+            )
         self._programme = Programme(operator, shape)
         self._problem = self._programme.as_solved(problem)
         self._drive = self._programme.drive(self._problem)
@@ -117,7 +121,7 @@ class QPMember:
             if solution is None or not solution.ok:
                 continue
             power_kW = self._problem.power_W(solution.u).sum(axis=0) / POWER_UNIT_W
-            if (power_kW <= limit_kW + _LIMIT_TOLERANCE_KW).all():
+            if (power_kW <= limit_kW + LIMIT_TOLERANCE_KW).all():
                 modes = self._programme.modes(self._problem, self._drive, solution.u)
                 return Settled(solution, float(self._problem.cost_under(solution.u, modes)), power_kW)
         return None
@@ -132,13 +136,12 @@ class QPMember:
         return checked_solution(self._problem, modes_of, u, data.objective(x), "settled", 0)
 
     def _largest_kW(self) -> Array:
-        """Power with every actuator at its end that takes most, within the capacity of its machine."""
-        machinery, n = self._problem.machinery, self._problem.n_steps
-        full = np.repeat(machinery.u_max[:, None], n, axis=1)
-        power = self._problem.power_W(full).sum(axis=0)
-        if machinery.signed.size:
-            cooling = np.where(machinery.u_min < 0.0, machinery.u_min, machinery.u_max)
-            power = np.maximum(power, self._problem.power_W(np.repeat(cooling[:, None], n, axis=1)).sum(axis=0))
+        """Power with every actuator at its end that takes most; where capacity allows less, more than that."""
+        p = self._problem
+        highest, lowest = p.machinery.u_max[:, None], p.machinery.u_min[:, None]
+        power = p.power_W(np.repeat(highest, p.n_steps, axis=1)).sum(axis=0)
+        if p.cooling is not None:
+            power += np.maximum(-lowest * p.cooling.power_per_u_W - highest * p.power_per_u_W, 0.0).sum(axis=0)
         return np.asarray(power / POWER_UNIT_W)
 
     def _with_power(self, q: QPData) -> QPData:

@@ -53,7 +53,8 @@ def plan_shared(
         models: the identified model of each building, by name.
         observations: record and forecast of each building to plan for, by name; with the same steps.
         shared: limit and peak price over the steps of the plans (N,).
-        largest_kW: the most that each building may draw whatever happens, by name, such as its fuse.
+        largest_kW: the most that each building may draw whatever happens, by name, such as its fuse; also of buildings
+            behind the same limit that are not planned for.
         states: `Planned.state` of each building's last plan; a building that is not named begins a run.
         config: options of all controllers, or of each building by name.
         coordination: options of the agreement.
@@ -63,9 +64,9 @@ def plan_shared(
     Raises:
         ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
             no options.
-        DataError: `largest_kW` lacks a building or is no power.
+        DataError: `largest_kW` lacks a building, or holds what is no power of at least 0.
     """
-    for name in observations:
+    for name in {**observations, **largest_kW}:
         if not (np.isfinite(largest_kW.get(name, np.nan)) and largest_kW[name] >= 0.0):
             raise DataError(f"largest_kW: needs a power of at least 0 kW for building '{name}'")
     planner = Together(known_of(models, config), grace_s)
@@ -136,10 +137,13 @@ class _SharedSolves:
                 largest = np.full(problem.n_steps, self.largest_kW[one.name])
                 members[i] = QPMember(one.name, solver.operator, solver.shape, problem, solver.config, largest)
         taking_part = {of[i].name for i in members}
-        aside = sum(power for name, power in self.largest_kW.items() if name not in taking_part)
-        left = self.shared.less(np.full(self.shared.limit_kW.size, aside))
+        others = [power for name, power in self.largest_kW.items() if name not in taking_part]
+        aside_kW = np.full(self.shared.limit_kW.size, sum(others))
+        left = self.shared.less(aside_kW)
         if members:
-            self.agreement = coordinate(list(members.values()), left, self.coordination, executor=self.executor)
+            agreed = coordinate(list(members.values()), left, self.coordination, executor=self.executor)
+            why_over = self.shared.why_over(agreed.reserved_kW + aside_kW, len(agreed.silent) + len(others))
+            self.agreement = replace(agreed, why_over=why_over)
             settled, silent = self.agreement.settled, self.agreement.silent
             why |= {i: silent[m.name] for i, m in members.items() if m.name in silent}
             done = {i: Outcome(settled[m.name].solution) for i, m in members.items() if m.name in settled}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from controllers.coordination.conversation import Conversation
-from controllers.coordination.member import Member, Settled
+from controllers.coordination.member import Settled
 from controllers.coordination.recovery import combined
 from thermoforce_mpc.data import Array
 
@@ -57,9 +57,9 @@ def settle(talk: Conversation, price: Array, price_per_kW: float, iterations: in
     while talk.members:
         count, settled = len(talk.members), {}
         shares, prices = _shares(talk, price, price_per_kW)
-        for member, plan, why in talk.ask(_within(shares)):
+        for member, plan, why in talk.plans(shares):
             if plan is None:
-                talk.leave_out(member, f"{why} with a plan within its share of the limit")
+                talk.leave_out(member, f"asked for a plan within its share of the limit, it {why}")
             else:
                 settled[member.name] = plan
         if len(talk.members) == count:
@@ -83,10 +83,6 @@ def settle(talk: Conversation, price: Array, price_per_kW: float, iterations: in
         messages=talk.messages,
         why_over=talk.why_over,
     )
-
-
-def _within(shares: Mapping[str, Array]) -> Callable[[Member], Settled | None]:
-    return lambda member: member.settle(shares[member.name])
 
 
 def _shares(talk: Conversation, price: Array, price_per_kW: float) -> tuple[dict[str, Array], list[Array]]:

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mpc_problems import N, machinery_of, random_building, random_building_problem
 
 from controllers.coordination import Coordination, QPMember, SharedPower, coordinate, solve_jointly
 from controllers.coordination.member import Answer, Settled
 from controllers.errors import ControllerConfigError
-from controllers.problem import ProblemShape, blocked_moves
+from controllers.problem import Cooling, ProblemShape, blocked_moves, every_step
 from controllers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
@@ -79,15 +80,31 @@ class _Silent:
         if self._left < 0:
             if self._how == "raises":
                 raise TimeoutError("no reply in 5 s")
-            return None if self._how == "nothing" else Answer(np.full_like(price, np.nan), 1.0)
+            power = {"not finite": np.full_like(price, np.nan), "other shape": price[:3], "list": [1.0] * price.size}
+            return Answer(power[self._how], 1.0) if self._how in power else None  # type: ignore[arg-type]
         return self._inner.answer(price, wish_kW, weight)
 
     def settle(self, limit_kW: Array) -> Settled | None:
-        return None if self._left < 0 or self._how == "settling" else self._inner.settle(limit_kW)
+        if self._left < 0 or self._how == "settling":
+            return None
+        plan = self._inner.settle(limit_kW)
+        wrong = {"above": 5.0, "settling not finite": np.nan}
+        return plan and replace(plan, power_kW=plan.power_kW + wrong.get(self._how, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("after", "how"), [(0, "raises"), (3, "nothing"), (2, "not finite"), (10**6, "settling")], ids=lambda v: str(v)
+    ("after", "how"),
+    [
+        (0, "raises"),
+        (3, "nothing"),
+        (2, "not finite"),
+        (1, "other shape"),
+        (1, "list"),
+        (10**6, "settling"),
+        (10**6, "above"),
+        (10**6, "settling not finite"),
+    ],
+    ids=lambda v: str(v),
 )
 def test_the_limit_holds_whatever_a_silent_house_draws(after: int, how: str) -> None:
     members = _members(5)
@@ -111,6 +128,42 @@ def test_a_limit_that_silent_houses_may_exceed_is_said() -> None:
     assert agreement.total_kW.max() <= 1e-3
 
 
+def _of_two_rooms(**changes: object) -> QPMember:
+    """A building of two heated rooms that are easily kept inside their band."""
+    rng = np.random.default_rng(4)
+    operator = random_building(rng, 2, (1, 1))
+    problem = random_building_problem(rng, operator, machinery_of(operator, (0, 0)))
+    problem = replace(problem, T_free_C=np.full((2, N), 15.0), lower_C=np.full((2, N), 17.0), **changes)
+    return QPMember("rooms", operator, ProblemShape(every_step(N), problem.machinery), problem, _CONFIG)
+
+
+def test_power_that_grows_faster_than_heat_keeps_its_share_of_the_limit() -> None:
+    curved = _of_two_rooms(power_per_u2_W=np.full((2, N), 2000.0))
+    nothing = np.zeros(N)
+    free = curved.answer(nothing, nothing, 0.0)
+    assert free is not None
+    limit_kW = np.full(N, 0.8 * free.power_kW.max())
+    settled = curved.settle(limit_kW)
+    assert settled is not None
+    assert (settled.power_kW <= limit_kW + 1e-5).all()
+
+
+def test_the_most_a_building_may_draw_is_heating_in_one_room_and_cooling_in_another() -> None:
+    per_u, cold = np.repeat([[1000.0], [3000.0]], N, axis=1), np.repeat([[2500.0], [500.0]], N, axis=1)
+    rng = np.random.default_rng(4)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 1), u_min=np.array([-1.0, -1.0]))
+    numbers = {
+        "power_fixed_W": np.zeros((2, N)),
+        "power_per_u_W": per_u,
+        "cooling": Cooling(np.full((2, N), 0.2), cold),
+    }
+    problem = random_building_problem(rng, operator, machinery, **numbers)
+    member = QPMember("rooms", operator, ProblemShape(every_step(N), machinery), problem, _CONFIG)
+    assert member.largest_kW == pytest.approx(5.5)
+    assert problem.power_W(np.repeat([[-1.0], [1.0]], N, axis=1)).sum(axis=0) == pytest.approx(5500.0)
+
+
 def test_who_agrees_on_nothing_is_refused() -> None:
     members = _members(1)
     n = members[0].largest_kW.size
@@ -118,8 +171,13 @@ def test_who_agrees_on_nothing_is_refused() -> None:
         coordinate([*members, *members], SharedPower(np.ones(n)))
     with pytest.raises(DataError, match=r"house 0: largest_kW has shape"):
         coordinate(members, SharedPower(np.ones(n + 1)))
-    with pytest.raises(DataError, match="limit_kW"):
-        SharedPower(np.array([1.0, np.nan]))
+    house = _Silent(members[0], 0, "nothing")
+    house.largest_kW = -house.largest_kW
+    with pytest.raises(DataError, match=r"house 0: largest_kW .* at least 0 kW"):
+        coordinate([house], SharedPower(np.ones(n)))
+    for limit_kW in ([1.0, np.nan], [1.0, -1.0], []):
+        with pytest.raises(DataError, match="limit_kW"):
+            SharedPower(np.array(limit_kW))
     with pytest.raises(DataError, match="peak_price_per_kW"):
         SharedPower(np.ones(n), -1.0)
 

@@ -172,6 +172,14 @@ def test_a_state_of_another_building_costs_one_plan():
         assert not portfolio.plan({"a": later(seen())}, {"a": first.state})["a"].reason
 
 
+def test_a_state_of_a_later_plan_costs_one_plan():
+    with Portfolio({"a": simple_model()}, WEATHER_MODEL) as portfolio:
+        after = portfolio.plan({"a": later(seen())}, {"a": None})["a"].state
+        first = portfolio.plan({"a": seen()}, {"a": after})["a"]
+        assert (first.plan.status, first.state) == (PlanStatus.NATIVE, None)
+        assert "later than the observation" in first.reason
+
+
 def test_a_plan_holds_until_it_expires_and_then_the_buildings_own_controller_acts():
     now = seen()
     planned = Portfolio({"a": simple_model()}, WEATHER_MODEL, grace_s=300.0).plan({"a": now})["a"]
@@ -248,3 +256,20 @@ def test_a_process_that_does_not_answer_costs_its_buildings_their_plan():
     assert "no plan within 1 s" in found["house 0"].reason
     assert isinstance(found["house 0"].state, Slow), "its run goes on from where it was"
     assert found["house 1"].reason == ""
+
+
+@pytest.mark.slow
+def test_a_deadline_holds_for_all_that_wait_behind_and_while_processes_start(monkeypatch):
+    monkeypatch.setattr("controllers.portfolio.AT_A_TIME", 1)  # as with hundreds of houses a process
+    with Portfolio(models(8), WEATHER_MODEL, workers=2) as portfolio:
+        portfolio.plan(houses(8))
+        portfolio._deadline_s = 3.0
+        found = portfolio.plan(houses(8), {"house 0": Slow()})
+        left = [name for name, one in found.items() if "no plan within 3 s" in one.reason]
+        assert left == ["house 0", "house 2", "house 4", "house 6"]
+        portfolio.close()
+        portfolio._deadline_s = 0.1
+        began = time.monotonic()
+        found = portfolio.plan(houses(8))
+        assert time.monotonic() - began < 2.0
+        assert {one.reason for one in found.values()} == {"no plan within 0.1 s: native control"}

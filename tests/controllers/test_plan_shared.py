@@ -70,6 +70,14 @@ def test_what_is_wrong_with_one_costs_the_others_its_fuse_and_no_more(observatio
     assert (_kW(ours) <= limit_kW - 2 * FUSE_kW + 1e-6).all()
 
 
+def test_a_limit_that_those_who_take_no_part_may_exceed_is_said(observations):
+    models = {name: simple_model() for name in observations if name != "house 0"}
+    shared = SharedPower(np.full(24, FUSE_kW - 1.0))
+    found = plan_shared(models, observations, shared, _fuses(observations), config=CONFIG)
+    assert found.agreement is not None
+    assert found.agreement.why_over == "the 1 buildings that take no part may draw 6 kW, more than the limit of 5 kW"
+
+
 def test_a_state_goes_on_from_a_shared_plan(observations):
     models = {name: simple_model() for name in observations}
     shared = SharedPower(np.full(24, np.inf), peak_price_per_kW=5.0)
@@ -83,3 +91,5 @@ def test_a_building_without_a_largest_power_is_refused(observations):
     models = {name: simple_model() for name in observations}
     with pytest.raises(DataError, match="building 'house 3'"):
         plan_shared(models, observations, SharedPower(np.full(24, 9.0)), {f"house {i}": 1.0 for i in range(3)})
+    with pytest.raises(DataError, match="building 'not planned'"):
+        plan_shared(models, observations, SharedPower(np.full(24, 9.0)), _fuses(observations) | {"not planned": -50.0})

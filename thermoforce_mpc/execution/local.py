@@ -105,7 +105,7 @@ class _Process:
     """A pool of one process, and what its task tells."""
 
     def __init__(self, events: queue.SimpleQueue[Any]) -> None:
-        self._context = _Remembering()
+        self._context = Remembering()
         here, self._there = self._context.Pipe(duplex=False)
         self._pool = ProcessPoolExecutor(1, self._context, begin, (self._there,))
         threading.Thread(target=_listen, args=(here, events), daemon=True).start()
@@ -143,13 +143,14 @@ def _how_ended(code: int) -> str:
     return f"signal {-code}"
 
 
-class _Remembering(SpawnContext):
+class Remembering(SpawnContext):
     """Remembers its processes: a pool neither ends nor describes them."""
 
     def __init__(self) -> None:
         self.started: list[SpawnProcess] = []
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        """A process that is remembered."""
         self.started.append(SpawnProcess(*args, **kwargs))
         return self.started[-1]
 
