@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from controllers.actuation import Actuation, ActuationState
 from controllers.actuators import Acted, Actuators
 from controllers.fallback import FallbackConfig, FallbackPolicy
-from controllers.inputs import check_observation, checked_state
+from controllers.inputs import check_later, check_observation, checked_state
 from thermoforce_mpc.data import Layout, Observation
 
 
@@ -82,6 +82,7 @@ class Acting:
         check_observation(observation, self._step_s, self._n_steps, self._layout.names)
         if before is None:
             return None, self._actuators.now(None, observation.history)
+        check_later(before.last_s, observation.time_s)
         until_s = None if before.last_s is None else before.last_s + self._step_s
         return before, self._actuators.now(before.actuation, observation.history, until_s)
 

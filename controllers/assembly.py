@@ -13,9 +13,9 @@ from controllers.kept_capacity import learned_share
 from controllers.machinery import Machinery
 from controllers.missed import Missed
 from controllers.mpc_config import MPCConfig
-from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
+from controllers.problem import J_PER_KWH, Cooling, MPCProblem, PowerCap, Weights
 from controllers.reserve import is_fast, reserve_K
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import Array, Boundary, Record
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
@@ -116,6 +116,10 @@ class Assembly:
         if self._straight:
             per_u_W = per_u_W + per_u2_W
         bent = bool(per_u2_W.any()) and not self._straight
+        highest, fed_by = self.machinery.u_max, list(layout.machine_of)
+        highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
+        if bent:
+            highest_W = highest_W + per_u2_W[:, -1] * highest**2
         lower_C, upper_C = self._bounds_C(operator, context, missed or Missed.nothing(len(operator.zones)))
         cap_kW = aims.power_cap_kW
         return MPCProblem(
@@ -130,7 +134,7 @@ class Assembly:
             step_s=self._step_s,
             machinery=self.machinery,
             weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
-            terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price, fixed_W, per_u_W),
+            terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
             peak_so_far_W=peak_W,
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
             power_cap=None
@@ -267,23 +271,21 @@ class Assembly:
         held_C = np.clip(context.free.median_C[z], boundary.lower_C[z, 1:], boundary.upper_C[z, 1:])
         return water.expected_C(history.part(z, [a], [m]), held_C)
 
-    def _terminal_price(
-        self, operator: BuildingOperator, features: Array, price: Array, fixed_W: Array, per_u_W: Array
-    ) -> Array:
+    def _terminal_price(self, operator: BuildingOperator, features: Array, price_W: Array) -> Array:
         """Terminal value of each mode, (Z, A, r), currency/K; zero except for the slowest, which stores heat longest.
 
         At `terminal_value` 1 a kelvin of an actuator's home zone is worth its production cost in the last step.
+        `features` (Z, 4) and `price_W` (A,), price per kWh times power at the highest level, W, are of that step.
         """
-        value, weights = np.zeros(operator.shape), self._layout.weights
+        value = np.zeros(operator.shape)
         if not self._config.objective.terminal_value:
             return value
-        for a, (z, m) in enumerate(zip(self._layout.home, self._layout.machine_of, strict=True)):
+        cost = price_W * self._step_s / J_PER_KWH
+        for a, z in enumerate(self._layout.home):
             pair = operator.of_actuator(a)
-            cost_per_kW_h = float(price[m, -1] * (weights[a] * fixed_W[m, -1] + per_u_W[a, -1]))
-            drive = float(pair.drive(np.array([self._actuators.each[a].highest]), features[z][None])[0])
-            per_step = cost_per_kW_h / 1000.0 * self._step_s / HOUR_S
+            drive = float(pair.drive(self.machinery.u_max[a : a + 1], features[z][None])[0])
             stored = pair.gains[-1] * drive
-            value[z, a, -1] = self._config.objective.terminal_value * per_step / stored if stored else 0.0
+            value[z, a, -1] = self._config.objective.terminal_value * cost[a] / stored if stored else 0.0
         return value
 
 

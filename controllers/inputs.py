@@ -39,6 +39,18 @@ def checked_state(state: object, kind: type[State], names: Names) -> State | Non
     return state
 
 
+def check_later(last_s: float | None, now_s: float) -> None:
+    """Raise `DataError` where the plan that a state is from, of `last_s`, comes after `now_s`: it knows nothing of now.
+
+    What is remembered by its time (readings judged, predictions to come true) would be waited for until then.
+    """
+    if last_s is not None and last_s > now_s + CLOCK_TOLERANCE_S:
+        raise DataError(
+            f"state is of a plan at {last_s:.10g} s, later than the observation at {now_s:.10g} s: of another run, of "
+            "a record whose seconds count from another new year, or was the clock set back? Begin anew with None"
+        )
+
+
 def check_names(option: str, given: Iterable[str], what: str, known: Sequence[str]) -> None:
     """Raise `ControllerConfigError` where `option` names one, of `what`, that is not among the `known`."""
     for unknown in [name for name in given if name not in known]:

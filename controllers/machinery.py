@@ -22,7 +22,7 @@ class Machinery:
         u_max: highest level of each actuator (A,).
         lowest_level: between 0 and this an actuator switches, (A,); at `u_max` or above it is on/off blocks or
             proportional, below it a level held for the step is 0 or at least this.
-        u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points).
+        u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points), which is not held.
         machine_of: number of the machine that feeds each actuator (A,).
         share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
             the actuators of a machine of share · u is at most 1 (`MPCProblem.capacity`: another limit by step).
@@ -61,6 +61,11 @@ class Machinery:
                 raise ControllerConfigError(
                     f"actuator {actuator}: levels from {self.u_min[a]:g} to {self.u_max[a]:g}, lowest level "
                     f"{self.lowest_level[a]:g}, share {self.share[a]:g}: expected u_min ≤ 0 < u_max, lowest > 0 ≤ share"
+                )
+            if self.u_min[a] < 0.0 and self.lowest_level[a] < self.u_max[a]:
+                raise ControllerConfigError(
+                    f"actuator {actuator}: a level that heats and cools (from {self.u_min[a]:g}) cannot be held at 0 "
+                    f"or at least {self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
                 )
             if not 0 <= self.machine_of[a] < M:
                 raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")

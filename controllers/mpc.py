@@ -186,8 +186,8 @@ class ThermoForceMPC(FallingBack):
 
         Raises:
             DataError: error of the caller: the observation is of another building, the boundary forecast does not begin
-                now or is too short, its step or that of the history is not `step_s`, or `state` is not from a plan of
-                this controller.
+                now or is too short, its step or that of the history is not `step_s`, or `state` is not from an earlier
+                plan of this controller.
         """
         return answered(self.planning(observation, state), self._answer)
 

@@ -18,7 +18,7 @@ from pydantic import Field
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.actuators import Actuators
 from controllers.errors import ControllerConfigError
-from controllers.inputs import checked_state
+from controllers.inputs import check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -100,10 +100,11 @@ class PIController:
         """One step of the PI law; native control while the zone temperature or the bounds are missing.
 
         Raises:
-            DataError: `state` is not from a plan of a PI controller.
+            DataError: `state` is not from a plan of a PI controller, or from a later one.
         """
         names = self.layout.names
         last = checked_state(state, PIState, names) or PIState((0.0,) * len(names.actuators))
+        check_later(last.time_s, observation.time_s)
         until_s = None if last.time_s is None else last.time_s + self.step_s
         machines = self._actuators.now(last.actuation, observation.history, until_s)
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)

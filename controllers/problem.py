@@ -166,8 +166,8 @@ class MPCProblem:
     the end, currency/K; `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels
     below 0 cost; None where there are none. `power_cap`: None without one. `held_steps` as in `ProblemShape`: after
     them an actuator runs for the share u / u_max of a step. `power_per_u2_W` (A, N): power over u², where it grows
-    faster than heat; None where it does not, as with peak price, cap and choices, whose rows are linear. `capacity`
-    (M, N): what the actuators of a machine may take together, in the unit of their shares; None: 1.
+    faster than heat; None where it does not, as with peak price, cap, choices and Ipopt, which take it as linear.
+    `capacity` (M, N): what the actuators of a machine may take together, in the unit of their shares; None: 1.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -299,20 +299,22 @@ class MPCProblem:
 
     def power_W(self, u: Array) -> Array:
         """Mean electric power of each machine over each step for levels `u` (..., A, N), W, shape (..., M, N)."""
-        per_u = self.power_per_u_W * self._heating(u)
+        heating = self._heating(u)
+        per_u = self.power_per_u_W * heating
         if self.cooling is not None:
             per_u = per_u + self.cooling.power_per_u_W * np.maximum(-u, 0.0)
         if self.power_per_u2_W is not None:
-            per_u = per_u + self.power_per_u2_W * u**2
+            per_u = per_u + self.power_per_u2_W * heating**2
         return np.asarray(self.power_fixed_W * self.running(u) + self.machinery.fed_by @ per_u)
 
     def energy_cost(self, u: Array) -> Array:
         """Cost of energy of the building over each step for levels `u` (..., A, N), currency, shape (..., N)."""
-        per_u = self.price_per_W[self.machinery.machine_of] * self.power_per_u_W * self._heating(u)
+        heating = self._heating(u)
+        per_u = self.price_per_W[self.machinery.machine_of] * self.power_per_u_W * heating
         if self.cooling is not None:
             per_u = per_u + self.cooling_cost_per_u * np.maximum(-u, 0.0)
         if self.power_per_u2_W is not None:
-            per_u = per_u + self.curve_cost * u**2
+            per_u = per_u + self.curve_cost * heating**2
         return np.asarray((self.fixed_cost * self.running(u)).sum(axis=-2) + per_u.sum(axis=-2))
 
     def forced_K(self, operator: BuildingOperator, u: Array) -> Array:

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from controllers.watch_checks import LEVELS_H, applied_levels, heat_ratio, level
 from controllers.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
 from thermoforce_mpc.model.predictor import PredictorState
@@ -109,10 +111,10 @@ class Watch:
             return WatchState()
         state = replace(state or WatchState(), news="")
         now = float(history.time_s[-1])
-        levels = applied_levels(state.asked, history, self._model.operator.heat_input)
+        levels = cache(partial(applied_levels, state.asked, history))
         state = replace(state, tracks=tuple(self._came_due(track, history, levels) for track in state.tracks))
         if state.alarm:
-            return self._back_if_it_holds(self._adapted(state, history), now)
+            return self._back_if_it_holds(self._adapted(state, history), history)
         fault, state = self._direct_fault(state, history)
         fault = fault or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
@@ -139,8 +141,11 @@ class Watch:
         """Whether evidence has gathered halfway (in the exponent) to an alarm: older plans are not to be followed."""
         return state.tracks[0].worst[0] >= math.sqrt(self.threshold)
 
-    def _came_due(self, track: Track, history: Record, levels: Array) -> Track:
-        """The track after judging every pending prediction whose lead has passed; `levels` (n,) were applied."""
+    def _came_due(self, track: Track, history: Record, levels: Callable[[HeatInput], Array]) -> Track:
+        """The track after judging every pending prediction whose lead has passed.
+
+        `levels` gives those (n,) that were applied, of a machine with this heat.
+        """
         now, pending, found = float(history.time_s[-1]), [], list[Judged]()
         evidence = dict(track.evidence)
         for item in track.pending:
@@ -149,7 +154,7 @@ class Watch:
                 if passed < self.leads[lead]:
                     break
                 item = replace(item, judged=lead + 1)
-                outcome = self._outcome(item, lead, history, levels, track)
+                outcome = self._outcome(item, lead, history, levels(item.operator.heat_input), track)
                 if outcome is None:
                     continue
                 found.append(outcome)
@@ -238,7 +243,8 @@ class Watch:
         """The state with a candidate whose gain and heat are scaled to what was measured since; every 6 h.
 
         The gain follows from the errors of the model in use over the predicted effects of the levels, with a prior; the
-        heat of the machine from its meter. Where another cause explains the errors, the candidate's own errors say so.
+        heat of the machine from its meter, and what of the errors comes from it is no error of the gain. Where another
+        cause explains the errors, the candidate's own errors say so.
         """
         hours = (float(history.time_s[-1]) - state.since_s) / HOUR_S
         used = state.tracks[0]
@@ -251,7 +257,8 @@ class Watch:
         prior = float(np.mean(last.promise_K**2)) / _GAIN_PRIOR_SD**2
         low, high = _SCALES.gain_bounds
         gain = float(np.clip(1.0 + effect @ error / (effect @ effect + prior), low, high))
-        heat = heat_ratio(history.last(round(hours * HOUR_S / self.step_s)), self._model.operator.heat_input)
+        heat = self._heat_since(state, history)
+        gain /= float(np.clip(self._heat_of_levels(state, history, used.adaptation), low, high))
         adapted = self._adaptation.rescaled(
             used.adaptation, gain, float(np.exp(used.adaptation.log_heat)) if heat is None else heat
         )
@@ -262,18 +269,45 @@ class Watch:
         track = replace(track, adaptation=adapted, predictor=_without_force(track.predictor or used.predictor))
         return replace(state, tracks=(*(other for other in state.tracks if other.name != _ADAPTED), track))
 
-    def _back_if_it_holds(self, state: WatchState, now: float) -> WatchState:
+    def _heat_since(self, state: WatchState, history: Record) -> float | None:
+        """Heat measured since the alarm over that of the identified machine at the same levels; None: not known."""
+        steps = round((float(history.time_s[-1]) - state.since_s) / self.step_s)
+        return heat_ratio(history.last(steps), self._model.operator.heat_input)
+
+    def _heat_of_levels(self, state: WatchState, history: Record, used: AdaptationState) -> float:
+        """Heat measured over that of the model in use at the levels that its latest predictions were judged for.
+
+        1 where it is not known, and where these levels are those that give the measured heat.
+        """
+        heat_input = used.model.operator.heat_input
+        since_h = (float(history.time_s[-1]) - state.since_s) / HOUR_S + _ADAPT_EVERY_H
+        last = history.last(round(min(since_h, LEVELS_H) * HOUR_S / self.step_s))
+        found = heat_ratio(replace(last, u=applied_levels(state.asked, last, heat_input)[None]), heat_input)
+        return 1.0 if found is None else found
+
+    def _contradicted(self, state: WatchState, track: Track, since: float | None) -> bool:
+        """Whether the meter of heat shows another machine than that of `track`, before the alarm and since.
+
+        Predictions of native control are judged for the heat that it gave, so they say nothing of the heat of a level.
+        """
+        if since is None or not state.ratios or track.adaptation is None:
+            return False
+        assumed, limit = math.exp(track.adaptation.log_heat), self.config.machine_factor
+        return not any(1.0 / limit <= ratio / assumed <= limit for ratio in (state.ratios[-1][1], since))
+
+    def _back_if_it_holds(self, state: WatchState, history: Record) -> WatchState:
         """The state with control returned to the best track that has kept its promise for long enough."""
-        wait_s = state.wait_h * HOUR_S
+        now, wait_s = float(history.time_s[-1]), state.wait_h * HOUR_S
         if now - state.since_s < wait_s - 1.0:
             return state
-        holding = [track for track in state.tracks if self._holds(track, now)]
+        since = self._heat_since(state, history)
+        wrong = {track.name: self._contradicted(state, track, since) for track in state.tracks}
+        on_trial = now - state.since_s >= 2 * wait_s
+        holding = [t for t in state.tracks if self._holds(t, now) and (on_trial or not wrong[t.name])]
         if holding:
-            best = min(holding, key=lambda track: self._size(track, now))
+            best = min(holding, key=lambda track: (wrong[track.name], self._size(track, now)))
             news = f"predictions of {best.name} were as promised for {self.config.return_h:g} h: control returns"
-        elif now - state.since_s >= 2 * wait_s and not any(
-            self._recent(track, now).lead.size for track in state.tracks
-        ):
+        elif on_trial and not any(self._recent(track, now).lead.size for track in state.tracks):
             best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
         else:
             return state

@@ -28,6 +28,7 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.files import check_replaceable, storage_errors, write_whole
 from thermoforce_mpc.model.model_file import content_sha256
+from thermoforce_mpc.model.operator.features import OUTDOOR
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.reading import parse_json, read_bounded
 from thermoforce_mpc.version import VERSION
@@ -172,12 +173,15 @@ def load_policy(folder: Path) -> Policy:
 
 
 def drive_parts(operator: OperatorParameters, features: Array) -> tuple[Array, Array]:
-    """Drive of each step per share of on-time and per level (N,): m(x)·v(u) = on · first + u · second."""
-    highest = operator.drive(np.ones(len(features)), features)
+    """Drive of each step per share of on-time and per level (...): m(x)·v(u) = on · first + u · second.
+
+    `features` (..., 4): x_t of each step.
+    """
+    highest = operator.drive(np.ones(features.shape[:-1]), features)
     load = operator.heat_input.heat
     if load is None:
         return np.zeros_like(highest), np.asarray(highest)
-    fixed, per_u = load.parts(features[:, 1])
+    fixed, per_u = load.parts(features[..., OUTDOOR])
     whole = fixed + per_u
     return np.asarray(highest * fixed / whole), np.asarray(highest * per_u / whole)
 

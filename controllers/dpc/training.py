@@ -12,12 +12,23 @@ from torch import Tensor, nn
 
 from controllers.actuation import Actuation
 from controllers.dpc.config import DPCConfig
-from controllers.dpc.policy import MOST, N_INPUTS, STEEP, Policy, lead_steps, operator_sha256, scales_K
+from controllers.dpc.policy import (
+    MOST,
+    N_INPUTS,
+    STEEP,
+    Policy,
+    drive_parts,
+    lead_steps,
+    operator_sha256,
+    scales_K,
+)
 from controllers.dpc.situations import Drawer, Situations
 from controllers.errors import ControllerConfigError
+from controllers.problem import J_PER_KWH
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 from thermoforce_mpc.model.zone_model import ZoneModel
 
@@ -110,7 +121,7 @@ def train_policy(
     at = length
     for iteration in range(t.iterations):
         if at + n > length:
-            course = _course(drawer.draw(t.buildings, length + reach), module, power, config, step_s)
+            course = _course(drawer.draw(t.buildings, length + reach), params, power, step_s)
             at, F = 0, _started(course, module, highest)
         F = F * (1.0 + _PERTURBED * torch.randn(F.shape[0], 1, generator=noise, dtype=torch.float64))
         loss, F = _rolled(network, module, course, F, at, n, leads, (lowest, highest), config, step_s)
@@ -128,19 +139,13 @@ def train_policy(
     return Policy(weights, highest, lowest, step_s, operator_sha256(params), t.iterations, last)
 
 
-def _course(
-    found: Situations, module: ForcedResponseOperator, power: PowerModel, config: DPCConfig, step_s: float
-) -> _Course:
+def _course(found: Situations, operator: OperatorParameters, power: PowerModel, step_s: float) -> _Course:
     """The situations as tensors; costs in currency."""
     before = np.concatenate([found.T_free_C[:, :1], found.T_free_C[:, :-1]], axis=1)
-    features = torch.from_numpy(feature_matrix(before, found.T_out_C, found.solar_W_m2, found.time_s))
-    with torch.no_grad():
-        modulation = module.modulation(features).numpy()
-    load = module.heat_input.heat
-    heat = (np.zeros(()), np.ones(())) if load is None else load.parts(found.T_out_C)
-    drive_fixed, drive_per_u = (modulation * part / module.heat_input.reference_W for part in heat)
+    features = feature_matrix(before, found.T_out_C, found.solar_W_m2, found.time_s)
+    drive_fixed, drive_per_u = drive_parts(operator, features)
     fixed_W, per_u_W = power.parts(found.T_out_C)
-    price = found.price_per_kWh * step_s / 3.6e6
+    price = found.price_per_kWh * step_s / J_PER_KWH
     relative = price * (fixed_W + per_u_W) / (drive_fixed + drive_per_u)
     return _Course(
         T_free=torch.from_numpy(found.T_free_C),

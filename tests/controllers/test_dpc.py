@@ -25,6 +25,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms import house_of_rooms
@@ -102,7 +103,7 @@ def test_what_is_trained_is_what_acts() -> None:
     for value, known in zip(values, policy.weights, strict=True):
         value.data = torch.from_numpy(known.copy())
     found = Drawer(zone.free, HOUR_S, 1, 5).draw(3, n + 24)
-    course = training._course(found, module, zone.power, configured(), HOUR_S)
+    course = training._course(found, operator, zone.power, HOUR_S)
     started = training._started(course, module, 1.0)
     _, ended = training._rolled(network, module, course, started, 0, n, leads, (1.0, 1.0), configured(), HOUR_S)
     for b in range(3):
@@ -116,6 +117,25 @@ def test_what_is_trained_is_what_acts() -> None:
             F = POLE * F + GAIN_K * level
         assert pytest.approx(float(ended[b, 0].detach()), abs=1e-9) == F
         assert 0.0 <= u.min() <= u.max() <= 1.0
+
+
+def test_it_is_trained_on_the_heat_of_a_level_at_the_outdoor_temperature() -> None:
+    """A heat pump without a heat meter, which gives less at full level where it is colder."""
+    from controllers.dpc import training
+    from controllers.dpc.situations import Drawer
+
+    zone = model().only
+    assert zone.power is not None
+    assert zone.free is not None
+    factor = HeatInput(reference_C=5.0, per_K=0.03, T_out_range_C=(-5.0, 12.0))
+    operator = replace(zone.operator, heat_input=factor)
+    found = Drawer(zone.free, HOUR_S, 1, 5).draw(3, 40)
+    course = training._course(found, operator, zone.power, HOUR_S)
+    heat = factor.outdoor_factor(found.T_out_C)
+    assert np.ptp(heat) > 0.05
+    np.testing.assert_allclose(course.drive_per_u.numpy(), heat, rtol=1e-12)
+    price = found.price_per_kWh / 1000.0 * zone.power(np.ones(()), found.T_out_C)
+    np.testing.assert_allclose(course.relative.numpy(), price / heat, rtol=1e-12)
 
 
 def test_it_heats_ahead_of_the_bound_and_rests_in_the_warmth() -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.errors import ControllerConfigError
@@ -35,6 +35,16 @@ def observation(house: SimpleHouse | None = None) -> Observation:
     house = house or SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     return Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
+
+
+@pytest.mark.parametrize("level", [1.0, 0.5])
+def test_heat_at_the_end_is_worth_what_the_last_step_at_the_highest_level_costs(level):
+    mpc = controller(actuation={"mode": "duty", "level": level}, objective={"terminal_value": 1.0})
+    seen = observation()
+    problem = mpc.instance(mpc.predictor.context(seen), seen.history)
+    last_step_K = GAIN_K * level
+    cost = seen.boundary.price_per_kWh[0, -2] * (FIXED_W + PER_U_W * level) / 1000.0
+    assert problem.terminal_price_per_K[0, 0, 0] * last_step_K == pytest.approx(cost)
 
 
 @pytest.mark.slow

@@ -106,6 +106,20 @@ def test_the_state_of_another_controller_is_refused():
             controller.plan(seen, ThermostatState((True,)))
 
 
+@pytest.mark.parametrize("build", [mpc, PIController])
+def test_the_state_of_a_later_plan_is_refused(build):
+    """Of another run, or of a record whose seconds count from the next new year."""
+    controller, state, house = build(), None, SimpleHouse()
+    for day in (300, 10):
+        house.reset(day * DAY_S, 2 * DAY_S)
+        seen = Observation(house.past(controller.step_s), house.forecast(controller.horizon_s, controller.step_s))
+        if state is None:
+            state = controller.plan(seen).state
+            controller.plan(seen, state)  # the same step once more
+    with pytest.raises(DataError, match="state is of a plan at 25920000 s, later than the observation at 864000 s"):
+        controller.plan(seen, state)
+
+
 class Failing:
     """A solver that fails now and then."""
 

@@ -11,7 +11,7 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.actuators import Actuators
 from controllers.errors import ControllerConfigError
-from controllers.problem import PowerCap, ProblemShape, every_step
+from controllers.problem import Cooling, PowerCap, ProblemShape, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.registry import controller_config
@@ -87,6 +87,19 @@ def test_no_other_levels_cost_less_where_power_grows_faster_than_heat(backend):
     straight = replace(problem, power_per_u2_W=None, power_per_u_W=problem.power_per_u_W + problem.power_per_u2_W)
     flat = QPSolver(operator, ProblemShape(every_step(N), problem.machinery), QPConfig()).solve(straight)
     assert best < 0.999 * float(problem.cost(operator, flat.u)), "levels are spread over time"
+
+
+def test_power_that_grows_faster_than_heat_is_that_of_heating():
+    rng = np.random.default_rng(4)
+    operator, problem = curved_problem(rng)
+    machinery = replace(problem.machinery, u_min=np.array([-1.0, 0.0]), share=np.zeros(2))
+    cooling = Cooling(np.full((2, N), 0.2), np.full((2, N), 900.0))
+    signed = replace(problem, machinery=machinery, cooling=cooling, T_free_C=np.full((2, N), 30.0))
+    solution = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(signed)
+    assert solution.ok, solution.problem
+    assert solution.u[0].min() < -0.5
+    cold = np.minimum(solution.u, 0.0)
+    np.testing.assert_allclose(signed.power_W(cold), replace(signed, power_per_u2_W=None).power_W(cold))
 
 
 def test_rows_of_power_are_linear_in_the_level():

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, outdoor_C, simple_model
+from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, outdoor_C, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.fallback import FallbackConfig, FallbackPolicy, GoodPlan
@@ -19,7 +19,10 @@ from controllers.watch_effect import effect_fault, missing_effect
 from controllers.watch_state import Judged, Track, WatchConfig, WatchState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.display import RunDisplay
@@ -142,6 +145,38 @@ def test_a_machine_that_stays_weak_is_adapted_to():
     found = result.state.adaptation[0].model.operator.gains[0] / simple_model().only.operator.gains[0]
     assert found == pytest.approx(0.5, abs=0.12)
     assert any("the model adapted since" in spell.why_back for spell in watch_spells(result))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stand_back", ["native", "rule"])
+def test_a_weak_machine_whose_heat_is_metered_is_adapted_to_once(stand_back):
+    class Metered(SimpleHouse):
+        @property
+        def given(self) -> float:
+            return 0.5 if self.now_s >= FROM_S else 1.0
+
+        def _advance(self, u, duration_s):
+            level = float(self.T < 21.2) * 0.5 if u is None else u
+            heat_W = 10_000.0 * level * self.given
+            measured = super()._advance(level * self.given, duration_s)
+            measured = replace(measured, u=level, heat_W=heat_W, power_W=0.4 * heat_W)
+            self._rows[-1] = (duration_s, measured)
+            return measured
+
+    law = MachineLoad((0.0, 0.0, 10_000.0, 0.0), (-20.0, 30.0))
+    model = ThermalModel.single(
+        linear_operator(np.array([POLE]), np.array([GAIN_K]), step_s=HOUR_S, heat_input=HeatInput(law)),
+        PowerModel(replace(law, coefficients=(0.0, 0.0, 4_000.0, 0.0))),
+    )
+    options = {"step_s": None, "horizon_h": 24.0, "fallback": {"stand_back": stand_back}}
+    mpc, house = ThermoForceMPC(model, MPCConfig(**options), free_response=OutdoorResponse()), Metered()
+    result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=9 * DAY_S))
+    (spell,) = watch_spells(result)
+    assert "the machine's heat was" in spell.why
+    assert "the model adapted since" in spell.why_back
+    adapted = result.state.adaptation[0]
+    assert np.exp(adapted.log_heat) == pytest.approx(0.5, abs=0.01)
+    assert adapted.model.operator.gains[0] / model.only.operator.gains[0] == pytest.approx(0.5, abs=0.12)
 
 
 def test_the_e_value_has_mean_one_at_most_for_errors_as_promised():

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from houses import House, random_levels, record
 
+from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
-from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator import BuildingOperator, HeatInput, certificate, linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House(machine_W=(0.0, 10000.0), slope_per_K=0.0)
@@ -103,6 +107,25 @@ def test_bounds_are_kept_whatever_happens(model, measured):
     low, high = model.operator.pole_bounds.T
     assert np.all((operator.poles >= low) & (operator.poles <= high))
     assert certificate(operator).certified
+
+
+def test_a_weaker_machine_warms_the_neighbours_less_too():
+    """Measured heat does in every zone what it did; a level brings less of it to all."""
+    load = MachineLoad((0.0, 0.0, 5000.0, 50.0), (-10.0, 15.0))
+    head = linear_operator([0.8, 0.98], [0.3, 0.05], step_s=HOUR_S, heat_input=HeatInput(heat=load))
+    neighbour = replace(head, gains=0.2 * head.gains)
+    operator = BuildingOperator(("bath", "study"), ("heater",), ((head,), (neighbour,)), (0,))
+    building = ThermalModel(operator, (None,), (None, None), (ModelCard(),), ("heater",))
+    adaptation = OnlineAdaptation(building.actuator(0))
+    weaker = adaptation.rescaled(adaptation.started(), gain=1.0, heat=0.8)
+    assert weaker is not None
+    adapted = building.with_actuators([weaker.model]).operator
+    features = np.tile([18.0, 5.0, 0.0, 0.0], (2, 24, 1))
+    at_full = [one.rollout(np.zeros((2, 1, 2)), np.ones((1, 24)), features) for one in (operator, adapted)]
+    np.testing.assert_allclose(at_full[1], 0.8 * at_full[0], rtol=1e-12)
+    for (z, a, before), (_, _, after) in zip(operator.each(), adapted.each(), strict=True):
+        per_W = before.gains / before.heat_input.reference_W
+        np.testing.assert_allclose(after.gains / after.heat_input.reference_W, per_W, rtol=1e-12, err_msg=f"{z}, {a}")
 
 
 def test_a_silent_sensor_is_not_learned_from(model, measured):

@@ -108,6 +108,10 @@ def test_levels_of_cooling_are_drawn(tmp_path, monkeypatch):
     plot_identification(tmp_path / "a.png", model, run)
     (levels,) = (axes for part in drawn[0].subfigs for axes in part.axes if axes.get_ylabel() == "level u")
     assert levels.get_ylim() == pytest.approx((-1.05, 1.05))
+    # The legend above the courses leaves their title free.
+    drawn[0].draw_without_rendering()
+    courses = drawn[0].subfigs[0].axes[0]
+    assert not courses._left_title.get_window_extent().overlaps(courses.get_legend().get_window_extent())
 
 
 def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):

@@ -115,9 +115,7 @@ def held_out_h(cases: Sequence[Case], splits: Sequence[Split]) -> float:
     )
 
 
-def held_out_rmse_K(
-    cases: Sequence[Case], splits: Sequence[Split], fit: ModeFit, priors: ModePriors, sign: int
-) -> float:
+def held_out_rmse_K(cases: Sequence[Case], splits: Sequence[Split], fit: ModeFit, sign: int) -> float:
     """Return the mean of the held-out RMSE at the judged lead times, K; NaN where no run is held out."""
     runs = _judged(cases, splits)
     if not runs:

@@ -118,7 +118,7 @@ def neighbour_rate(
     return spread, spread
 
 
-def centred_priors(priors: ModePriors, log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:
+def centred_priors(log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:
     """Return priors centred on a fit, `log_tau` (r,) and `gains` (r,) [slope K/h, G_2 … G_r K], with `relative_sd`."""
     gain_sd = np.maximum(relative_sd * np.abs(gains), _LEAST_GAIN_SD)
     rate = float(gains[-1] / np.exp(log_tau[-1]))

@@ -81,7 +81,7 @@ def modulate(
         # The linear fit assumed larger disturbances; training must not change its slow gain.
         if all(c.regression.is_pair for c in cases):
             return priors
-        return centred_priors(priors, fit.log_tau, fit.gains, _LINEAR_HELD_SD)
+        return centred_priors(fit.log_tau, fit.gains, _LINEAR_HELD_SD)
 
     judged_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
     if judged_h < _LEAST_JUDGED_H[base.heat_input.kind]:

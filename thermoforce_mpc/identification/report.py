@@ -71,13 +71,13 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     measured = "measured" if rooms is record else "measured, without the sun on the sensor"
     for z, axes in enumerate(courses[:-1]):
         title = "Measured and predicted zone temperature" if zones == 1 else model.operator.zones[z]
-        axes.set_title(title, loc="left")
+        axes.set_title(title, loc="left", pad=22.0)  # above the legend
         axes.plot(days, rooms.T_zone_C[z], color="black", linewidth=1.2, label=measured)
         if found is not None:
             label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K[z]:.2f} K"
             axes.plot(days, found.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
         axes.set_ylabel("zone temperature, °C" if zones == 1 else "°C")
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, frameon=False)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, frameon=False, borderaxespad=0.2)
     for a, name in enumerate(model.operator.actuators):
         courses[-1].stairs(record.u[a], days, color=f"C{a}", fill=actuators == 1, alpha=0.5, label=name)
     if actuators > 1:

@@ -69,7 +69,7 @@ def _train_on_pairs(
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
     start = ModeFit(log_tau, slope, residual_scale=1.0)
     weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.heat_input, None)
-    priors = centred_priors(weak, log_tau, slope, _TWO_STAGE_SD)
+    priors = centred_priors(log_tau, slope, _TWO_STAGE_SD)
     cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     mean, scale = normalisation(histories)
 

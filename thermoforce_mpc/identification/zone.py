@@ -125,7 +125,7 @@ def identify_zone(
         model = two_stage_model(runs, pairs, task.data, config, task.heat_input, sign, task.step_s, task.source, notes)
     else:
         model, fit = _joint_model(
-            runs, pairs, task.data, cases, config, task.heat_input, task.floor_area_m2, task.share, sign, task.step_s,
+            runs, task.data, cases, config, task.heat_input, task.floor_area_m2, task.share, sign, task.step_s,
             task.source, notes, say, task.power, task.level_sd, grid_K,
         )  # fmt: skip
     model = _accepted(model, cases, sign, task.alone)
@@ -167,7 +167,6 @@ def _unexplained(explained: float, cases: Sequence[Case], sign: int) -> str:
 
 def _joint_model(
     runs: Sequence[Record],
-    pairs: Sequence[Pair],
     data: Mapping[str, str],
     cases: Sequence[Case],
     config: IdentificationConfig,
@@ -194,7 +193,7 @@ def _joint_model(
 
     def error_K(found: dict[int, Fitted]) -> float:
         best = found[choose_order(found)]
-        return held_out_rmse_K(cases, splits, best.fit, best.priors, sign)
+        return held_out_rmse_K(cases, splits, best.fit, sign)
 
     candidates = judged(config)
     if config.start_slope_K_per_h is None and held_out_h(cases, splits) >= _LEAST_HELD_OUT_H:

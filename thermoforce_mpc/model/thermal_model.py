@@ -109,14 +109,17 @@ class ThermalModel:
     def with_actuators(self, zones: Sequence[ZoneModel]) -> ThermalModel:
         """The building with other operators of its actuators on their home zones (A,).
 
-        What an actuator delivers changes for all zones; its effect on zones other than its home stays as identified.
+        What an actuator delivers changes for all zones; what a unit of it does to zones other than its home stays as
+        identified.
         """
 
         def changed(z: int, a: int, pair: OperatorParameters | None) -> OperatorParameters | None:
             own = zones[a].operator
             if pair is None or self.operator.home[a] == z:
                 return None if pair is None else own
-            return replace(own, poles=pair.poles, gains=pair.gains, pole_bounds=pair.pole_bounds)
+            # Gains are per v, whose heat may be another: K per W stay.
+            gains = pair.gains * (own.heat_input.reference_W / pair.heat_input.reference_W)
+            return replace(own, poles=pair.poles, gains=gains, pole_bounds=pair.pole_bounds)
 
         pairs = tuple(
             tuple(changed(z, a, pair) for a, pair in enumerate(row)) for z, row in enumerate(self.operator.pairs)

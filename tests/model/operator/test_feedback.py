@@ -16,6 +16,7 @@ from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.model_file import content_sha256
 from thermoforce_mpc.model.operator import (
     IDENTITY,
+    HeatInput,
     certificate,
     feedback_bounds,
     forced_rollout,
@@ -40,7 +41,7 @@ operators = st.builds(
     scale=st.sampled_from([1e-3, 0.03, 0.1, 0.3, 1.0, 30.0, 1e50]),
     sign=st.sampled_from([1, -1]),
     gamma=st.sampled_from([0.0, 0.3, 0.75]),
-    heat_input=st.sampled_from([IDENTITY, HEAT_MAP]),
+    heat_input=st.sampled_from([IDENTITY, HEAT_MAP, HeatInput(lowest=-1.0)]),
 )
 
 
@@ -93,7 +94,8 @@ def test_every_effect_lies_in_the_certified_interval(params, seed):
     proof = certificate(params, N)
     low, high = np.array(proof.effect_low_K), np.array(proof.effect_high_K)
     # From all-on to random, and far from the data: where feedback is strongest is unknown.
-    for u in (np.ones(N), rng.uniform(0, 1, N), np.full(N, 1e-3)):
+    lowest = params.heat_input.lowest
+    for u in (np.ones(N), rng.uniform(lowest, 1, N), np.full(N, lowest or 1e-3)):
         features = random_features(rng, N)
         jacobian = _jacobian(params, rng.normal(size=params.order), u, features)
         room = 1e-9 * float(np.abs(params.gains).sum()) * params.heat_input.slope_bounds()[1]
@@ -171,6 +173,28 @@ def test_an_operator_that_turns_around_is_not_certified():
     (reason,) = proof.reasons
     assert "-12" in reason, "the slope of 0.75 * 4 * 4 per K must be named"
     assert "feedback: false" in reason
+
+
+def test_cooling_by_a_signed_level_turns_the_feedback_around():
+    """m rises with the temperature: that strengthens heating, and while the level is below 0 it weakens the effect."""
+    params = replace(
+        linear_operator([0.5], [2.0], step_s=3600.0, hidden=1, heat_input=HeatInput(lowest=-1.0)),
+        feedback=True,
+        hidden_weight=np.array([[0.5, 0.0, 0.0, 0.0]]),
+        output_weight=np.array([1.0]),
+        feature_mean=np.array([20.0, 0, 0, 0]),
+    )
+    features = np.tile([23.0, 5.0, 0.0, 0.0], (4, 1))
+    cooling = np.full(4, -1.0)
+    less = np.where(np.arange(4) < 1, -0.999, cooling)
+    effect = (
+        forced_rollout(params, np.zeros(1), less, features) - forced_rollout(params, np.zeros(1), cooling, features)
+    )[:, 0]
+    assert effect[0] > 0 > effect[1], "less cooling, colder afterwards"
+    proof = certificate(params)
+    assert not proof.certified
+    assert proof.feedback_slope_per_K == (-0.375, 0.375)
+    assert np.all(effect >= 0.001 * np.array(proof.effect_low_K[:4]))
 
 
 def test_runaway_feedback_ends_in_an_answer():

@@ -243,6 +243,12 @@ def test_actuator_maps_that_are_not_monotone_are_refused():
         MachineLoad((1000.0, 0.0, 5000.0, 0.0), (0.0, 15.0), lowest_level=0.0)
 
 
+def test_heat_with_a_term_in_the_square_of_the_level_is_refused():
+    """Torch, CasADi and the programmes know heat as linear in the level above the lowest."""
+    with pytest.raises(DataError, match=r"no term in u² \(500 W\)"):
+        HeatInput(heat=MachineLoad((0.0, 0.0, 5000.0, 50.0), (-10.0, 15.0), curve_W=500.0))
+
+
 def test_other_levels_need_to_have_been_seen():
     unseen = HeatInput(MachineLoad((0.0, 0.0, 9000.0, 0.0), (0.0, 10.0), levels_seen=False))
     assert unseen.at_lowest_level(1.0) == unseen

@@ -6,9 +6,9 @@ chain rule gives
 
     x(j+1) = (diag a + κ_j g 1ᵀ) x(j),   κ_j = v_j ∂m/∂T,   ∂F(t+k)/∂u(t) = 1ᵀ x(k).
 
-κ_j is known by an interval only: v lies in [0, v_max], and the slope of the network is enclosed by interval arithmetic
-(both derivatives of tanh lie in [0, 1] everywhere). 1ᵀ x(k) is affine in each κ_j, so its extremes lie at the interval
-ends, and the convex hull of all reachable x(k) is propagated exactly.
+κ_j is known by an interval only: v lies in [lowest, v_max], with lowest below 0 where levels are signed, and the slope
+of the network is enclosed by interval arithmetic (both derivatives of tanh lie in [0, 1] everywhere). 1ᵀ x(k) is affine
+in each κ_j, so its extremes lie at the interval ends, and the convex hull of all reachable x(k) is propagated exactly.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def modulation_slope(params: OperatorParameters) -> tuple[float, float]:
 
 def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
     """Return bounds of the response over `n_steps` steps for any weather, temperatures and later actions."""
-    largest = params.heat_input.largest()
-    low, high = (largest * slope for slope in modulation_slope(params))
-    low, high = (low, high) if params.feedback_active else (0.0, 0.0)
+    drive = params.heat_input.lowest, params.heat_input.largest()
+    ends = [v * slope for v in drive for slope in modulation_slope(params)]
+    low, high = (min(0.0, *ends), max(0.0, *ends)) if params.feedback_active else (0.0, 0.0)
     responses: list[tuple[float, float]] = []
     if max(-low, high) * float(np.abs(params.gains).sum()) > _RUNAWAY:
         nothing = np.full(n_steps, np.inf)

@@ -21,8 +21,8 @@ class HeatInput:
     allows.
 
     Raises:
-        DataError: `lowest` is not in [−10, 0], or below 0 without the identity; `per_K` beside a heat load, or so large
-            that v does not rise with u somewhere in the range.
+        DataError: `lowest` is not in [−10, 0], or below 0 without the identity; the heat load has a term in u²; `per_K`
+            beside a heat load, or so large that v does not rise with u somewhere in the range.
     """
 
     heat: MachineLoad | None = None
@@ -35,6 +35,8 @@ class HeatInput:
         identity = self.heat is None and self.per_K == 0.0
         if not -10.0 <= self.lowest <= 0.0 or (self.lowest < 0.0 and not identity):
             raise DataError(f"lowest level {self.lowest:g}: expected 0, or that of cooling where u drives the operator")
+        if self.heat is not None and self.heat.curve_W != 0.0:
+            raise DataError(f"heat input: heat has no term in u² ({self.heat.curve_W:g} W), only power has")
         if self.per_K == 0.0:
             return
         if self.heat is not None:
