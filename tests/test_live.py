@@ -28,6 +28,7 @@ from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.kept import Kept
 from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.simulation.display import RunDisplay
 
 HOUR = pd.Timedelta("1h")
 START_S = (START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
@@ -191,6 +192,30 @@ def test_an_interrupted_run_gives_the_building_back():
     assert house.written[-1][1:] == ({"actuator": None}, 0.0)
 
 
+@pytest.mark.parametrize("steps", [2, 24])
+def test_an_interrupt_while_the_building_is_given_back_cuts_nothing_short(steps):
+    """Ctrl-C at the end of a run, and Ctrl-C twice."""
+    house = SimulatedBuilding()
+    wait, write, cut = house.wait_until, house.write, []
+
+    def interrupted(at):
+        wait(at)
+        if steps > 2 and house.at > START + 2 * HOUR:
+            raise KeyboardInterrupt
+
+    def impatient(levels, seconds):
+        if seconds == 0.0 and len(cut) < 3:
+            cut.append(house.at)
+            raise KeyboardInterrupt
+        write(levels, seconds)
+
+    house.wait_until, house.write = interrupted, impatient
+    with pytest.raises(KeyboardInterrupt):
+        controlled(house, steps)
+    assert len(cut) == 3
+    assert house.written[-1][1:] == ({"actuator": None}, 0.0)
+
+
 def test_a_building_that_does_not_take_its_levels_back_is_told_of():
     house = SimulatedBuilding(when("write", 2, 99, OSError("bus")))
     with pytest.raises(PlantError, match="actuator in 5 attempts"):
@@ -219,6 +244,37 @@ def test_over_the_new_year_time_goes_on():
     house.forecast = lambda: ahead().shift(freq=shift)
     told = controlled(house, 12)
     assert {decision.plan.status for decision in told} == {"solved"}
+
+
+def test_a_clock_that_is_set_back_stops_no_control(caplog):
+    """It was five hours ahead; the house, its logger and its watchdog have clocks of their own."""
+    house = SimulatedBuilding()
+    now, wait, ahead = house.now, house.wait_until, [5 * HOUR]
+    house.now = lambda: now() + ahead[0]
+
+    def waited(at):
+        until = at - ahead[0]
+        if ahead[0] and until > START + 2.5 * HOUR:
+            ahead[0] = 0 * HOUR
+        wait(until)
+
+    house.wait_until = waited
+    told = controlled(house, 8)
+    at_h = [round((decision.instant - START) / HOUR) for decision in told]
+    assert at_h == [5, 6, 7, 3, 4, 5, 6, 7]
+    assert [decision.plan.status for decision in told[3:]] == ["solved"] * 5
+    assert "the clock was set back" in caplog.text
+
+
+def test_the_clock_of_the_machine_waits_no_longer_where_it_is_set_back(monkeypatch):
+    passed_s, set_back_s = [0.0], 3600.0
+    monkeypatch.setattr(time, "sleep", lambda seconds: passed_s.__setitem__(0, passed_s[0] + seconds))
+    monkeypatch.setattr(time, "monotonic", lambda: passed_s[0])
+    clock = WallClock()
+    back = lambda: START + pd.Timedelta(seconds=passed_s[0] - set_back_s * (passed_s[0] > 10.0))  # noqa: E731
+    monkeypatch.setattr(clock, "now", back)
+    clock.wait_until(START + pd.Timedelta("60s"))
+    assert passed_s[0] == 60.0
 
 
 @pytest.fixture
@@ -281,6 +337,7 @@ def test_the_level_of_the_step_that_was_cut_off_is_kept(tmp_path):
         wait(min(at, killed))
         if house.at >= killed:
             house.write = lambda levels, seconds: None
+            kept.save = lambda value: None
             raise Killed
 
     house.wait_until = waited
@@ -289,6 +346,25 @@ def test_the_level_of_the_step_that_was_cut_off_is_kept(tmp_path):
     applied = kept.load(START + 5 * HOUR).applied
     assert sum(one.duration_s for one in applied) == 5 * 3600.0
     assert [one.u for one in applied] == [(levels["actuator"],) for _, levels, _ in house.written]
+
+
+def test_a_level_that_was_given_back_is_known_until_then(tmp_path):
+    """Ended in the middle of a step whose level nobody measures; the next run begins in a later one."""
+    house = SimulatedBuilding()
+    kept = KeptState(tmp_path / "state.npz", "this model")
+    wait = house.wait_until
+
+    def interrupted(at):
+        wait(min(at, START + 2.5 * HOUR))
+        if house.at >= START + 2.5 * HOUR:
+            raise KeyboardInterrupt
+
+    house.wait_until = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        controlled(house, 24, kept=kept, delay_s=0.0)
+    found = kept.load(START + 4 * HOUR)
+    assert sum(one.duration_s for one in found.applied) == 2.5 * 3600.0
+    assert found.instant == (START + 2 * HOUR).isoformat()
 
 
 def killed_and_run_again(tmp_path, at_h, again_h, of="this model", **options):
@@ -300,7 +376,7 @@ def killed_and_run_again(tmp_path, at_h, again_h, of="this model", **options):
         killed = START + at_h * HOUR
         wait(min(at, killed))
         if house.at >= killed:
-            house.wait_until, house.write = wait, lambda levels, seconds: None
+            house.wait_until, house.write, kept.save = wait, lambda levels, seconds: None, lambda value: None
             raise Killed
 
     house.wait_until = waited
@@ -347,6 +423,8 @@ def test_a_damaged_or_old_state_stops_no_control(tmp_path, caplog):
     assert KeptState(path, "x").load(START + HOUR).state_at(START + HOUR) == "after"
     assert KeptState(path, "x").load(START + 25 * HOUR) is None
     assert "more than a day ago" in caplog.text
+    assert KeptState(path, "x").load(START - HOUR) is None
+    assert "was the clock set back?" in caplog.text
     KeptState(tmp_path / "none" / "state.npz", "x").save(kept)
     assert "a restart begins anew" in caplog.text
 
@@ -360,6 +438,24 @@ def test_the_command_keeps_its_state_where_its_log_is(files, monkeypatch):
         done = CliRunner().invoke(cli, [*words, *changed])
         assert done.exit_code == 0, done.output + str(done.exception)
         assert said in (files / "control" / "log.jsonl").read_text()
+
+
+@pytest.mark.parametrize("error", [OSError(5, "Input/output error"), SystemExit(1)])
+def test_an_output_that_is_lost_ends_no_control(files, monkeypatch, error):
+    """A terminal under nohup that was closed, and a pipe that nobody reads any more."""
+    monkeypatch.setattr(WallClock, "wait_until", lambda self, at: None)
+
+    def lost(self, text):
+        raise error
+
+    monkeypatch.setattr(RunDisplay, "say", lost)
+    words = ["control", "--model", "model", "--map", "map.yaml", "--steps", "2", "--delay", "0", *OPTIONS]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, str(done.exception)
+    log = [json.loads(line) for line in (files / "control" / "log.jsonl").read_text().splitlines()]
+    assert sum("status" in line for line in log) == 2
+    assert sum("nothing is printed any more" in line["message"] for line in log) == 1
+    assert json.loads((files / "levels.json").read_text())["levels"] == {"actuator": None}
 
 
 @pytest.mark.slow

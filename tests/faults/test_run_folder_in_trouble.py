@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import resource
 import shutil
@@ -21,6 +22,7 @@ from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal import read_journal
+from thermoforce_mpc.simulation.run_log import logging_to
 
 WORDS = ("run", "--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "")
 
@@ -89,6 +91,12 @@ def test_a_full_disk_before_the_first_step_leaves_nothing_behind(call, tmp_path)
         done = call(house, *WORDS, "--days", 1, "--out", tmp_path / "full")
     assert isinstance(done.exception, StorageError)
     assert not (tmp_path / "full").exists()
+
+
+def test_a_log_that_a_full_disk_does_not_take_raises_nothing(tmp_path):
+    with files_of_at_most(0), logging_to(tmp_path):
+        logging.getLogger("thermoforce_mpc").info("not taken")
+    assert not (tmp_path / "log.jsonl").read_text()
 
 
 @pytest.fixture

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import closing
+import logging
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from thermoforce_mpc.cli.options import FiniteRange
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
     from thermoforce_mpc.live import Decision
+
+_LOG = logging.getLogger(__name__)
 
 
 @click.command(short_help="Control a real building through a connection, in real time.")
@@ -24,7 +30,7 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
 @click.option("--steps", type=click.IntRange(min=1), help="End after so many control steps.  [default: never]")
 @click.option(
-    "--delay", "delay_s", type=click.FloatRange(0.0, 300.0), default=30.0, show_default=True,
+    "--delay", "delay_s", type=FiniteRange(0.0, 300.0), default=30.0, show_default=True,
     help="Seconds after the beginning of a step at which its last reading is there.",
 )  # fmt: skip
 @click.option(
@@ -74,17 +80,17 @@ def command(
         raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE or controller.KEY=VALUE")
     thermal, rules = load_model(model), load_map(map_file)
     mpc = ThermoForceMPC(thermal, validate(MPCConfig, chosen.get("controller", {}), "--set controller"))
-    display = RunDisplay()
+    say = _until_lost(RunDisplay().say)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with (
         hangup_ends(),
         sole_use(out),
         closing(build_connection(connection, chosen.get("connection", {}))) as building,
-        logging_to(out, display.say),
+        logging_to(out, say),
     ):
-        display.say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
-        display.say(f"Actuation: {mpc.actuation_in_words}")
+        say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
+        say(f"Actuation: {mpc.actuation_in_words}")
         control(
             LiveBuilding(building, rules, mpc.step_s),
             mpc,
@@ -92,8 +98,27 @@ def command(
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", digest({"mpc": canonical((thermal, mpc.config))})),
-            told=lambda decision: display.say(in_words(decision)),
+            told=lambda decision: say(in_words(decision)),
         )
+
+
+def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
+    """`say` until the terminal or pipe is gone, or its disk full: that ends no control, and all is in the log."""
+    lost = False
+
+    def said(text: str) -> None:
+        nonlocal lost
+        if lost:
+            return
+        try:
+            say(text)
+        except (OSError, SystemExit) as error:  # rich exits where nobody reads a pipe any more
+            lost = True
+            with suppress(OSError, ValueError):  # what is left in its buffer is written at the end of the program
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _LOG.warning("nothing is printed any more (%s); this log goes on", error.__context__ or error)
+
+    return said
 
 
 def in_words(decision: Decision) -> str:

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import pandas as pd
@@ -41,7 +42,7 @@ class Clock(Protocol):
         ...
 
     def wait_until(self, at: pd.Timestamp) -> None:
-        """Return at `at`, at once where that is past."""
+        """Return at `at`, at once where that is past; after as long as it is until then, if the clock is set back."""
         ...
 
 
@@ -53,8 +54,12 @@ class WallClock:
         return pd.Timestamp.now("UTC")
 
     def wait_until(self, at: pd.Timestamp) -> None:
-        """See `Clock.wait_until`; in short pieces, since a sleeping machine's clock jumps."""
-        while (left_s := (at - self.now()).total_seconds()) > 0:
+        """See `Clock.wait_until`; in short pieces, since a sleeping machine's clock jumps.
+
+        No longer than it was at first, also where the clock is set back meanwhile.
+        """
+        most_s = time.monotonic() + (at - self.now()).total_seconds()
+        while (left_s := min((at - self.now()).total_seconds(), most_s - time.monotonic())) > 0:
             time.sleep(min(left_s, 5.0))
 
 
@@ -121,11 +126,13 @@ class _Loop:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
         self._dry, self._told, self._kept = dry, told, kept
-        self._forecasts = Forecasts(building, controller.horizon_s, controller.step_s, outage_h)
+        self._new_forecasts = partial(Forecasts, building, controller.horizon_s, controller.step_s, outage_h)
+        self._forecasts = self._new_forecasts()
         self._allowed = limits_of(controller)
         self._state: object = None
         self._applied: list[Applied] = []
         self._set = False
+        self._decided: tuple[pd.Timestamp, object] | None = None
 
     def run(self, steps: int | None) -> None:
         """Decide and act, `steps` times."""
@@ -150,9 +157,20 @@ class _Loop:
                 self._act(decision, before)
                 index += 1
                 # Steps that passed while this one was planned, or while the machine slept, are left out.
-                instant = max(instant + self._step, self._building.instant(self._clock.now() - self._delay))
+                now = self._building.instant(self._clock.now() - self._delay)
+                if now < instant:
+                    self._begin_anew(instant, now)
+                    instant = now
+                else:
+                    instant = max(instant + self._step, now)
         finally:
             self._release()
+
+    def _begin_anew(self, before: pd.Timestamp, now: pd.Timestamp) -> None:
+        """Forget what is of times that are to come again, since the clock was set back."""
+        _LOG.warning("the clock was set back, from the step of %s to that of %s: begun anew", before, now)
+        self._state, self._applied = None, []
+        self._forecasts = self._new_forecasts()
 
     def _decision(self, instant: pd.Timestamp) -> Decision:
         building, controller = self._building, self._controller
@@ -207,6 +225,7 @@ class _Loop:
         self._clock.wait_until(end)
 
     def _keep(self, instant: pd.Timestamp, before: object) -> None:
+        self._decided = instant, before
         if self._kept is not None:
             origin = self._building.origin.isoformat()
             self._kept.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
@@ -225,14 +244,32 @@ class _Loop:
         return True
 
     def _release(self) -> None:
-        """Give everything back, if anything was set."""
+        """Give everything back, if anything was set; an interrupt meanwhile costs one attempt, and is raised after."""
         if not self._set:
             return
+        interrupt: BaseException | None = None
         for _ in range(_RELEASES):
-            if self._write((None,) * len(self._building.names), 0.0):
-                return
-            self._clock.wait_until(self._clock.now() + pd.Timedelta(seconds=_PAUSE_S))
-        raise PlantError(
-            f"the building did not take back {', '.join(self._building.names)} in {_RELEASES} attempts: give them back "
-            "to its own control by hand"
-        )
+            try:
+                if self._write((None,) * len(self._building.names), 0.0):
+                    break
+                self._clock.wait_until(self._clock.now() + pd.Timedelta(seconds=_PAUSE_S))
+            except BaseException as again:  # Ctrl-C once more, or another signal to end
+                interrupt = again
+        else:
+            raise PlantError(
+                f"the building did not take back {', '.join(self._building.names)} in {_RELEASES} attempts: give them "
+                "back to its own control by hand"
+            ) from interrupt
+        self._end_applied()
+        if interrupt is not None:
+            raise interrupt
+
+    def _end_applied(self) -> None:
+        """Remember that what was set has ended by now."""
+        if self._decided is None:
+            return
+        now_s = self._building.time_s(self._clock.now())
+        self._applied = [
+            replace(one, duration_s=min(one.duration_s, max(now_s - one.start_s, 0.0))) for one in self._applied
+        ]
+        self._keep(*self._decided)

@@ -37,7 +37,7 @@ class Kept:
 
     def state_at(self, instant: pd.Timestamp) -> object:
         """The state to decide with at `instant`; the step that was decided already is decided once more."""
-        return self.before if instant <= pd.Timestamp(self.instant) else self.after
+        return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
 class KeptState:
@@ -62,6 +62,9 @@ class KeptState:
             return None
         if now - pd.Timestamp(kept.instant) > _OLDEST:
             _LOG.warning("%s is of %s, more than a day ago: begun anew", self._path, kept.instant)
+            return None
+        if now < pd.Timestamp(kept.instant):
+            _LOG.warning("%s is of %s, which is to come: was the clock set back? Begun anew", self._path, kept.instant)
             return None
         _LOG.info("goes on from the state of %s in %s", kept.instant, self._path)
         return kept

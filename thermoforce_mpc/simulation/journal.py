@@ -166,7 +166,7 @@ def read_journal(path: Path) -> JournalText:
     """Read and check all parts of the journal at `path`; a last record that is not whole is left out.
 
     Raises:
-        JournalError: there is no journal, or a record before the last is damaged; names file and line.
+        JournalError: there is no journal, a part is missing, or a record before the last is damaged; names the place.
     """
     entries: list[Entry] = []
     number, crc = 1, 0
@@ -174,8 +174,19 @@ def read_journal(path: Path) -> JournalText:
         part, last = part_of(path, number), not part_of(path, number + 1).exists()
         size, crc, torn = _read_part(part, entries, crc, may_be_torn=last)
         if last:
+            _check_none_missing(path, number)
             return JournalText(tuple(entries), number, size, crc, torn)
         number += 1
+
+
+def _check_none_missing(path: Path, last: int) -> None:
+    """Raise `JournalError` where there are parts after one that is not there, behind the `last` that is."""
+    numbers = (found.name.split(".")[-2] for found in path.parent.glob(f"{path.stem}.*{path.suffix}"))
+    if any(number.isdecimal() and int(number) > last for number in numbers):
+        raise JournalError(
+            f"{part_of(path, last + 1)}: is not there, but later parts are, which cannot be relied on without it: put "
+            "it back, or start the run again"
+        )
 
 
 class JournalTail:

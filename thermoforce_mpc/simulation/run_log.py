@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -51,6 +51,11 @@ class _Told(logging.Handler):
 class _Lines(logging.FileHandler):
     def handleError(self, record: logging.LogRecord) -> None:
         """Say nothing: where the disk is full the journal ends the run, and says so."""
+
+    def close(self) -> None:
+        """Close the file; lines that a full disk did not take are lost."""
+        with suppress(OSError):
+            super().close()
 
 
 @contextmanager
