@@ -89,8 +89,7 @@ class Transport:
     """Sends requests and unpacks `{"status", "message", "payload"}`."""
 
     def __init__(self, url: str, config: TransportConfig, user_agent: str) -> None:
-        parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.netloc:
+        if not _is_address(url):
             raise BadAddress(url, "not the address of a service; expected something like http://127.0.0.1:8000")
         self.url = url.rstrip("/")
         self.config = config
@@ -199,6 +198,17 @@ class Transport:
         if isinstance(content, dict) and "payload" in content:
             return Answer(content["payload"], str(content.get("message") or ""))
         return Answer(content, "")
+
+
+def _is_address(url: str) -> bool:
+    """Whether `url` is an http(s) address with a host and, if it names one, a port that can be."""
+    try:
+        parts = urlsplit(url)
+        port = parts.port  # raises ValueError if it is none
+        requests.Request("GET", url).prepare()
+    except (ValueError, requests.RequestException):
+        return False
+    return parts.scheme in ("http", "https") and bool(parts.hostname) and port != 0
 
 
 def _failure(endpoint: str, error: requests.RequestException, connect_s: float, read_s: float) -> TransportError:

@@ -420,7 +420,13 @@ def test_a_service_that_moved_is_not_followed(client, service):
         client.advance({})
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:8000", "ftp://127.0.0.1", "", "http://"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "127.0.0.1:8000", "ftp://127.0.0.1", "", "http://", "http://[::1", "http://127.0.0.1:99999", "http://host:port",
+        "http://my host:8000", "http://name@:8000", "http://host:0",
+    ],
+)  # fmt: skip
 def test_an_address_that_is_none_is_refused(url):
     with pytest.raises(BadAddress, match=r"http://127\.0\.0\.1:8000"):
         BoptestClient(url, NAME, config=QUICK)

@@ -277,6 +277,17 @@ def test_a_run_shorter_than_a_step_of_its_controller_ends_with_a_report(simple, 
     assert (tmp_path / "run" / "report.html").exists()
 
 
+@pytest.mark.parametrize("hours", [240, 287])
+def test_prices_that_end_before_the_window_does_are_refused_before_a_step(simple, tmp_path, hours):
+    path = tmp_path / "prices.csv"
+    path.write_text("time,price\n" + "".join(f"{hour * 3600},0.2\n" for hour in range(hours)))
+    words = ["--set", f"plant.prices_file={path}", "--price", "highly_dynamic", "--days", "2"]  # of day 10
+    done = simple(*words, "--controller", "thermostat", "--out", "out")
+    assert isinstance(done.exception, ConfigError)
+    assert f"prices.csv: has prices until day {hours / 24:g}, asked for day 12" in str(done.exception)
+    assert not (tmp_path / "out" / "steps.csv").exists()
+
+
 def test_validate_names_what_is_wrong(tmp_path):
     good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
     good.write_text(f"testcase: {TESTCASE}\n")

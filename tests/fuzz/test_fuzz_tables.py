@@ -32,7 +32,7 @@ def as_epw() -> bytes:
     year = synthetic_weather()
     lines = ["LOCATION,Town,-,BEL,IWEC,064510,51.0,4.5,1.0,58.0", *["HEADER"] * 7]
     for h in range(1, 8761):
-        date, at = np.datetime64("2019-01-01") + (h - 1) // 24, h % 8760
+        date, at = np.datetime64("2019-01-01") + np.timedelta64((h - 1) // 24, "D"), h % 8760
         cells = [*str(date).split("-"), str((h - 1) % 24 + 1), "0", "?9", *["0"] * 29]
         cells[6], cells[7], cells[9] = f"{year.T_dry_C[at]}", f"{year.T_dew_C[at]}", "101300"
         cells[13], cells[14], cells[15] = (f"{getattr(year, name)[at]:g}" for name in SUN)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from boptest_server import Fault, running_service
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.errors import ConfigError, PlantError
@@ -154,3 +155,11 @@ def test_episodes_are_drawn(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     env.step(np.array([0.5]))
     assert (tmp_path / "episode_1.png").stat().st_size > 1000
+
+
+def test_a_test_whose_points_cannot_be_read_is_stopped() -> None:
+    with running_service() as service:
+        service.faults.append(Fault("measurements/", "moved", times=99))
+        with pytest.raises(PlantError, match="moved"):
+            BoptestGymEnv(service.url)
+        assert len(service.stopped) == 1

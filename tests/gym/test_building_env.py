@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.gym import ID
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.episodes import Episodes
@@ -107,6 +107,18 @@ def test_drawn_starts_keep_clear_of_excluded_periods_and_the_year() -> None:
         Episodes(max_episode_length=12 * DAY_S, random_start_time=True, excluding_periods=excluded)
 
 
+@pytest.mark.parametrize("period", [(285 * DAY_S, 105 * DAY_S), (0.0, float("nan")), (0.0,), 5.0, "ab", ("0", "1")])
+def test_an_excluded_period_that_is_none_is_refused(period: object) -> None:
+    with pytest.raises(ConfigError, match=r"excluding_periods.*two of them"):
+        Episodes(random_start_time=True, excluding_periods=[period])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("name", ["predictive_period", "regressive_period"])
+def test_a_length_without_end_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name}: inf"):
+        made(**{name: float("inf")}, random_start_time=True)
+
+
 def test_branch_leaves_the_episode_alone_and_restore_repeats_it() -> None:
     for options in ({"regressive_period": 3600.0}, {"testcase": "house:2rooms"}, {"convention": "boptest"}):
         env = made(**options)
@@ -152,6 +164,19 @@ def test_episode_ends_in_time_and_asks_for_a_reset() -> None:
     assert not any(any(end) for end in ends[:-1])
     with pytest.raises(ResetNeeded):
         env.step(np.array([0.0], np.float32))
+
+
+@pytest.mark.parametrize(("start", "error"), [("noon", ConfigError), (-900.0, ConfigError), (1e9, InputError)])
+def test_after_a_start_that_was_refused_no_episode_runs(start: object, error: type[Exception]) -> None:
+    env = made()
+    env.reset(seed=1)
+    with pytest.raises(error, match="start"):
+        env.reset(options={"start_time": start})
+    if error is InputError:  # only the plant knew
+        with pytest.raises(ResetNeeded):
+            env.step(np.array([0.0], np.float32))
+    else:
+        assert env.start_time == 16 * DAY_S
 
 
 @pytest.mark.parametrize(

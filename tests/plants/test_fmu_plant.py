@@ -154,7 +154,8 @@ def test_a_step_that_is_no_step_is_refused(file, step):
 
 def test_what_needs_a_start_says_so(file):
     with FmuPlant(file, TESTCASE) as plant:
-        for ask in (lambda: plant.advance(0.5, 900.0), plant.kpis, lambda: plant.past(900.0)):
+        asks = [lambda: plant.advance(0.5, 900.0), plant.kpis, lambda: plant.past(900.0)]
+        for ask in (*asks, lambda: plant.forecast(3600.0, 900.0)):
             with pytest.raises(InputError, match="call reset"):
                 ask()
 

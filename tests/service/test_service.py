@@ -399,6 +399,10 @@ def test_forecast_errors_repeat_with_the_seed_and_touch_only_what_they_should(cl
         client.forecast(["HGloHor"], 49 * HOUR_S, HOUR_S)
     for name in ("LowerSetp[1]", "TDryBul"):  # points without errors
         assert len(client.forecast([name], 72 * HOUR_S, HOUR_S)["time"]) == 73
+    hot = seen(Scenario(temperature_uncertainty="high", solar_uncertainty="high", seed=3))
+    for horizon_s in (0.0, 1800.0):  # the present alone
+        now = client.forecast(["TDryBul", "HGloHor"], horizon_s, HOUR_S)
+        assert now == {name: hot[name][:1] for name in now}
     assert seen(Scenario()) == truth, "uncertainties that are not named again are gone"
 
 

@@ -99,13 +99,17 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         """Begin an episode. `seed` alone determines it; `options={"start_time": s}` sets its start instead.
 
         Raises:
-            ConfigError: an unknown option.
+            ConfigError: an unknown option, or a start that is no time.
+            InputError: a start that the plant does not have.
             PlantError: the plant or its service failed.
         """
         super().reset(seed=seed)
         for unknown in sorted(set(options or {}) - set(_RESET_OPTIONS)):
             raise ConfigError(f"reset: unknown option '{unknown}'; known: {', '.join(_RESET_OPTIONS)}")
         given = (options or {}).get("start_time")
+        if given is not None and not (isinstance(given, int | float | np.number) and 0 <= given < np.inf):
+            raise ConfigError(f"reset: start_time: {given!r}: expected seconds since 1 January")
+        self._running = False  # until the plant stands at the new start
         self.start_time = self._episodes.start_s(self.np_random) if given is None else float(given)
         self._view.begin(self.start_time, self._episodes.warmup_period, self.max_episode_length, self.scenario)
         self.objective_integrand, self.episode_rewards, self._trace = 0.0, [], []

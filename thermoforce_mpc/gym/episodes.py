@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,16 @@ class Episodes:
             value = getattr(self, name)
             if not (np.isfinite(value) and low <= value < YEAR_S):
                 raise ConfigError(f"{name}: {value!r} s: expected {low:g} s or more, less than a year")
+        # Their limits are the view's, which knows what it observes; here they only have to be numbers.
+        for name, value in (("predictive_period", self.ahead), ("regressive_period", self.behind)):
+            if not np.isfinite(value):
+                raise ConfigError(f"{name}: {value!r} s: expected a finite number")
+        for pair in self.excluding_periods or ():
+            if not (np.shape(pair) == (2,) and _number(pair[0]) and _number(pair[1]) and pair[0] < pair[1]):
+                raise ConfigError(
+                    f"excluding_periods: {pair!r}: expected pairs of begin and later end, s since 1 January; a period "
+                    "over New Year is two of them"
+                )
         if self.random_start_time and not self.possible_starts.size:
             raise ConfigError(
                 "excluding_periods: with random_start_time no episode of "
@@ -59,3 +70,7 @@ class Episodes:
     def start_s(self, rng: np.random.Generator) -> float:
         """Start of the next episode, s; draws from `rng` only with `random_start_time`."""
         return float(rng.choice(self.possible_starts)) if self.random_start_time else float(self.start_time)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -180,11 +180,14 @@ class ServiceSource:
             raise ConfigError(f"testcase: {error}") from error
         except BoptestError as error:
             raise PlantError(f"BOPTEST service: {error}") from error
-        with _failures():
+        # Where one of these fails, nobody else would stop the test.
+        with _failures(), ExitStack() as stopping:
+            stopping.enter_context(self._client)
             inputs = self._client.inputs()
             self.inputs: Mapping[str, Limits] = {name: (one.minimum, one.maximum) for name, one in inputs.items()}
             self.measurements: Sequence[str] = tuple(self._client.measurements())
             self.forecasts: Sequence[str] = tuple(self._client.forecast_points())
+            stopping.pop_all()
         self._now: Mapping[str, float] = {}
         self._step_s = 0.0
 

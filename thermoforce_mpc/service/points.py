@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
 from thermoforce_mpc.service import descriptions
@@ -138,10 +138,11 @@ def forecast_points(
     steps = np.arange(int(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
     time_s: Array = plant.now_s + steps * interval_s
     erring: dict[str, Array] = {}
-    if set(erring_names) & set(names) and horizon_s >= interval_s:
-        boundary = plant.forecast(horizon_s, interval_s)
+    if set(erring_names) & set(names):
+        # A plant forecasts one interval at least; here the present alone may be asked for.
+        boundary = plant.forecast(*((horizon_s, interval_s) if steps.size > 1 else (HOUR_S, HOUR_S)))
         series_of = {"TDryBul": boundary.T_out_C + _KELVIN, "HGloHor": boundary.solar_W_m2}
-        erring = {name: series_of[name] for name in erring_names}
+        erring = {name: series_of[name][: steps.size] for name in erring_names}
 
     def series(name: str) -> Array:
         if name in erring:

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from controllers.registry import find_entry
+from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.registry import boptest_plant, build_plant
 from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.reading import DoubtfulInput
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 
-__all__ = ["attached_plant", "build_plant", "check_window", "controller_options", "scored_period"]
+__all__ = ["attached_plant", "build_plant", "check_prices", "check_window", "controller_options", "scored_period"]
 
 # BOPTEST's names and those of plants of our own; the plant knows which of them it has.
 _NAMED_PERIODS = (
     "peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day", "cold_week",
     "sunny_week",
 )  # fmt: skip
+# Distance of the instants at which prices must be known, s.
+_PRICE_STEP_S = 900.0
 
 
 def attached_plant(spec: PlantSpec, testcase: TestCase, seed: int, testid: str) -> Plant:
@@ -47,10 +55,26 @@ def scored_period(plant: Plant, name: str, days: float) -> Period:
     return replace(plant.period(name), scored_s=days * DAY_S)
 
 
+def check_prices(scenario: Scenario, period: Period, ahead_s: float = 0.0) -> None:
+    """Refuse a file of prices that ends before the window `period` does, or forecasts of `ahead_s` beyond it, s.
+
+    Raises:
+        ConfigError: the file ends earlier; names it.
+    """
+    if scenario.plant.prices_file is None or scenario.price != "highly_dynamic":
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtfulInput)  # said when the plant was built
+        tariff = tariff_from_file(Path(scenario.plant.prices_file))
+    until_s = period.start_s + period.scored_s + ahead_s
+    tariff(np.append(np.arange(period.start_s, until_s, _PRICE_STEP_S), until_s))
+
+
 def check_window(name: str) -> None:
     """Refuse a `name` that no plant can know as a window; raises `ConfigError` naming those there are."""
     try:
-        float(name)
+        if not 0.0 <= float(name) < 365.0:
+            raise ConfigError(f"period: '{name}': a start day lies between 0 and 365")
     except ValueError:
         if name not in _NAMED_PERIODS:
             raise ConfigError(

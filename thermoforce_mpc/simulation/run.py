@@ -20,7 +20,13 @@ from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
-from thermoforce_mpc.simulation.composition import attached_plant, build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.composition import (
+    attached_plant,
+    build_plant,
+    check_prices,
+    controller_options,
+    scored_period,
+)
 from thermoforce_mpc.simulation.display import RunDisplay
 from thermoforce_mpc.simulation.identifying import IdentifiedModel
 from thermoforce_mpc.simulation.journaled_plant import JournaledPlant
@@ -232,6 +238,7 @@ def _execute(
     with closing(book.connect(build) if book else build()) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(_headline(plant, period, scenario))
+        check_prices(scenario, period)
         if model is None:
             identified = _identified(scenario, testcase, plant, display, book)
             models: dict[str, ThermalModel | str] = {who: found.acts_on for who, found in identified.items()}
@@ -240,6 +247,7 @@ def _execute(
             models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
 
         def follow(controller: Controller) -> RunResult:
+            check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
             return _follow(plant, controller, period, scenario, testcase, display, steps)
 

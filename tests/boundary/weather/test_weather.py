@@ -26,7 +26,7 @@ def write_mos(path, rows=None, location="#LOCATION,TOWN,-,BEL,IWEC,064510,50.90,
 
 def epw_row(hour: int, T: float) -> str:
     """Row of the hour that ends `hour + 1` hours into a year of 365 days."""
-    date = np.datetime64("2019-01-01") + hour // 24
+    date = np.datetime64("2019-01-01") + np.timedelta64(hour // 24, "D")
     cells = ["0"] * 35
     cells[0:5] = [*str(date).split("-"), str(hour % 24 + 1), "0"]
     cells[5], cells[6], cells[7], cells[9] = "?9", str(T), "1", "101300"
@@ -80,6 +80,7 @@ def test_hour_h_of_an_epw_file_is_h_oclock(tmp_path):
         (lambda rows: [*rows[:10], rows[10].replace("101300", "x"), *rows[11:]], "row 11: a cell is not a number"),
         (lambda rows: [*rows[:10], "36000.0\t1\t2", *rows[11:]], "row 11 has 3 columns"),
         (lambda rows: [*rows[:10], *rows[11:], mos_row(8760), mos_row(8761)], "row 11 is at 39600 s, expected 36000"),
+        (lambda rows: [*rows, *map(mos_row, range(8760, 8784))], "8784 hourly rows, a year has 8760"),
     ],
 )
 def test_a_damaged_file_is_refused_with_file_and_place(tmp_path, change, message):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import hashlib
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -89,16 +88,21 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
     if location is None:
         raise WeatherError(f"{path}: no '#LOCATION' line, so latitude and longitude are unknown")
     rows = (line.split(None, _MOST_CELLS) for line in lines if line[:1].isdigit() or line[:1] == "-")
+    columns = _columns(path, list(rows), _MOS_COLUMNS)
+    time_s = columns["time_s"]
     # Some files repeat midnight of the next 1 January as a last row.
-    columns = _columns(path, list(itertools.islice(rows, _HOURS + 1)), _MOS_COLUMNS)
     columns = {key: values[:_HOURS] for key, values in columns.items()}
-    time_s, hourly = columns.pop("time_s"), np.arange(_HOURS) * HOUR_S
-    wrong = np.flatnonzero(~np.isclose(time_s, hourly))
+    hourly = np.arange(_HOURS) * HOUR_S
+    wrong = np.flatnonzero(~np.isclose(columns.pop("time_s"), hourly))
     if wrong.size:
         row = int(wrong[0])
         raise WeatherError(
             f"{path}: hourly row {row + 1} is at {time_s[row]:.10g} s, expected {hourly[row]:.10g}; this reader needs "
             "8760 hourly rows from 0 s"
+        )
+    if time_s.size > _HOURS + 1:
+        raise WeatherError(
+            f"{path}: {time_s.size} hourly rows, a year has {_HOURS}; of a leap year leave out 29 February"
         )
     return _weather(path, name, location, columns)
 

@@ -164,9 +164,12 @@ class FmuPlant:
         """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
 
         Raises:
-            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+            InputError: horizon or interval is not positive, the horizon is shorter than the interval, or the plant was
+                not reset.
             WeatherError: the horizon exceeds the FMU's boundary data.
         """
+        if self._worker is None:
+            raise InputError("the plant has not been started: call reset() first")
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         p, at = self._points, self._archive.boundary.at
         T_out, solar = at(p.forecast_outdoor, time_s) - _KELVIN, at(p.forecast_solar, time_s)

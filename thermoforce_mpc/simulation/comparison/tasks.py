@@ -32,7 +32,7 @@ from thermoforce_mpc.simulation.comparison.input_files import (
     task_of,
 )
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
-from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.composition import build_plant, check_prices, controller_options, scored_period
 from thermoforce_mpc.simulation.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.version import VERSION
 
@@ -103,8 +103,10 @@ def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, Pla
         name, testcase = scenario.controller.name, load_testcase(scenario.testcase)
         with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
             period = scored_period(plant, scenario.period, scenario.days)
+            check_prices(scenario, period)
             acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
             controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
+            check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
 
             def on_step(record: StepRecord) -> None:
                 tell((record.time_s - period.start_s) / period.scored_s)
