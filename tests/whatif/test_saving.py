@@ -210,8 +210,9 @@ def test_a_machine_without_a_meter_is_named() -> None:
 
 def test_the_command(tmp_path: Path) -> None:
     record = _record(6, 0.25)
+    spiked = record.T_out_C + 40.0 * (np.arange(record.T_out_C.size) == 300)
     pd.DataFrame(
-        {"at": record.stamps(), "room": record.T_zone_C[0], "out": record.T_out_C, "sun": record.solar_W_m2,
+        {"at": record.stamps(), "room": record.T_zone_C[0], "out": spiked, "sun": record.solar_W_m2,
          "power": np.append(record.power_W[0], np.nan)}
     ).to_csv(tmp_path / "d.csv", index=False)  # fmt: skip
     (tmp_path / "map.yaml").write_text(
@@ -224,6 +225,7 @@ def test_the_command(tmp_path: Path) -> None:
     )
     assert said.exit_code == 0, said.output
     assert said.output.startswith("saved +")
+    assert "flagged in outdoor: 1 by rule 'spike'" in said.output
     kept = json.loads((tmp_path / "s.json").read_text())
     assert kept["claimed"]
     assert kept["meter"] == "power_W"

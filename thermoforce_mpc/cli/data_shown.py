@@ -10,7 +10,7 @@ from rich.table import Table
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import Measurements
-from thermoforce_mpc.measurements.understood import SignalSummary
+from thermoforce_mpc.measurements.understood import SignalSummary, Understood
 from thermoforce_mpc.simulation.display import RunDisplay
 
 _MOST_FILES = 5
@@ -34,15 +34,22 @@ def show_measurements(measured: Measurements, console: Console) -> None:
     for signal in known.signals:
         table.add_row(*_cells(signal))
     say(table)
-    for signal in known.signals:
-        for flag in signal.flags:
-            say(f"  flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}", soft_wrap=True)
-        if signal.doubt:
-            say(f"  doubtful: {signal.key}: {signal.doubt}", soft_wrap=True)
+    show_doubts(known, console)
     for text in known.assumed:
         say(f"  assumed: {text}", soft_wrap=True)
     for text in known.missing:
         say(f"  missing: {text}", soft_wrap=True)
+
+
+def show_doubts(known: Understood, console: Console) -> None:
+    """Print which readings count as not measured, and what is doubtful of a signal."""
+    for signal in known.signals:
+        for flag in signal.flags:
+            console.print(
+                f"  flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}", soft_wrap=True
+            )
+        if signal.doubt:
+            console.print(f"  doubtful: {signal.key}: {signal.doubt}", soft_wrap=True)
 
 
 def show_tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:

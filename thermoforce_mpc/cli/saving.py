@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from thermoforce_mpc.cli.data_shown import show_doubts
 from thermoforce_mpc.cli.options import FiniteRange, plot_option
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.dataframes import seconds_at
@@ -50,7 +51,8 @@ def command(
     """
     from thermoforce_mpc.measurements.load import read_measurements
 
-    record = read_measurements(list(files), map_file).record
+    measured = read_measurements(list(files), map_file)
+    record = measured.record
     begin = _index(record, first, "--from") if first else 0
     end = _index(record, last, "--until") if last else record.n_steps
     split = _index(record, changed, "--changed")
@@ -60,6 +62,7 @@ def command(
     found = verified_saving(record.slice(begin, split), record.slice(split, end), level=interval)
     console = Console(highlight=False, markup=False)
     _show(found, record, console)
+    show_doubts(measured.understood, console)
     if out is not None:
         with written(out) as aside:
             aside.write_text(json.dumps(found.to_json(), indent=1), encoding="utf-8")
