@@ -24,11 +24,12 @@ from controllers.own_record import own_records
 from controllers.planner import MPCState
 from controllers.planners import Planners
 from controllers.problem import MPCProblem, Solution
-from controllers.reason import reason_of
+from controllers.reason import reason_of, with_news
 from controllers.room import room_blocks, within_C
 from controllers.sensing import Sensing, Zones
 from controllers.sensor import Sensor
 from controllers.sensor_state import SensorState
+from controllers.sunlit import Sunlit
 from controllers.solvers import Solve, Solver, build_solver
 from controllers.watch import Watch
 from controllers.watch_state import WatchState
@@ -135,6 +136,7 @@ class ThermoForceMPC(FallingBack):
         zones = layout.names.zones
         check_names("sensors", c.sensors, "zone", zones)
         self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
+        self._sunlit = Sunlit(model, [c.sensor_of(zone).enabled for zone in zones])
         self._meters = Meters(layout, c.meter, c.meters)
         self._planners = Planners(model, self._actuators, free_responses, c.estimator, self._solver_of())
         watches = [
@@ -210,10 +212,20 @@ class ThermoForceMPC(FallingBack):
         )
         before = replace(before, last_s=observation.time_s)
         try:
-            rooms = replace(observation, history=self._planners.base.model.in_rooms(observation.history))
-            return (yield from self._decided(rooms, before, actuation))
+            before, rooms, news = self._in_rooms(before, observation)
+            return with_news((yield from self._decided(rooms, before, actuation)), news)
         except Exception as error:  # whatever is wrong, the building is not left without control
             return self._released(before, actuation, f"no decision was made ({said(error)})")
+
+    def _in_rooms(self, before: MPCState, observation: Observation) -> tuple[MPCState, Observation, str]:
+        """The observation without the sun on sensors, which is looked for each night, and what was found."""
+        history = self._sensing.believed(before.sensors, self._meters.believed(before.meters, observation.history))
+        sun = self._sunlit.looked(before.sun, history)
+        parts, news = self._sunlit.of_zones(sun), self._sunlit.news(before.sun, sun)
+        if news and before.predictor:  # the forced state may follow the temperature
+            before = replace(before, predictor=replace(before.predictor, forced=None))
+        rooms = replace(observation, history=self.model.in_rooms(observation.history, parts))
+        return replace(before, sun=sun), rooms, news
 
     def _decided(
         self, observation: Observation, before: MPCState, actuation: tuple[ActuationState, ...]
@@ -264,9 +276,7 @@ class ThermoForceMPC(FallingBack):
             plan = self._stood_back(observation, now, held, zones_now.T_C)
         else:
             plan = yield from self._planned(observation, now, held, zones_now, filled)
-        if news := "; ".join(filter(None, (zones_now.news, metered.news))):
-            plan = replace(plan, why=f"{news}; {plan.why}")
-        return self._watched.asked(observation, plan)
+        return self._watched.asked(observation, with_news(plan, zones_now.news, metered.news))
 
     def _forced(self, now: MPCState, history: Record) -> ForcedState | None:
         """Forced states of the building until now; None at the start, or if unknown."""

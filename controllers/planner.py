@@ -12,6 +12,7 @@ from controllers.meters import MeterState
 from controllers.missed import Missed
 from controllers.sensor_state import SensorState
 from controllers.solvers import Solver
+from controllers.sunlit import SunState
 from controllers.watch_state import WatchState
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.identification.adaptation import AdaptationState
@@ -29,7 +30,7 @@ class MPCState:
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
     recent mean error of the zone temperatures planned for the end of a step. `missed`: what was learned of the bounds.
     `kept` (M,): share of each machine's capacity that plans leave unused. `sensors` (Z,): what is known of the zone
-    sensors; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
+    sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
     gaps. `failures`: failed plans on end. `last_s`: time of the last plan, s.
     """
 
@@ -45,6 +46,7 @@ class MPCState:
     kept: Array = field(default_factory=lambda: np.zeros(1))
     sensors: tuple[SensorState, ...] = (SensorState(),)
     meters: tuple[MeterState, ...] = ()
+    sun: SunState = field(default_factory=SunState)
     boundary: Boundary | None = None
     failures: int = 0
     last_s: float | None = None

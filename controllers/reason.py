@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from controllers.problem import MPCProblem
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan
 
 # A bound nearer than this is reported as binding, K.
 _BINDING_K = 0.02
@@ -46,6 +47,14 @@ def reason_of(
     hours = (when + 1) * problem.step_s / HOUR_S
     where = _of(zones, z)
     return f"{what}{where} in {hours:g} h (80 % band of the free forecast there: {band[z, when]:.2f} K)"
+
+
+def with_news(plan: Plan, *news: str) -> Plan:
+    """The plan that also says what was learned in its step."""
+    said = "; ".join(filter(None, news))
+    if not said:
+        return plan
+    return replace(plan, news="; ".join(filter(None, (said, plan.news))), why=f"{said}; {plan.why}")
 
 
 def _of(zones: Sequence[str], z: int) -> str:

@@ -12,6 +12,7 @@ from typing import TypeVar
 from controllers.errors import said
 from controllers.own_record import own_context, own_records
 from controllers.planner import MPCState, Planner
+from controllers.reason import with_news
 from controllers.watch import Watch
 from controllers.watch_state import Track, WatchState
 from thermoforce_mpc.asking import Asking, together
@@ -116,8 +117,8 @@ class WatchedPredictions:
             ]
             states[a] = watch.asked(states[a], observation.time_s, sum(levels) / watch.step_s)
             if states[a].news:
-                news.append(self.named(a, f"watch: {states[a].news}; "))
-        return replace(plan, why="".join(news) + plan.why, state=replace(plan.state, watch=tuple(states)))
+                news.append(self.named(a, f"watch: {states[a].news}"))
+        return replace(with_news(plan, *news), state=replace(plan.state, watch=tuple(states)))
 
     def reason(self, state: WatchState, time_s: float) -> str:
         """Why control was handed back, and when."""

@@ -37,7 +37,8 @@ def probed(house: House) -> tuple[Record, Array]:
 
 
 def found(record: Record) -> SunOnSensor | None:
-    return sun_on_sensor([record], HeatInput(), IdentificationConfig())
+    sun = sun_on_sensor([record], HeatInput(), IdentificationConfig())
+    return sun if sun is not None and sun.likely else None
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +65,10 @@ def test_sun_that_warms_a_light_room_is_not_taken_for_sun_on_its_sensor(index):
     # Very light houses; 2 and 35 with glass of 0.29 of the floor area.
     house = replace(draw_house(501, index), sun_bias_K=0.0)
     assert found(probed(house)[0]) is None
+
+
+def test_levels_of_room_set_points_do_not_tell(sunlit):
+    assert sun_on_sensor([sunlit[0]], HeatInput(lowest=-1.0), IdentificationConfig()) is None
 
 
 def test_a_model_is_that_of_the_room_and_says_so(sunlit, tmp_path):

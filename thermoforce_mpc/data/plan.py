@@ -93,7 +93,8 @@ class Plan:
     counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
     starts from.
     `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
-    plan at one of them. `why` is one sentence for people; `solver_status` is the status reported by the solver. `state`
+    plan at one of them. `why` is one sentence for people; `news` (part of it) what the controller learned in this step
+    of sensors, meters or its model; `solver_status` is the status reported by the solver. `state`
     goes to the controller's next plan of this run and is opaque to others.
     """
 
@@ -110,6 +111,7 @@ class Plan:
     power_W: Array = field(default_factory=lambda: np.empty(0))
     time_s: Array = field(default_factory=lambda: np.empty(0))
     origin: Any = None
+    news: str = ""
     solver_status: str = ""
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -78,7 +78,10 @@ def sun_on_sensor(
     resolution_K: float = 0.0,
     others: Sequence[OtherActuator] = (),
 ) -> SunOnSensor | None:
-    """Return the sun in the readings of a zone sensor; None where there is more likely none, or no sun at all.
+    """Return the likeliest sun in the readings of a zone sensor, with its probability; None where that cannot be told.
+
+    That is so without sun, and where one signed level heats and cools: such levels are means of what the building's own
+    loops deliver to a room set-point, and within a step the temperature jumps in a way that no explanation has.
 
     Args:
         runs: records of the zone; the first level is that of its own actuator, the rest are those of `others`.
@@ -86,7 +89,7 @@ def sun_on_sensor(
         resolution_K: of the sensor, K; 0 for a fine one.
         others: the other actuators of the building.
     """
-    noon_s = _noon_s(runs)
+    noon_s = None if heat_input.lowest < 0.0 else _noon_s(runs)
     if noon_s is None:
         return None
     regressions = [run_regression(run, heat_input, config, others) for run in runs]
@@ -100,8 +103,6 @@ def sun_on_sensor(
         size = -sum(e.disturbance.log_determinant for e in disturbed)
         found += [_explained(disturbed, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
     best = max(found, key=lambda one: one.evidence)
-    if not best.odds > 0.0:
-        return None
     at = int(np.argmax(best.gained))
     (latitude, lag_s), azimuth = sites[at // len(_AZIMUTHS_DEG)], _AZIMUTHS_DEG[at % len(_AZIMUTHS_DEG)]
     probability = float(expit(best.odds))

@@ -41,6 +41,11 @@ class SunOnSensor:
     latitude_deg: float
     noon_s: float
 
+    @property
+    def likely(self) -> bool:
+        """Whether the sensor rather stands in the sun than not."""
+        return self.probability > 0.5
+
     def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
         """Sun in the readings at the instants `time_s` (n,), equally spaced, K, from irradiance (n,), W/m².
 

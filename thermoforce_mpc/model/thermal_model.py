@@ -142,17 +142,22 @@ class ThermalModel:
             raise DataError(f"the model has {self.names}: name the zone and the actuator")
         return self.actuator(0)
 
-    def in_rooms(self, record: Record) -> Record:
-        """`record` with the temperatures of the rooms: without the sun on sensors that the model found in the sun."""
-        parts: dict[int, SunOnSensor] = {}
-        for a, card in enumerate(self.cards):
-            if card.sun_on_sensor is not None:
-                parts.setdefault(self.operator.home[a], card.sun_on_sensor)
-        if not parts:
+    @property
+    def sun_on_sensors(self) -> tuple[SunOnSensor | None, ...]:
+        """Sun on the sensor of each zone (Z,), as identified with the first actuator that found any."""
+        cards = zip(self.operator.home, self.cards, strict=True)
+        found = [(home, card.sun_on_sensor) for home, card in cards if card.sun_on_sensor is not None]
+        return tuple(next((sun for home, sun in found if home == z), None) for z in range(len(self.operator.zones)))
+
+    def in_rooms(self, record: Record, sun: Sequence[SunOnSensor | None] | None = None) -> Record:
+        """`record` with the temperatures of the rooms: without the `sun` on sensors (Z,), by default the model's."""
+        parts = self.sun_on_sensors if sun is None else sun
+        if not any(parts):
             return record
         T = np.array(record.T_zone_C)
-        for z, sun in parts.items():
-            T[z] -= sun.part_K(record.time_s, record.solar_W_m2)
+        for z, one in enumerate(parts):
+            if one is not None:
+                T[z] -= one.part_K(record.time_s, record.solar_W_m2)
         return replace(record, T_zone_C=T)
 
     def predict(

@@ -61,6 +61,9 @@ class LoopDisplay:
         self._watched += record.plan.status is PlanStatus.WATCH
         if self._quiet:
             return
+        if record.plan.news:
+            told = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
+            self._console.print(told, highlight=False, markup=False, soft_wrap=True)
         last = record.samples[-1]
         day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
         days_done = int(day + 1e-9)

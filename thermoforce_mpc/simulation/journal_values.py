@@ -146,6 +146,8 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
         "iterations": int(plan.iterations),
         "blocks": [block_json(block) for block in blocks],
     }
+    if plan.news:
+        found["news"] = plan.news
     if plan.u.size:
         found["plan"] = {name: pack(getattr(plan, name), "<f4") for name in PLANNED}
     return found

@@ -143,6 +143,7 @@ def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float
         blocks=blocks,
         status=PlanStatus(told["status"]),
         why=str(told["why"]),
+        news=str(told.get("news", "")),
         solver_status=str(told["solver_status"]),
         iterations=int(told["iterations"]),
         seconds=seconds,

@@ -78,16 +78,16 @@ def advice(identification: Mapping[str, Any]) -> list[str]:
 
 
 def events(result: RunResult) -> list[dict[str, Any]]:
-    """Stretches of steps in which something else than a plan as wanted acted, or a reading was doubtful."""
+    """Stretches of steps in which something else than a plan as wanted acted, a reading was doubtful, or there was news."""
 
-    def kind(step: StepRecord) -> tuple[str, str, str]:
-        return step.plan.status.value, step.refused, "; ".join(step.notes)
+    def kind(step: StepRecord) -> tuple[str, str, str, str]:
+        return step.plan.status.value, step.refused, "; ".join(step.notes), step.plan.news
 
     found: list[dict[str, Any]] = []
     before = None
     for step in result.steps:
-        now = status, refused, notes = kind(step)
-        told = status in _TOLD or bool(refused or notes)
+        now = status, refused, notes, news = kind(step)
+        told = status in _TOLD or bool(refused or notes or news)
         if told and now == before:
             found[-1]["steps"] += 1
         elif told:

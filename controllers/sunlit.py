@@ -1,0 +1,102 @@
+"""Sun on zone sensors, looked for again each night while the building is controlled.
+
+Identification finds it where the sun shone in its record. After dull days it does not, and plans would then heat too
+little from the first sunny day on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.couplings import other_actuator, others_of
+from thermoforce_mpc.identification.records import prepared_runs, resolution_K
+from thermoforce_mpc.identification.sunlit_sensor import sun_on_sensor
+from thermoforce_mpc.model.screening import Limits
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Days that are looked at: dull and sunny ones, in two parts of which a regression takes every row at 15 min.
+_LATEST_S = 14 * DAY_S
+# A look is for the dark, when what it finds changes no reading; from one night to the next it is less than a day in
+# autumn.
+_EVERY_S, _DARK_W_M2 = 20 * HOUR_S, 1.0
+# Probability below which sun that was found before is no longer believed.
+_UNLIKELY = 0.1
+
+
+@dataclass(frozen=True)
+class SunState:
+    """`looked_s`: time of the last look, s (None: none yet); `found` (Z,): what looks found on the sensor of a zone."""
+
+    looked_s: float | None = None
+    found: tuple[SunOnSensor | None, ...] = ()
+
+
+class Sunlit:
+    """Looks for sun on the sensors of the zones of `model`; it holds no state.
+
+    Args:
+        model: the building, at the control step.
+        judged: of each zone (Z,) whether its sensor is judged.
+    """
+
+    def __init__(self, model: ThermalModel, judged: Sequence[bool]) -> None:
+        self._model, self._config = model, IdentificationConfig()
+        self._judged = tuple(judged)
+
+    def looked(self, state: SunState, history: Record) -> SunState:
+        """The state after a look, where it is dark and the last one was in the night before."""
+        now_s = float(history.time_s[-1])
+        if state.looked_s is None:
+            return SunState(now_s, (None,) * len(self._judged))
+        if now_s - state.looked_s < _EVERY_S or not history.solar_W_m2[-1] <= _DARK_W_M2:
+            return state
+        return SunState(now_s, tuple(self._after(z, before, history) for z, before in enumerate(state.found)))
+
+    def of_zones(self, state: SunState) -> tuple[SunOnSensor | None, ...]:
+        """Sun on the sensor of each zone (Z,), by the model or by a look."""
+        known = self._model.sun_on_sensors
+        return tuple(found or had for found, had in zip(state.found or known, known, strict=True))
+
+    def news(self, before: SunState, after: SunState) -> str:
+        """What another sun on sensors is taken off after a look than before it, in words; empty where none is."""
+        zones = self._model.names.zones
+        found = []
+        for zone, had, has in zip(zones, self.of_zones(before), self.of_zones(after), strict=True):
+            if had != has:
+                told = "the latest days show no sun on the zone sensor any more" if has is None else has.in_words()
+                found.append(told if len(zones) == 1 else f"{zone}: {told}")
+        return "; ".join(found)
+
+    def _after(self, z: int, before: SunOnSensor | None, history: Record) -> SunOnSensor | None:
+        """What looks have found for zone `z` after one more: of two finds the more certain one."""
+        now = self._look(z, history)
+        if now is None:
+            return before
+        if not now.likely:
+            return None if now.probability < _UNLIKELY else before
+        had = before or self._model.sun_on_sensors[z]
+        return before if had is not None and had.sd_K <= now.sd_K else now
+
+    def _look(self, z: int, history: Record) -> SunOnSensor | None:
+        """The likeliest sun on the sensor of zone `z` in the latest days; None where they do not tell."""
+        layout = self._model.layout
+        actuators = layout.actuators_of(z)
+        if not self._judged[z] or not actuators:
+            return None
+        own = actuators[0]
+        order = [own, *others_of(layout, own, self._config)]
+        latest = history.last(round(_LATEST_S / history.step_s))
+        try:
+            runs, _ = prepared_runs(
+                [latest.part(z, order, [layout.machine_of[own]])], Limits.of(None, None, min(layout.lowest))
+            )
+        except DataError:  # too little was measured, or nothing acted
+            return None
+        heat_inputs = [self._model.operator.of_actuator(a).heat_input for a in range(len(layout.home))]
+        others = [other_actuator(layout, heat_inputs, self._config, own, b) for b in order[1:]]
+        return sun_on_sensor(runs, heat_inputs[own], self._config, resolution_K(runs), others)

@@ -1,0 +1,106 @@
+"""Sun on a zone sensor that the record of identification did not show is found at night while the building is controlled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, simple_model
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.sunlit import SunState
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, Record
+from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
+from thermoforce_mpc.state_file import read_state, write_state
+
+# Three sunny days in March of a very light house whose sensor reads 3.1 K too much in the south sun.
+HOUSE, START_S, DAY = draw_house(501, 34), 66 * DAY_S, 96
+
+
+def _record(house) -> Record:
+    plant = GeneratedHousePlant(house)
+    run = Probing(plant, START_S, seed=1, layout=plant.testcase.layout)
+    run.go_on(3.0)
+    return replace(run.record, names=simple_model().names)
+
+
+@pytest.fixture(scope="module")
+def sunlit() -> Record:
+    return _record(HOUSE)
+
+
+@pytest.fixture(scope="module")
+def shaded() -> Record:
+    return _record(replace(HOUSE, sun_bias_K=0.0))
+
+
+def _controller(**options) -> ThermoForceMPC:
+    return ThermoForceMPC(simple_model(), MPCConfig(step_s=900.0, **options), free_response=OutdoorResponse())
+
+
+def _planned(controller: ThermoForceMPC, record: Record, state: object) -> Plan:
+    """A plan at the end of `record`, under steady dull weather."""
+    time_s = record.time_s[-1] + 900.0 * np.arange(2 * DAY + 1)
+    same = np.ones_like(time_s)
+    ahead = Boundary(time_s, 5 * same, 0 * same, 5 * same, 20 * same, 24 * same, 0.25 * same, 0.167 * same)
+    return controller.plan(Observation(record, ahead), state)
+
+
+def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, tmp_path):
+    controller = _controller()
+    begun = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None)
+    assert begun.state.sun == SunState(float(sunlit.time_s[-1 - DAY]), (None,))
+    noon = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY // 2), begun.state)
+    assert noon.news == ""
+    assert noon.state.sun == begun.state.sun, "in the sun nothing is looked for"
+    night = _planned(controller, sunlit, noon.state)
+    (sun,) = night.state.sun.found
+    assert sun.azimuth_deg == 180.0
+    assert sun.probability > 0.99
+    assert night.news.startswith("the zone sensor stands in the sun from the south")
+    assert night.why.startswith(night.news)
+    write_state(tmp_path / "state.npz", night.state)
+    assert read_state(tmp_path / "state.npz").sun == night.state.sun
+    # At noon the plan begins from the room, below what the sensor reads.
+    again = sunlit.slice(0, sunlit.n_steps - DAY // 2)
+    later = _planned(controller, again, replace(night.state, last_s=None))
+    plain = _planned(controller, again, None)
+    below = plain.T_free_now_C - later.T_free_now_C
+    assert below == pytest.approx(sun.part_K(again.time_s, again.solar_W_m2)[-1], abs=0.05)
+    assert below > 1.0
+
+
+def test_what_later_days_contradict_is_taken_off_no_longer(sunlit, shaded):
+    controller = _controller()
+    state = _planned(controller, shaded.slice(0, shaded.n_steps - DAY), None).state
+    wrong = _controller()
+    found = _planned(wrong, sunlit, _planned(wrong, sunlit.slice(0, sunlit.n_steps - DAY), None).state).state.sun
+    state = replace(state, sun=replace(found, looked_s=float(shaded.time_s[-1]) - DAY_S))
+    night = _planned(controller, shaded, state)
+    assert night.state.sun.found == (None,)
+    assert "no sun on the zone sensor any more" in night.news
+
+
+def test_it_is_not_looked_for_twice_a_night_nor_where_sensors_are_not_judged(sunlit):
+    controller = _controller()
+    state = replace(
+        _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None).state,
+        sun=SunState(float(sunlit.time_s[-1]) - 10 * HOUR_S, (None,)),
+    )
+    assert _planned(controller, sunlit, state).state.sun == state.sun
+    unjudged = _controller(sensor={"enabled": False})
+    state = _planned(unjudged, sunlit.slice(0, sunlit.n_steps - DAY), None).state
+    night = _planned(unjudged, sunlit, state)
+    assert night.state.sun.found == (None,)
+    assert night.news == ""
+
+
+def test_days_that_tell_nothing_change_nothing(sunlit):
+    controller = _controller()
+    first = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None)
+    found = _planned(controller, sunlit, first.state).state
+    unknown = replace(sunlit, u=np.full_like(sunlit.u, np.nan))
+    state = replace(found, sun=replace(found.sun, looked_s=float(sunlit.time_s[-1]) - DAY_S), last_s=None)
+    assert _planned(controller, unknown, state).state.sun.found == found.sun.found
