@@ -29,8 +29,8 @@ from controllers.room import room_blocks, within_C
 from controllers.sensing import Sensing, Zones
 from controllers.sensor import Sensor
 from controllers.sensor_state import SensorState
-from controllers.sunlit import Sunlit
 from controllers.solvers import Solve, Solver, build_solver
+from controllers.sunlit import Sunlit
 from controllers.watch import Watch
 from controllers.watch_state import WatchState
 from controllers.watched import WatchedPredictions

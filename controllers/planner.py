@@ -30,8 +30,8 @@ class MPCState:
     `adaptation` (None at the start of a run) and `watch` (what the watch knows of its predictions). `offset_K` (Z,):
     recent mean error of the zone temperatures planned for the end of a step. `missed`: what was learned of the bounds.
     `kept` (M,): share of each machine's capacity that plans leave unused. `sensors` (Z,): what is known of the zone
-    sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the boundary conditions without
-    gaps. `failures`: failed plans on end. `last_s`: time of the last plan, s.
+    sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the
+    boundary conditions without gaps. `failures`: failed plans on end. `last_s`: time of the last plan, s.
     """
 
     first_s: float

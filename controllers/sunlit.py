@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from controllers.errors import said
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -30,10 +31,15 @@ _UNLIKELY = 0.1
 
 @dataclass(frozen=True)
 class SunState:
-    """`looked_s`: time of the last look, s (None: none yet); `found` (Z,): what looks found on the sensor of a zone."""
+    """What looks have found.
+
+    `looked_s`: time of the last one, s (None: none yet); `found` (Z,): sun on the sensor of each zone; `failed`: the
+    error that the last look ended in.
+    """
 
     looked_s: float | None = None
     found: tuple[SunOnSensor | None, ...] = ()
+    failed: str = ""
 
 
 class Sunlit:
@@ -55,7 +61,10 @@ class Sunlit:
             return SunState(now_s, (None,) * len(self._judged))
         if now_s - state.looked_s < _EVERY_S or not history.solar_W_m2[-1] <= _DARK_W_M2:
             return state
-        return SunState(now_s, tuple(self._after(z, before, history) for z, before in enumerate(state.found)))
+        try:
+            return SunState(now_s, tuple(self._after(z, before, history) for z, before in enumerate(state.found)))
+        except Exception as error:  # what is learned for later must not cost the plan of now
+            return SunState(now_s, state.found, f"sun on the sensors could not be looked for ({said(error)})")
 
     def of_zones(self, state: SunState) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), by the model or by a look."""
@@ -63,9 +72,9 @@ class Sunlit:
         return tuple(found or had for found, had in zip(state.found or known, known, strict=True))
 
     def news(self, before: SunState, after: SunState) -> str:
-        """What another sun on sensors is taken off after a look than before it, in words; empty where none is."""
+        """What a look changed in what is taken off readings, in words; empty where nothing."""
         zones = self._model.names.zones
-        found = []
+        found = [after.failed] if after.failed and after != before else []
         for zone, had, has in zip(zones, self.of_zones(before), self.of_zones(after), strict=True):
             if had != has:
                 told = "the latest days show no sun on the zone sensor any more" if has is None else has.in_words()

@@ -1,4 +1,4 @@
-"""Sun on a zone sensor that the record of identification did not show is found at night while the building is controlled."""
+"""Sun on a zone sensor that did not show in the record of identification is found later, at night."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simple_house import OutdoorResponse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.sunlit import SunState
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
 from thermoforce_mpc.state_file import read_state, write_state
@@ -95,6 +95,21 @@ def test_it_is_not_looked_for_twice_a_night_nor_where_sensors_are_not_judged(sun
     night = _planned(unjudged, sunlit, state)
     assert night.state.sun.found == (None,)
     assert night.news == ""
+
+
+def test_a_look_that_fails_costs_no_plan(sunlit, monkeypatch):
+    controller = _controller()
+    state = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None).state
+
+    def broken(*_: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("controllers.sunlit.sun_on_sensor", broken)
+    night = _planned(controller, sunlit, state)
+    assert night.status is PlanStatus.SOLVED
+    assert "sun on the sensors could not be looked for (LinAlgError: Singular matrix)" in night.news
+    later = _planned(controller, sunlit, replace(night.state, last_s=None))
+    assert later.news == "", "it is tried again the next night"
 
 
 def test_days_that_tell_nothing_change_nothing(sunlit):

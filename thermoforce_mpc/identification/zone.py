@@ -103,8 +103,10 @@ def identify_zone(
     """
     runs, pairs, sign, notes = task.runs, task.pairs, task.sign, list(task.notes)
     grid_K = resolution_K(runs)
-    looked = sun_on_sensor(runs, task.heat_input, config, grid_K, task.others) if runs and config.sun_on_sensor else None
-    sun = looked if looked is not None and looked.likely else None
+    sun = None
+    if runs and config.sun_on_sensor:
+        likeliest = sun_on_sensor(runs, task.heat_input, config, grid_K, task.others)
+        sun = likeliest if likeliest is not None and likeliest.likely else None
     if sun is not None:
         runs = [replace(h, T_zone_C=h.T_zone_C - sun.part_K(h.time_s, h.solar_W_m2)) for h in runs]
         notes.append(sun.in_words())

@@ -78,7 +78,7 @@ def advice(identification: Mapping[str, Any]) -> list[str]:
 
 
 def events(result: RunResult) -> list[dict[str, Any]]:
-    """Stretches of steps in which something else than a plan as wanted acted, a reading was doubtful, or there was news."""
+    """Stretches of steps in which not a plan as wanted acted, a reading was doubtful, or there was news."""
 
     def kind(step: StepRecord) -> tuple[str, str, str, str]:
         return step.plan.status.value, step.refused, "; ".join(step.notes), step.plan.news
