@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import pytest
+from waiting import LONG_S, wait_for
 
 from controllers.bounded import BoundedCalls, Crashed, Overdue
 from thermoforce_mpc.asking import Answering, Ask
@@ -13,7 +15,7 @@ SOON_S = 0.05
 
 
 def hanging(until: threading.Event):
-    return lambda: until.wait(30.0)
+    return lambda: until.wait(LONG_S)
 
 
 @pytest.fixture
@@ -25,9 +27,9 @@ def released():
 
 def test_it_gives_the_answer_or_the_error_of_the_call():
     calls = BoundedCalls(2)
-    assert calls("solver", lambda: 7, 5.0) == 7
+    assert calls("solver", lambda: 7, LONG_S) == 7
     with pytest.raises(KeyError, match="status"):
-        calls("solver", lambda: {}["status"], 5.0)
+        calls("solver", lambda: {}["status"], LONG_S)
     assert calls("solver", lambda: 8) == 8, "no deadline where none is given"
 
 
@@ -45,16 +47,16 @@ def test_a_call_that_hangs_is_left_behind_and_its_owner_is_not_called_again_befo
     with pytest.raises(Overdue, match=r"no answer within 0\.0"):
         calls("one", hanging(released), SOON_S)
     with pytest.raises(Overdue, match="has not returned"):
-        calls("one", lambda: 1, 5.0)
-    assert calls("another", lambda: 2, 5.0) == 2
+        calls("one", lambda: 1, LONG_S)
+    assert calls("another", lambda: 2, LONG_S) == 2
     released.set()
-    for _ in range(100):
-        try:
-            assert calls("one", lambda: 3, 5.0) == 3
-            return
-        except Overdue:
-            threading.Event().wait(SOON_S)
-    pytest.fail("its owner was not called again")
+
+    def called_again() -> bool:
+        with contextlib.suppress(Overdue):
+            return calls("one", lambda: 3, LONG_S) == 3
+        return False
+
+    wait_for("its owner is called again", called_again)
 
 
 def test_only_so_many_are_left_behind(released):

@@ -9,6 +9,7 @@ from itertools import groupby
 import numpy as np
 import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from waiting import wait_for
 
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
@@ -17,7 +18,8 @@ from controllers.problem import Solution
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
-SOON = {"forecast_s": 0.3, "solve_s": 0.3}
+# Long enough for what does answer, on any machine.
+SOON_S = 3.0
 
 
 class Panic(BaseException):
@@ -101,17 +103,18 @@ def test_no_answer_of_a_solver_acts_unchecked(acts, says):
 
 
 def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_takes_over(released):
-    controller = mpc(deadline=SOON)
+    controller = mpc(deadline={"solve_s": SOON_S})
     seen = observation()
     Solver(controller, lambda n, found: released.wait(30.0))
     plan = controller.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT
-    assert "the solver failed (no answer within 0.3 s)" in plan.why
+    assert "the solver failed (no answer within 3 s)" in plan.why
     assert controller.plan(seen, plan.state).status is PlanStatus.SOLVED
 
 
 def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(released):
-    controller = mpc(Forecaster(lambda n, found: found if n else released.wait(30.0) and found), deadline=SOON)
+    hanging = Forecaster(lambda n, found: found if n else released.wait(30.0) and found)
+    controller = mpc(hanging, deadline={"forecast_s": SOON_S})
     seen = observation()
     first = controller.plan(seen)
     assert first.status is PlanStatus.BRIDGED
@@ -120,16 +123,15 @@ def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(re
     assert second.status is PlanStatus.BRIDGED
     assert "has not returned" in second.why
     released.set()
-    for _ in range(100):
-        if controller.plan(seen, second.state).status is PlanStatus.SOLVED:
-            return
-        threading.Event().wait(0.05)
-    pytest.fail("the forecaster was not asked again")
+    solved = lambda: controller.plan(seen, second.state).status is PlanStatus.SOLVED  # noqa: E731
+    wait_for("the forecaster is asked again", solved)
 
 
 def test_it_ends_in_time_without_substitutes_too(released):
     controller = mpc(
-        Forecaster(lambda n, found: released.wait(30.0)), deadline=SOON, free_response={"substitutes": False}
+        Forecaster(lambda n, found: released.wait(30.0)),
+        deadline={"forecast_s": 0.3},
+        free_response={"substitutes": False},
     )
     plan = controller.plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import gc
 import threading
-import time
 import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
+from waiting import wait_for
 
 from controllers import ThermoForceMPC
 from controllers.errors import ControllerConfigError
@@ -83,11 +83,7 @@ def test_a_controller_that_is_let_go_leaves_no_thread_behind():
         assert kept() is None
     finally:
         gc.enable()
-    for _ in range(100):
-        if not any(thread.is_alive() for thread in its):
-            break
-        time.sleep(0.05)
-    assert not any(thread.is_alive() for thread in its)
+    wait_for("its threads end", lambda: not any(thread.is_alive() for thread in its))
 
 
 @pytest.mark.parametrize("solver", ["ipopt", "search"])

@@ -8,12 +8,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
+from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
@@ -236,16 +236,14 @@ def test_sigkill_and_sigterm_in_earnest(tmp_path):
 
     def grown(folder: Path, process: subprocess.Popen[str], size: int) -> None:
         journal = folder / "journal.jsonl"
-        until = time.monotonic() + 60
-        while process.poll() is None and not (journal.exists() and journal.stat().st_size > size):
-            assert time.monotonic() < until
-            time.sleep(0.02)
+        long = lambda: journal.exists() and journal.stat().st_size > size  # noqa: E731
+        wait_for("the journal grows", lambda: process.poll() is not None or long())
 
     run = tmp_path / "run"
     first = start("run", "--testcase", TESTCASE, *words, "--out", str(run))
     grown(run, first, 200_000)
     first.kill()
-    first.communicate(timeout=60)
+    first.communicate(timeout=LONG_S)
     assert first.returncode == -signal.SIGKILL
     assert {path.name for path in run.iterdir()} >= {"journal.jsonl"}
     size = len(read_journal(run / "journal.jsonl").entries)
@@ -253,7 +251,7 @@ def test_sigkill_and_sigterm_in_earnest(tmp_path):
     second = start("resume", str(run))
     grown(run, second, (run / "journal.jsonl").stat().st_size + 200_000)
     second.send_signal(signal.SIGTERM)
-    out = second.communicate(timeout=60)
+    out = second.communicate(timeout=LONG_S)
     assert second.returncode == 143, out
     assert "Traceback" not in out[1]
     assert not read_journal(run / "journal.jsonl").torn
