@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import random
 import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import executed_tasks as functions
 import pytest
+from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.errors import ConfigError, EngineError
 from thermoforce_mpc.execution import DaskEngine, JsonResults, LocalEngine, Task, cluster, collect, execute, open_engine
@@ -27,8 +29,10 @@ def dask_cluster():
     import dask
     from distributed import LocalCluster
 
+    # A busy machine may take longer than the default of 15 s to start a worker again; then it would not be any more.
+    patient = {"distributed.deploy.lost-worker-timeout": "1h"}
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        dask.config.set({"distributed.scheduler.allowed-failures": 0, **patient}),
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=60) as made,
     ):
         yield made.scheduler_address
@@ -39,7 +43,7 @@ def engine(dask_cluster):
     from distributed import Client
 
     with Client(dask_cluster, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=60)  # a test before may have killed one
+        client.wait_for_workers(2, timeout=LONG_S)  # a test before may have killed one
     with DaskEngine(dask_cluster) as made:
         yield made
 
@@ -93,10 +97,7 @@ def test_a_task_tells_how_far_it_is_and_can_be_ended(engine, tmp_path):
     outcomes = execute([task(1, tmp_path, functions.tell_for_ever), task(2, tmp_path)], engine)
     assert next(outcomes).task.key == "key2"
     outcomes.close()
-    until = time.monotonic() + 10
-    while not (tmp_path / "released").exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    assert (tmp_path / "released").exists()
+    wait_for("the task ends", (tmp_path / "released").exists)
 
 
 def test_a_worker_of_another_version_is_refused(dask_cluster, engine, monkeypatch):
@@ -110,13 +111,15 @@ def test_a_worker_of_another_version_is_refused(dask_cluster, engine, monkeypatc
 
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
-    address = f"tcp://127.0.0.1:{_free_port()}"
-    before = threading.active_count()
-    with pytest.raises(ConfigError, match=f"{address}: no Dask scheduler answers"):
-        open_engine(scheduler=address)
+    before = _loops()
+    with socket.socket() as mute:  # bound, so that nobody else gets the port, and not listening
+        mute.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
+        with pytest.raises(ConfigError, match=f"{address}: no Dask scheduler answers"):
+            open_engine(scheduler=address)
     with pytest.raises(ConfigError, match="nowhere"):
         open_engine(scheduler="what://nowhere")
-    assert threading.active_count() == before
+    wait_for("no client's thread is left", lambda: _loops() <= before)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"extra \[fleet\]"):
         open_engine(scheduler=address)
@@ -132,12 +135,12 @@ def test_a_scheduler_may_restart(tmp_path):
     said: list[str] = []
     running = [_dask("scheduler", "--port", str(port), "--no-dashboard"), _dask("worker", address, "--nthreads", "2")]
     try:
-        _wait_for_workers(address, 1)
+        _wait_for_worker(address, 2)
         with pytest.raises(ConfigError, match="computes on 2 threads"):
             DaskEngine(address)
         running[1].kill()
         running.append(_dask("worker", address, "--nthreads", "1"))
-        _wait_for_workers(address, 1)
+        _wait_for_worker(address, 1)
         with DaskEngine(address, say=said.append) as engine:
             ended = []
             for outcome in execute(tasks, engine, kept):
@@ -165,17 +168,23 @@ def _dask(*words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(call, env={**env, "OMP_NUM_THREADS": "1"}, stderr=subprocess.DEVNULL)
 
 
-def _wait_for_workers(address: str, n: int) -> None:
+def _wait_for_worker(address: str, threads: int) -> None:
+    """The scheduler has one worker, of so many threads."""
     from distributed import Client
 
-    with Client(address, timeout=20, set_as_default=False) as client:
-        client.wait_for_workers(n, timeout=20)
-        until = time.monotonic() + 20
-        while len(client.nthreads()) != n and time.monotonic() < until:
-            time.sleep(0.1)
+    with Client(address, timeout=LONG_S, set_as_default=False) as client:
+        wait_for("the worker is there", lambda: list(client.nthreads().values()) == [threads])
+
+
+def _loops() -> set[threading.Thread]:
+    """Threads of Dask's clients and clusters; its other threads come and go."""
+    return {thread for thread in threading.enumerate() if thread.name.startswith("IO loop")}
 
 
 def _free_port() -> int:
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        return made.getsockname()[1]
+    """A port that nobody listens on, outside the range from which the system takes those of connections."""
+    for port in random.Random(os.getpid()).sample(range(20_000, 32_000), 1000):
+        with contextlib.suppress(OSError), socket.socket() as made:
+            made.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError

@@ -39,11 +39,21 @@ def die_at_first(inputs: dict, *results: int) -> int:
     return inputs["n"] + sum(results)
 
 
+def die_once_for(what: object, grave: str) -> object:
+    """`what`, but that the first process to ask for it dies, and makes the file `grave`."""
+    try:
+        Path(grave).touch(exist_ok=False)
+    except FileExistsError:
+        return what
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
 def hold(inputs: dict) -> int:
     """Hold something for long, and say when it was released."""
-    _log(inputs)
     try:
-        time.sleep(60)
+        _log(inputs)  # who sees it may end this at once
+        time.sleep(600)
     finally:
         time.sleep(0.2)
         (Path(inputs["log"]).parent / "released").write_text("released", encoding="utf-8")

@@ -30,10 +30,13 @@ def records(folder: Path) -> dict[str, dict]:
 def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
     """Nor does it matter that workers have no such file as the tariff."""
     pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
+    import dask
     from distributed import Client, LocalCluster
 
+    # A busy machine may take longer than the default of 15 s to start a worker again; then it would not be any more.
+    patient = dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
     options = {"threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 60}
-    with LocalCluster(n_workers=2, **options) as cluster, Client(cluster, set_as_default=False) as client:
+    with patient, LocalCluster(n_workers=2, **options) as cluster, Client(cluster, set_as_default=False) as client:
         monkeypatch.chdir(tmp_path)
         (tmp_path / "prices.csv").write_text("time,price\n0,0.1\n43200,0.3\n31536000,0.2\n", encoding="utf-8")
         here = CliRunner().invoke(cli, [*CALL, *PRICES, "--jobs", "1", "--out", str(tmp_path / "here")])
