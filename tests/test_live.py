@@ -20,6 +20,7 @@ import yaml
 from click.testing import CliRunner
 from simple_house import simple_model
 from simulated_building import RULES, START, SimulatedBuilding
+from waiting import LONG_S, wait_for
 
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
@@ -464,13 +465,11 @@ def test_a_signal_to_end_gives_the_building_back(files, sent, code):
     """SIGHUP: the terminal was closed, or the connection to it lost."""
     words = [sys.executable, "-m", "thermoforce_mpc", "control", "--model", "model", "--map", "map.yaml", *OPTIONS]
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "OMP_NUM_THREADS": "1"}
-    levels, until = files / "levels.json", time.monotonic() + 60
+    levels = files / "levels.json"
     ours = signal.signal(sent, signal.SIG_DFL)  # inherited, and ignored where the tests run under nohup
     with subprocess.Popen([*words, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as running:
         signal.signal(sent, ours)
-        while not levels.exists() and running.poll() is None:
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        wait_for("the first levels are set", lambda: levels.exists() or running.poll() is not None)
         running.send_signal(sent)
-        assert running.wait(timeout=60) == code
+        assert running.wait(timeout=LONG_S) == code
     assert json.loads(levels.read_text())["levels"] == {"actuator": None}

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from rich.console import Console
 from simple_house import SimpleHouse, simple_model
 from two_houses import TwoHouses, two_model
+from waiting import LONG_S
 
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
@@ -247,15 +248,15 @@ def served(view):
 def test_the_page_is_for_this_machine_and_tells_the_view(single):
     live = LiveRun(single[0])
     with served(lambda: live.now().to_json()) as url:
-        page = requests.get(url, timeout=10)
+        page = requests.get(url, timeout=LONG_S)
         assert page.status_code == 200
         assert "view.json" in page.text
         assert "http" not in page.text.replace("http://www.w3.org/2000/svg", ""), "nothing is fetched from elsewhere"
-        told = requests.get(f"{url}/view.json", timeout=10).json()
+        told = requests.get(f"{url}/view.json", timeout=LONG_S).json()
         assert told == json.loads(json.dumps(LiveRun(single[0]).now().to_json()))
-        assert requests.get(url, headers={"Host": "evil.example"}, timeout=10).status_code == 403
-        assert requests.post(f"{url}/view.json", timeout=10).status_code == 405
-        assert requests.get(f"{url}/../etc/passwd", timeout=10).status_code == 404
+        assert requests.get(url, headers={"Host": "evil.example"}, timeout=LONG_S).status_code == 403
+        assert requests.post(f"{url}/view.json", timeout=LONG_S).status_code == 405
+        assert requests.get(f"{url}/../etc/passwd", timeout=LONG_S).status_code == 404
         with pytest.raises(PlantError, match="choose another --port"):
             page_server(dict, int(url.rsplit(":", 1)[1]))
 
@@ -265,7 +266,7 @@ def test_a_view_that_fails_is_told_to_the_page(tmp_path):
         raise JournalError("journal.jsonl, line 7: damaged")
 
     with served(fails) as url:
-        answer = requests.get(f"{url}/view.json", timeout=10)
+        answer = requests.get(f"{url}/view.json", timeout=LONG_S)
         assert answer.status_code == 500
         assert answer.json() == {"error": "journal.jsonl, line 7: damaged"}
 
@@ -282,6 +283,7 @@ def test_the_page_draws_what_the_view_tells(tmp_path):
         browser = browsers.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         try:
             page = browser.new_page()
+            page.set_default_timeout(1e3 * LONG_S)
             wrong = []
             page.on("pageerror", lambda error: wrong.append(str(error)))
             page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)

@@ -75,7 +75,7 @@ def service() -> Iterator[str]:
     thread.start()
     yield f"http://127.0.0.1:{effective_port(server)}"
     server.close()
-    thread.join(timeout=10.0)
+    thread.join(timeout=120.0)
 
 
 def test_their_quick_start_runs_with_one_changed_line() -> None:

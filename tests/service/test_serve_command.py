@@ -10,6 +10,7 @@ import sys
 
 import pytest
 from click.testing import CliRunner
+from waiting import LONG_S
 
 from boptest_client import BoptestClient
 from thermoforce_mpc.cli.serve import command
@@ -38,7 +39,7 @@ def test_it_says_where_it_serves_and_ends_on_interrupt():
         finally:
             running.send_signal(signal.SIGINT)
         try:
-            _, err = running.communicate(timeout=20)
+            _, err = running.communicate(timeout=LONG_S)
         except subprocess.TimeoutExpired:
             running.kill()  # else leaving this block would wait for ever
             raise

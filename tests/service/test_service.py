@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 import re
 import threading
+import time
 
 import numpy as np
 import pytest
 import requests
 from emulator_service import running_emulator_service
+from waiting import LONG_S
 
 from boptest_client import (
     BoptestClient,
@@ -28,7 +30,7 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.service.server import build_server
 
 NAME = "bestest_hydronic_heat_pump"
-QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=60.0, patience_s=0.0)
+QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=LONG_S, patience_s=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -164,10 +166,10 @@ def test_the_record_tells_when_an_input_was_overwritten(client):
 
 def test_a_learning_environment_finds_what_it_asks_for(url):
     """The calls of Gymnasium environments written for BOPTEST: bare requests, integers, regressive observations."""
-    testid = requests.post(f"{url}/testcases/{NAME}/select", timeout=10).json()["testid"]
+    testid = requests.post(f"{url}/testcases/{NAME}/select", timeout=LONG_S).json()["testid"]
 
     def ask(method, verb, **body):
-        answer = requests.request(method, f"{url}/{verb}/{testid}", json=body or None, timeout=10)
+        answer = requests.request(method, f"{url}/{verb}/{testid}", json=body or None, timeout=LONG_S)
         assert answer.ok, answer.text
         return answer.json()["payload"]
 
@@ -199,7 +201,7 @@ def test_a_learning_environment_finds_what_it_asks_for(url):
         )
         assert forever.json()["payload"]["time"][-1] == state["time"]
     finally:
-        assert requests.put(f"{url}/stop/{testid}", timeout=10).text == "OK"
+        assert requests.put(f"{url}/stop/{testid}", timeout=LONG_S).text == "OK"
 
 
 def test_steps_of_any_length_last_as_long_as_they_say(client):
@@ -261,7 +263,7 @@ def test_whole_numbers_have_no_decimal_point_as_javascript_writes_them(client):
     """Everywhere: typed clients decode seconds into integers, and refuse 3600.0."""
 
     def ask(method, verb, **body):
-        answer = requests.request(method, f"{client.url}/{verb}/{client.testid}", json=body or None, timeout=10)
+        answer = requests.request(method, f"{client.url}/{verb}/{client.testid}", json=body or None, timeout=LONG_S)
         assert answer.ok, answer.text
         assert not re.search(r"\d\.0+[],} ]", answer.text), answer.text[:500]
         return answer.json()["payload"]
@@ -299,7 +301,7 @@ def test_a_scenario_runs_two_weeks_and_ends(client):
 
 def test_an_initialisation_may_name_its_end(client):
     def ask(method, verb, **body):
-        answer = requests.request(method, f"{client.url}/{verb}/{client.testid}", json=body, timeout=10).json()
+        answer = requests.request(method, f"{client.url}/{verb}/{client.testid}", json=body, timeout=LONG_S).json()
         return answer["message"], answer["payload"]
 
     start_s = 20 * DAY_S
@@ -316,7 +318,7 @@ def test_an_initialisation_may_name_its_end(client):
 
 def test_scenario_keys_that_mean_nothing_are_passed_over_and_a_seed_of_zero_is_none(client):
     def put(**body):
-        answer = requests.put(f"{client.url}/scenario/{client.testid}", json=body, timeout=10)
+        answer = requests.put(f"{client.url}/scenario/{client.testid}", json=body, timeout=LONG_S)
         assert answer.ok, answer.text
         return answer.json()["payload"]
 
@@ -324,14 +326,14 @@ def test_scenario_keys_that_mean_nothing_are_passed_over_and_a_seed_of_zero_is_n
     said = put(electricity_price="dynamic", weather="sunny", seed=0)
     assert set(said) == keys
     assert (said["electricity_price"], said["seed"]) == ("dynamic", None)
-    now = requests.get(f"{client.url}/scenario/{client.testid}", timeout=10).json()["payload"]
+    now = requests.get(f"{client.url}/scenario/{client.testid}", timeout=LONG_S).json()["payload"]
     assert set(now) == keys
     assert put(seed=5.0)["seed"] == 5
 
 
 def test_results_and_forecasts_of_nothing_are_empty(client):
     def put(verb, **body):
-        answer = requests.put(f"{client.url}/{verb}/{client.testid}", json=body, timeout=10)
+        answer = requests.put(f"{client.url}/{verb}/{client.testid}", json=body, timeout=LONG_S)
         assert answer.ok, answer.text
         return answer.json()["payload"]
 
@@ -345,22 +347,22 @@ def test_results_and_forecasts_of_nothing_are_empty(client):
 
 
 def test_the_version_begins_with_digits_and_says_whose_it_is(url):
-    version = requests.get(f"{url}/version", timeout=10).json()["payload"]["version"]
+    version = requests.get(f"{url}/version", timeout=LONG_S).json()["payload"]["version"]
     assert re.match(r"\d.\d.\d", version), "as BOPTEST's own test of it"
     assert "thermoforce-mpc" in version
 
 
 def test_test_cases_have_their_namespace(url):
-    offered = requests.get(f"{url}/testcases/ibpsa", timeout=10).json()
-    assert offered == requests.get(f"{url}/testcases", timeout=10).json() == [{"testcaseid": NAME}]
-    testid = requests.post(f"{url}/testcases/ibpsa/{NAME}/select", timeout=10).json()["testid"]
-    assert requests.get(f"{url}/name/{testid}", timeout=10).json()["payload"] == {"name": NAME}
-    assert requests.put(f"{url}/stop/{testid}", timeout=10).ok
+    offered = requests.get(f"{url}/testcases/ibpsa", timeout=LONG_S).json()
+    assert offered == requests.get(f"{url}/testcases", timeout=LONG_S).json() == [{"testcaseid": NAME}]
+    testid = requests.post(f"{url}/testcases/ibpsa/{NAME}/select", timeout=LONG_S).json()["testid"]
+    assert requests.get(f"{url}/name/{testid}", timeout=LONG_S).json()["payload"] == {"name": NAME}
+    assert requests.put(f"{url}/stop/{testid}", timeout=LONG_S).ok
     for method, path in (
         ("get", "testcases/resstock"), ("post", f"testcases/resstock/{NAME}/select"),
         ("post", "testcases/ibpsa/bestest_air/select"),
     ):  # fmt: skip
-        assert requests.request(method, f"{url}/{path}", timeout=10).status_code == 404
+        assert requests.request(method, f"{url}/{path}", timeout=LONG_S).status_code == 404
 
 
 def test_kpis_right_after_the_start_are_zero(client):
@@ -451,7 +453,7 @@ def test_the_price_of_a_running_test_can_be_changed_without_disturbing_it(client
 )
 def test_bad_requests_get_the_services_status_and_a_reason(client, method, path, body, status, message):
     before = client.results(["reaTZon_y"], 0, 1e9)
-    answer = getattr(requests, method)(f"{client.url}/{path}/{client.testid}", json=body, timeout=10)
+    answer = getattr(requests, method)(f"{client.url}/{path}/{client.testid}", json=body, timeout=LONG_S)
     assert answer.status_code == status, answer.text
     said = answer.json()
     assert message in said["message"]
@@ -461,16 +463,16 @@ def test_bad_requests_get_the_services_status_and_a_reason(client, method, path,
 
 @pytest.mark.parametrize(("body", "message"), [(b"{step", "not JSON"), (b"[1]", "a JSON list"), (b"[" * 5000, "JSON")])
 def test_bodies_that_are_no_json_object_are_refused(client, body, message):
-    answer = requests.put(f"{client.url}/step/{client.testid}", data=body, timeout=10)
+    answer = requests.put(f"{client.url}/step/{client.testid}", data=body, timeout=LONG_S)
     assert answer.status_code == 400
     assert message in answer.json()["message"]
 
 
 def test_forms_are_understood_as_older_clients_send_them(client):
-    assert requests.put(f"{client.url}/step/{client.testid}", data={"step": "900"}, timeout=10).ok
+    assert requests.put(f"{client.url}/step/{client.testid}", data={"step": "900"}, timeout=LONG_S).ok
     assert client.step() == 900
     form = {"point_names": ["TDryBul", "HGloHor"], "horizon": "3600", "interval": "900"}
-    payload = requests.put(f"{client.url}/forecast/{client.testid}", data=form, timeout=10).json()["payload"]
+    payload = requests.put(f"{client.url}/forecast/{client.testid}", data=form, timeout=LONG_S).json()["payload"]
     assert [len(payload[name]) for name in ("TDryBul", "HGloHor", "time")] == [5, 5, 5]
     advance = requests.post(
         f"{client.url}/advance/{client.testid}", data={"oveHeaPumY_u": "0.5", "oveHeaPumY_activate": "1"}, timeout=10
@@ -481,7 +483,7 @@ def test_forms_are_understood_as_older_clients_send_them(client):
 def test_a_body_that_is_too_long_is_refused(client):
     # Refused by the announced length: the server need not read it, and may close before all is sent.
     try:
-        answer = requests.put(f"{client.url}/step/{client.testid}", data=b"x" * 1_100_000, timeout=10)
+        answer = requests.put(f"{client.url}/step/{client.testid}", data=b"x" * 1_100_000, timeout=LONG_S)
     except requests.ConnectionError:
         pass
     else:
@@ -490,7 +492,7 @@ def test_a_body_that_is_too_long_is_refused(client):
 
 
 def test_a_test_that_does_not_exist_is_told_as_the_service_does(url):
-    answer = requests.get(f"{url}/measurements/nonsense", timeout=10)
+    answer = requests.get(f"{url}/measurements/nonsense", timeout=LONG_S)
     assert answer.status_code == 400
     assert answer.json()["errors"][0]["msg"] == "Invalid testid: nonsense"
     with pytest.raises(UnknownTest, match="offers bestest_hydronic_heat_pump"):
@@ -510,7 +512,7 @@ def test_tests_live_side_by_side_and_only_so_many(url):
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(timeout=30)
+            thread.join(timeout=LONG_S)
         assert outcomes[1.0]["reaTZon_y"] > outcomes[0.0]["reaTZon_y"] + 0.1
         with (
             BoptestClient(url, NAME, config=QUICK),
@@ -519,10 +521,12 @@ def test_tests_live_side_by_side_and_only_so_many(url):
             BoptestClient(url, NAME, config=QUICK)
 
 
-def test_idle_tests_are_dropped():
-    with running_emulator_service(idle_s=0.2) as address, BoptestClient(address, NAME, config=QUICK) as test:
+def test_idle_tests_are_dropped(monkeypatch):
+    clock, later_s = time.monotonic, [0.0]
+    with running_emulator_service(idle_s=900.0) as address, BoptestClient(address, NAME, config=QUICK) as test:
+        monkeypatch.setattr(time, "monotonic", lambda: clock() + later_s[0])
         assert test.status() == "Running"
-        threading.Event().wait(0.4)
+        later_s[0] = 901.0
         with pytest.raises(UnknownTest, match="Invalid testid"):
             test.step()
 

@@ -9,11 +9,12 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 import pytest
 import requests
 from emulator_service import running_emulator_service
+from waiting import LONG_S
 
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 NAME = "bestest_hydronic_heat_pump"
-SOON_S = 10.0
+SOON_S = LONG_S
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +124,7 @@ def test_steps_that_take_long_leave_the_others_their_answers(monkeypatch):
 
     def take_long(plant, *arguments):
         begun.release()
-        finish.wait(60.0)
+        finish.wait(6 * SOON_S)
         return advance(plant, *arguments)
 
     most = 6

@@ -7,6 +7,7 @@ import time
 import weakref
 
 import pytest
+from waiting import LONG_S
 
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 
@@ -47,7 +48,7 @@ def test_a_test_is_not_dropped_between_being_found_and_being_used(monkeypatch):
             lock.release()
             if threading.current_thread().name == "slow" and not found.is_set():
                 found.set()
-                go_on.wait(5)
+                go_on.wait(LONG_S)
 
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     with monkeypatch.context() as patched:
@@ -62,7 +63,7 @@ def test_a_test_is_not_dropped_between_being_found_and_being_used(monkeypatch):
     slow = threading.Thread(target=use, name="slow")
     clock[0] = 899.0
     slow.start()
-    assert found.wait(5)
+    assert found.wait(LONG_S)
     clock[0] = 901.0
     sessions.select()  # drops what is idle
     go_on.set()

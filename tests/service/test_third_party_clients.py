@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 import requests
 from emulator_service import running_emulator_service
+from waiting import LONG_S
 
 from thermoforce_mpc.data import DAY_S
 
@@ -28,9 +29,9 @@ def url():
 
 @pytest.fixture
 def testid(url):
-    selected = requests.post(f"{url}/testcases/{NAME}/select", timeout=10).json()["testid"]
+    selected = requests.post(f"{url}/testcases/{NAME}/select", timeout=LONG_S).json()["testid"]
     yield selected
-    assert requests.put(f"{url}/stop/{selected}", timeout=10).status_code == 200
+    assert requests.put(f"{url}/stop/{selected}", timeout=LONG_S).status_code == 200
 
 
 def payload(response):
@@ -51,25 +52,25 @@ class TestTheExampleInterface:
     )
     def test_a_controller_with_forecasts_runs_to_its_end(self, url, testid, scenario):
         start_time, warmup_period, length, step = 20 * 24 * 3600, 3600, 2 * 24 * 3600, 43200
-        assert payload(requests.get(f"{url}/name/{testid}", timeout=10)) == {"name": NAME}
-        inputs = payload(requests.get(f"{url}/inputs/{testid}", timeout=10))
-        measurements = payload(requests.get(f"{url}/measurements/{testid}", timeout=10))
+        assert payload(requests.get(f"{url}/name/{testid}", timeout=LONG_S)) == {"name": NAME}
+        inputs = payload(requests.get(f"{url}/inputs/{testid}", timeout=LONG_S))
+        measurements = payload(requests.get(f"{url}/measurements/{testid}", timeout=LONG_S))
         final_time, steps = start_time + length, length // step
         begun = None
         if scenario is not None:
-            begun = payload(requests.put(f"{url}/scenario/{testid}", json=scenario, timeout=60))["time_period"]
+            begun = payload(requests.put(f"{url}/scenario/{testid}", json=scenario, timeout=LONG_S))["time_period"]
         if begun is None:
             body = {"start_time": start_time, "warmup_period": warmup_period}
-            begun = payload(requests.put(f"{url}/initialize/{testid}", json=body, timeout=10))
+            begun = payload(requests.put(f"{url}/initialize/{testid}", json=body, timeout=LONG_S))
             assert begun["time"] == start_time
         else:
             start_time, final_time, steps = int(begun["time"]), 10e9, 365 * 2
-        assert payload(requests.put(f"{url}/step/{testid}", json={"step": step}, timeout=10))["step"] == step
-        assert requests.get(f"{url}/scenario/{testid}", timeout=10).json()["payload"]["electricity_price"]
+        assert payload(requests.put(f"{url}/step/{testid}", json={"step": step}, timeout=LONG_S))["step"] == step
+        assert requests.get(f"{url}/scenario/{testid}", timeout=LONG_S).json()["payload"]["electricity_price"]
         u = {"oveTSet_u": 294.15, "oveTSet_activate": 1}
         ran = 0
         for _ in range(steps):
-            y = payload(requests.post(f"{url}/advance/{testid}", json=u, timeout=10))
+            y = payload(requests.post(f"{url}/advance/{testid}", json=u, timeout=LONG_S))
             if not y:
                 break
             ran += 1
@@ -82,12 +83,12 @@ class TestTheExampleInterface:
             )
             u["oveTSet_u"] = ahead["LowerSetp[1]"][0] + 0.5
         assert ran == (28 if final_time > 9e9 else 4)
-        kpi = payload(requests.get(f"{url}/kpi/{testid}", timeout=10))
+        kpi = payload(requests.get(f"{url}/kpi/{testid}", timeout=LONG_S))
         assert {"ener_tot", "pele_tot", "pgas_tot", "pdih_tot", "tdis_tot", "idis_tot", "cost_tot", "emis_tot",
                 "time_rat"} == set(kpi)  # fmt: skip
         points = list(measurements) + list(inputs)
         body = {"point_names": points, "start_time": start_time, "final_time": final_time}
-        results = pd.DataFrame.from_dict(payload(requests.put(f"{url}/results/{testid}", json=body, timeout=20)))
+        results = pd.DataFrame.from_dict(payload(requests.put(f"{url}/results/{testid}", json=body, timeout=LONG_S)))
         results = results.set_index("time")
         assert set(results.columns) == set(points)
         assert results.index[0] == start_time
@@ -95,28 +96,28 @@ class TestTheExampleInterface:
         assert results["oveTSet_activate"].iloc[-1] == 1
 
     def test_release_06_knew_no_test_ids(self, url):
-        assert payload(requests.get(f"{url}/name", timeout=10)) == {"name": NAME}
-        current = payload(requests.get(f"{url}/scenario", timeout=10))
+        assert payload(requests.get(f"{url}/name", timeout=LONG_S)) == {"name": NAME}
+        current = payload(requests.get(f"{url}/scenario", timeout=LONG_S))
         body = {"start_time": 20 * 24 * 3600, "warmup_period": 0}
-        assert payload(requests.put(f"{url}/initialize", data=body, timeout=10))["time"] == body["start_time"]
-        payload(requests.put(f"{url}/step", data={"step": 900}, timeout=10))
-        assert payload(requests.get(f"{url}/step", timeout=10)) == 900
+        assert payload(requests.put(f"{url}/initialize", data=body, timeout=LONG_S))["time"] == body["start_time"]
+        payload(requests.put(f"{url}/step", data={"step": 900}, timeout=LONG_S))
+        assert payload(requests.get(f"{url}/step", timeout=LONG_S)) == 900
         u = {"oveHeaPumY_u": 0.6, "oveHeaPumY_activate": 1}
-        y = payload(requests.post(f"{url}/advance", data=u, timeout=10))
+        y = payload(requests.post(f"{url}/advance", data=u, timeout=LONG_S))
         assert (y["time"], y["oveHeaPumY_u"]) == (body["start_time"] + 900, 0.6)
         everything = b'{"point_names": ["reaTZon_y", "oveHeaPumY_u"], "start_time": -Infinity, "final_time": Infinity}'
-        results = payload(requests.put(f"{url}/results", data=everything, timeout=10))
+        results = payload(requests.put(f"{url}/results", data=everything, timeout=LONG_S))
         assert [results["time"][0], results["time"][-1]] == [body["start_time"], y["time"]]
-        assert payload(requests.get(f"{url}/kpi", timeout=10))["ener_tot"] > 0
-        assert payload(requests.put(f"{url}/scenario", json=current, timeout=10))["time_period"] is None
+        assert payload(requests.get(f"{url}/kpi", timeout=LONG_S))["ener_tot"] > 0
+        assert payload(requests.put(f"{url}/scenario", json=current, timeout=LONG_S))["time_period"] is None
 
     def test_a_test_without_an_id_is_kept_however_idle(self):
         with running_emulator_service(idle_s=0.05) as address:
-            payload(requests.put(f"{address}/step", json={"step": 1800}, timeout=10))
-            dropped = requests.post(f"{address}/testcases/{NAME}/select", timeout=10).json()["testid"]
+            payload(requests.put(f"{address}/step", json={"step": 1800}, timeout=LONG_S))
+            dropped = requests.post(f"{address}/testcases/{NAME}/select", timeout=LONG_S).json()["testid"]
             threading.Event().wait(0.2)
-            assert requests.get(f"{address}/status/{dropped}", timeout=10).status_code == 400
-            assert payload(requests.get(f"{address}/step", timeout=10)) == 1800
+            assert requests.get(f"{address}/status/{dropped}", timeout=LONG_S).status_code == 400
+            assert payload(requests.get(f"{address}/step", timeout=LONG_S)) == 1800
 
 
 class LearningEnvironment:
@@ -125,7 +126,7 @@ class LearningEnvironment:
     def __init__(self, url, testid, actions, observed, regressive_s=None, predictive_s=None, step_s=900):
         self.url, self.testid, self.actions, self.step_s = url, testid, actions, step_s
         self.regressive_s, self.predictive_s = regressive_s, predictive_s
-        ask = lambda verb: payload(requests.get(f"{url}/{verb}/{testid}", timeout=10))  # noqa: E731
+        ask = lambda verb: payload(requests.get(f"{url}/{verb}/{testid}", timeout=LONG_S))  # noqa: E731
         self.name = ask("name")
         measured, predicted, inputs = ask("measurements"), ask("forecast_points"), ask("inputs")
         assert ask("step") > 0
@@ -139,7 +140,7 @@ class LearningEnvironment:
         assert (low < high).all()
 
     def put(self, verb, body):
-        return payload(requests.put(f"{self.url}/{verb}/{self.testid}", json=body, timeout=20))
+        return payload(requests.put(f"{self.url}/{verb}/{self.testid}", json=body, timeout=LONG_S))
 
     def reset(self, start_time, warmup_period, scenario):
         state = self.put("initialize", {"start_time": int(start_time), "warmup_period": int(warmup_period)})
@@ -153,8 +154,8 @@ class LearningEnvironment:
         for name, value in zip(self.actions, action, strict=True):
             u[name] = float(value)
             u[name.replace("_u", "_activate")] = 1.0
-        state = payload(requests.post(f"{self.url}/advance/{self.testid}", json=u, timeout=10))
-        kpis = payload(requests.get(f"{self.url}/kpi/{self.testid}", timeout=10))
+        state = payload(requests.post(f"{self.url}/advance/{self.testid}", json=u, timeout=LONG_S))
+        kpis = payload(requests.get(f"{self.url}/kpi/{self.testid}", timeout=LONG_S))
         objective = kpis["cost_tot"] + kpis["tdis_tot"]
         reward, self.objective = self.objective - objective, objective
         return self.observation(state), reward, state["time"]
@@ -242,23 +243,23 @@ class TestTheServicesOwnChecks:
         ],
     )
     def test_json(self, url, testid, method, verb, body):
-        assert getattr(requests, method)(f"{url}/{verb}/{testid}", json=body, timeout=10).status_code == 400
+        assert getattr(requests, method)(f"{url}/{verb}/{testid}", json=body, timeout=LONG_S).status_code == 400
 
     @pytest.mark.parametrize(
         "wrong", [{"horizon": "foo"}, {"interval": "foo"}, {"horizon": -3600}, {"interval": -300},
                   {"point_names": ["foo"]}],
     )  # fmt: skip
     def test_forms(self, url, testid, wrong):
-        names = payload(requests.get(f"{url}/forecast_points/{testid}", timeout=10))
+        names = payload(requests.get(f"{url}/forecast_points/{testid}", timeout=LONG_S))
         form = {"point_names": names, "horizon": 3600, "interval": 300}
-        assert requests.put(f"{url}/forecast/{testid}", data=form, timeout=10).status_code == 200
-        assert requests.put(f"{url}/forecast/{testid}", data=form | wrong, timeout=10).status_code == 400
+        assert requests.put(f"{url}/forecast/{testid}", data=form, timeout=LONG_S).status_code == 200
+        assert requests.put(f"{url}/forecast/{testid}", data=form | wrong, timeout=LONG_S).status_code == 400
 
     def test_a_warm_up_longer_than_the_year_so_far_and_results_beyond_what_there_is(self, url, testid):
         body = {"start_time": 43200.0, "warmup_period": 86400.0}
-        assert payload(requests.put(f"{url}/initialize/{testid}", json=body, timeout=10))["time"] == 43200
+        assert payload(requests.put(f"{url}/initialize/{testid}", json=body, timeout=LONG_S))["time"] == 43200
         body = {"point_names": ["reaTZon_y"], "start_time": -3600, "final_time": 2 * 43200}
-        record = payload(requests.put(f"{url}/results/{testid}", json=body, timeout=10))
+        record = payload(requests.put(f"{url}/results/{testid}", json=body, timeout=LONG_S))
         assert [record["time"][0], record["time"][-1]] == [0.0, 43200.0]
 
 
@@ -266,23 +267,23 @@ class TestTheGeneratedClient:
     """Made from the service's OpenAPI description: empty bodies as {}, replies read by their documented fields."""
 
     def test_its_example(self, url):
-        listed = requests.get(f"{url}/testcases", timeout=10).json()
+        listed = requests.get(f"{url}/testcases", timeout=LONG_S).json()
         assert NAME in [item["testcaseid"] for item in listed]
-        testid = requests.post(f"{url}/testcases/{NAME}/select", json={}, timeout=10).json()["testid"]
+        testid = requests.post(f"{url}/testcases/{NAME}/select", json={}, timeout=LONG_S).json()["testid"]
         for verb, fields in (
             ("inputs", {"Description", "Minimum", "Maximum", "Unit"}),
             ("measurements", {"Description", "Minimum", "Maximum", "Unit"}),
             ("forecast_points", {"Description", "Unit"}),
         ):
-            described = payload(requests.get(f"{url}/{verb}/{testid}", timeout=10))
+            described = payload(requests.get(f"{url}/{verb}/{testid}", timeout=LONG_S))
             assert all(set(point) == fields for point in described.values()), verb
         body = {"point_names": list(described), "horizon": 36000, "interval": 3600}
-        ahead = pd.DataFrame(payload(requests.put(f"{url}/forecast/{testid}", json=body, timeout=10)))
+        ahead = pd.DataFrame(payload(requests.put(f"{url}/forecast/{testid}", json=body, timeout=LONG_S)))
         assert ahead.shape == (11, len(described) + 1)
-        states = [payload(requests.post(f"{url}/advance/{testid}", json={}, timeout=10)) for _ in range(10)]
+        states = [payload(requests.post(f"{url}/advance/{testid}", json={}, timeout=LONG_S)) for _ in range(10)]
         assert states[-1]["time"] == 36000
         body = {"point_names": ["reaCO2RooAir_y"], "start_time": 0, "final_time": 36000.0}
-        assert len(payload(requests.put(f"{url}/results/{testid}", json=body, timeout=10))["time"]) == 1201
-        assert requests.get(f"{url}/status/{testid}", timeout=10).json() == "Running"
-        assert requests.put(f"{url}/stop/{testid}", timeout=10).text == "OK"
-        assert requests.get(f"{url}/status/{testid}", timeout=10).status_code == 400
+        assert len(payload(requests.put(f"{url}/results/{testid}", json=body, timeout=LONG_S))["time"]) == 1201
+        assert requests.get(f"{url}/status/{testid}", timeout=LONG_S).json() == "Running"
+        assert requests.put(f"{url}/stop/{testid}", timeout=LONG_S).text == "OK"
+        assert requests.get(f"{url}/status/{testid}", timeout=LONG_S).status_code == 400

@@ -34,6 +34,7 @@ class Seen:
 
     def __init__(self, browser: Any, path: Path, width: int = 1400, **options: Any) -> None:
         self.page = browser.new_page(viewport={"width": width, "height": 900}, **options)
+        self.page.set_default_timeout(120_000)  # a busy machine may be slow
         self.wrong: list[str] = []
         self.page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
         self.page.on("console", lambda message: self._told(message.text))
@@ -41,7 +42,7 @@ class Seen:
         self.page.on("request", lambda r: r.url.startswith(address) or self.wrong.append(f"request: {r.url}"))
         self.page.on("dialog", lambda dialog: (self.wrong.append(f"dialog: {dialog.message}"), dialog.dismiss()))
         self.page.goto(address)
-        self.page.wait_for_selector("html[data-drawn=yes]", timeout=20_000)
+        self.page.wait_for_selector("html[data-drawn=yes]", timeout=120_000)
 
     def _told(self, text: str) -> None:
         if "willReadFrequently" not in text:  # that is of the tests, which read the canvas back

@@ -6,6 +6,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from waiting import LONG_S
+
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.service.server import serving
 
@@ -17,4 +19,5 @@ def running_emulator_service(**options) -> Iterator[str]:
     with serving(synthetic_weather(), **options) as url:
         (thread,) = (one for one in set(threading.enumerate()) - before if one.name == "tf-mpc service")
         yield url
+    thread.join(LONG_S)
     assert not thread.is_alive(), "the service did not end"
