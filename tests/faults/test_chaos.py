@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
-import os
-import signal
+from dataclasses import dataclass, fields
 
+import executed_tasks as functions
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -16,6 +15,7 @@ from simple_house import simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.research.chaos import troubles as kinds
 from thermoforce_mpc.research.chaos.episode import Setting, run_episode
 from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos
@@ -162,24 +162,23 @@ def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
     assert told[-1] == "interrupted after 1 of 3 episodes"
 
 
+@dataclass(frozen=True)
+class Deadly(ThermalModel):
+    """Kills by SIGKILL the first process that it is sent to."""
+
+    grave: str = ""
+
+    def __reduce__(self):
+        model = ThermalModel(**{field.name: getattr(self, field.name) for field in fields(ThermalModel)})
+        return functions.die_once_for, (model, self.grave)
+
+
 @pytest.mark.slow
-def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on():
-    told = []
-
-    def progress(line: str) -> None:
-        told.append(line)
-        if line.lstrip().startswith("1:"):
-            os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
-
-    found = run_chaos(
-        episodes=4,
-        seed=3,
-        days=0.25,
-        controller="thermoforce_hourly",
-        model=simple_model(),
-        progress=progress,
-        jobs=2,
-    )
+def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on(tmp_path):
+    told: list[str] = []
+    model = Deadly(**vars(simple_model()), grave=str(tmp_path / "grave"))
+    options = {"episodes": 4, "seed": 3, "days": 0.25, "controller": "thermoforce_hourly", "jobs": 2}
+    found = run_chaos(**options, model=model, progress=told.append)
     lost = [line for line in told if "process died" in line]
     assert len(lost) == 1
     assert "WRONG: ended with its process" in lost[0]

@@ -29,7 +29,7 @@ from thermoforce_mpc.simulation.run_book import RunBook
 from thermoforce_mpc.simulation.run_log import log_step, logging_to
 
 # Time limits of the client and silence of the proxy, s: silence takes real time, a busy machine needs some.
-_CONNECT_S, _READ_S, _SILENT_S = 10.0, 1.5, 1.8
+_CONNECT_S, _READ_S, _SILENT_S = 10.0, 5.0, 5.5
 
 
 @dataclass(frozen=True)
