@@ -62,8 +62,10 @@ def test_a_worker_that_is_killed_costs_no_result(engine, tmp_path):
     (tmp_path / "calm").mkdir()
 
     def tasks(folder: Path, function) -> list[Task]:
-        first = task(0, folder)
-        return [task(n, folder, function if n == 2 else functions.total, needs=(first,), times=1) for n in range(1, 5)]
+        first, calm = task(0, folder), functions.total
+        # It dies half a second after it began: what its worker did before is known at the scheduler by then.
+        second = task(2, folder, function, needs=(first,), times=1, seconds=0.5)
+        return [second if n == 2 else task(n, folder, calm, needs=(first,), times=1) for n in range(1, 5)]
 
     with LocalEngine(1) as calm:
         list(execute(tasks(tmp_path / "calm", functions.total), calm, local))
