@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from waiting import LONG_S, wait_for
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.kept import Kept
@@ -112,6 +114,23 @@ def test_after_levels_that_were_not_taken_the_controller_goes_on_from_the_state_
     building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
     control(building, controller, clock=house, steps=5)
     assert states == [None, 0.0, 0.0, 0.0, 3.0]
+
+
+def test_after_a_refused_plan_the_controller_goes_on_from_the_state_before():
+    house, states = SimulatedBuilding(), []
+    controller = mpc()
+    plan = controller.plan
+
+    def seen(observation, state=None):
+        states.append(None if state is None else (state.last_s - START_S) / 3600.0)
+        decided = plan(observation, state)
+        return replace(decided, blocks=(Block(1.5, 3600.0),)) if len(states) in (2, 3) else decided
+
+    controller.plan = seen
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    control(building, controller, clock=house, steps=5)
+    assert states == [None, 0.0, 0.0, 0.0, 3.0]
+    assert [levels["actuator"] for _, levels, _ in house.written][1:3] == [None, None]
 
 
 def test_a_silent_logger_is_bridged_by_the_model_for_a_while():

@@ -155,6 +155,14 @@ def test_a_plan_that_is_not_one_step_long_never_reaches_the_plant(seconds):
     assert f"blocks of {seconds:g} s in all for a step of 3600 s" in result.steps[0].refused
 
 
+@pytest.mark.parametrize("seconds", [(-900.0, 4500.0), (0.0, 3600.0), (float("nan"), 3600.0)])
+def test_a_block_of_no_time_refuses_the_plan_though_the_sum_is_right(seconds):
+    house = SimpleHouse()
+    result = run_closed_loop(house, Fixed(*(Block(1.0, one) for one in seconds)), house.period("x"))
+    assert house.applied[0] == (None, HOUR_S)
+    assert f"refused a block of {seconds[0]:g} s" in result.steps[0].refused
+
+
 def test_samples_carry_the_bounds_and_price_in_force():
     house = SimpleHouse()
     result = run_closed_loop(house, Fixed(Block(0.0, HOUR_S)), house.period("x"))
