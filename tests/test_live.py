@@ -179,6 +179,38 @@ def test_a_level_holds_until_the_next_decision_is_there():
         assert at + pd.Timedelta(seconds=seconds) > then
 
 
+def in_two_blocks(house, steps):
+    """Control that heats for a quarter of an hour in each step, and then not."""
+    controller = mpc()
+    plan = controller.plan
+    blocks = (Block(1.0, 900.0), Block(0.0, 2700.0))
+    controller.plan = lambda observation, state=None: replace(plan(observation, state), blocks=blocks)
+    building = LiveBuilding(house, MeasurementMap.model_validate(RULES), 3600.0)
+    control(building, controller, clock=house, steps=steps)
+
+
+def test_the_level_of_a_later_block_holds_no_longer_than_that_of_the_first():
+    house = SimulatedBuilding()
+    in_two_blocks(house, 3)
+    held = [(levels["actuator"], (at - START).total_seconds(), seconds) for at, levels, seconds in house.written[:-1]]
+    assert [(level, at_s % 3600.0) for level, at_s, _ in held] == [(1.0, 30.0), (0.0, 930.0)] * 3
+    assert [at_s + seconds - 150.0 for _, at_s, seconds in held] == [3600.0] * 2 + [7200.0] * 2 + [10800.0] * 2
+
+
+def test_what_is_past_when_a_plan_is_there_is_not_set_any_more():
+    house = SimulatedBuilding()
+    live = house.measurements
+
+    def slow():
+        table = live()
+        house.wait_until(house.at + pd.Timedelta("20min"))
+        return table
+
+    house.measurements = slow
+    in_two_blocks(house, 2)
+    assert {levels["actuator"] for _, levels, _ in house.written[:-1]} == {0.0}
+
+
 @pytest.mark.parametrize("error", [TimeoutError("no answer"), KeyboardInterrupt()])
 def test_a_level_that_was_set_by_a_call_that_failed_is_given_back(error):
     house = SimulatedBuilding()
