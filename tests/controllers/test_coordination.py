@@ -81,6 +81,8 @@ class _Silent:
             if self._how == "raises":
                 raise TimeoutError("no reply in 5 s")
             power = {"not finite": np.full_like(price, np.nan), "other shape": price[:3], "list": [1.0] * price.size}
+            if self._how == "cost not finite":
+                return Answer(np.zeros_like(price), np.nan)
             return Answer(power[self._how], 1.0) if self._how in power else None  # type: ignore[arg-type]
         return self._inner.answer(price, wish_kW, weight)
 
@@ -98,6 +100,7 @@ class _Silent:
         (0, "raises"),
         (3, "nothing"),
         (2, "not finite"),
+        (1, "cost not finite"),
         (1, "other shape"),
         (1, "list"),
         (10**6, "settling"),
