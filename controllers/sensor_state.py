@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.limits import ZONE_C
+from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.scenario.settings import StrictModel
 
 

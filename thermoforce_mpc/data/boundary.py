@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, HOUR_S, Array, check_clock
+from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
 from thermoforce_mpc.data.record import Record
 from thermoforce_mpc.errors import DataError
@@ -20,8 +21,6 @@ CONDITIONS = (
     "time_s", "T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh", "emission_kg_per_kWh",
     "heating_price_per_kWh",
 )  # fmt: skip
-# Comfort bounds lie where zone temperatures do (`model/limits.py`), °C: °F and K do not.
-_BOUND_C = (-30.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -126,12 +125,13 @@ class Boundary:
         """Raises `DataError` where a bound is no room temperature in °C, or the lower one is above the upper."""
         for name in ("lower", "upper"):
             bound = getattr(self, f"{name}_C")[0]
-            wrong = (bound < _BOUND_C[0]) | (bound > _BOUND_C[1])
+            # Comfort bounds lie where zone temperatures do: °F and K do not.
+            wrong = (bound < ZONE_C[0]) | (bound > ZONE_C[1])
             if wrong.any():
                 k = int(np.argmax(wrong))
                 raise DataError(
                     f"forecast: {name} is {bound[k]:g} at {at[k]}: a comfort bound is a temperature between "
-                    f"{_BOUND_C[0]:g} and {_BOUND_C[1]:g} °C; convert °F or K"
+                    f"{ZONE_C[0]:g} and {ZONE_C[1]:g} °C; convert °F or K"
                 )
         crossed = self.lower_C[0] > self.upper_C[0]
         if crossed.any():

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
+from thermoforce_mpc.data.limits import LEVEL, ROUNDING
 from thermoforce_mpc.data.names import AXIS
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
-from thermoforce_mpc.model.limits import LEVEL, ROUNDING
 from thermoforce_mpc.model.screening import Limits, screened_history
 
 # Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.

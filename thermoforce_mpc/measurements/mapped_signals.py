@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.measurements.units import IrradianceUnit, LevelUnit, PowerUnit, PriceUnit, TemperatureUnit
-from thermoforce_mpc.model.limits import ZONE_C
 from thermoforce_mpc.scenario.settings import StrictModel
 
 

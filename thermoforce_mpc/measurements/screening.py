@@ -2,7 +2,7 @@
 
 | rule | flags | overridden in the map by |
 |---|---|---|
-| range | readings outside what is physically possible, see `model/limits.py` | `range` |
+| range | readings outside what is physically possible, see `data/limits.py` | `range` |
 | spike | readings that lie more than `spike` from the one before, and come back so within 6 h | `spike` |
 | stuck | stretches of one and the same reading for longer than `stuck_h` | `stuck_h` (0: never) |
 
@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array, limits
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.mapped_signals import Signal
 from thermoforce_mpc.measurements.units import likelier
-from thermoforce_mpc.model import limits
 
 _MOST_REFUSED = 0.1
 # Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.data.limits import ROUNDING
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
 

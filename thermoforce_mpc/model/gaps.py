@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H, LEVELS_AROUND_H
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.limits import BRIDGED_GAP_H, LEVELS_AROUND_H
 
 WEATHER = ("T_out_C", "solar_W_m2")
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.asking import Asking, answered, timed, together
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
+from thermoforce_mpc.data.limits import ROUNDING
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.gaps import WEATHER, bridged
-from thermoforce_mpc.model.limits import ROUNDING
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.protocols import FreeResponse

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Measurement, Record
-from thermoforce_mpc.model import limits
+from thermoforce_mpc.data import HOUR_S, Array, Measurement, Record, limits
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -38,7 +37,7 @@ _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
 
 @dataclass(frozen=True)
 class Limits:
-    """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.model.limits`).
+    """Plausible ranges of readings of one building; most are common to all (`thermoforce_mpc.data.limits`).
 
     `power_W` and `heat_W` are (lowest, highest) in W of any machine and actuator, as measured: heat of a cooling
     machine is negative. `lowest`: the lowest level, below 0 where levels are signed.
