@@ -13,9 +13,9 @@ from controllers.kept_capacity import learned_share
 from controllers.machinery import Machinery
 from controllers.missed import Missed
 from controllers.mpc_config import MPCConfig
-from controllers.problem import J_PER_KWH, Cooling, MPCProblem, PowerCap, Weights
+from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
 from controllers.reserve import is_fast, reserve_K
-from thermoforce_mpc.data import Array, Boundary, Record
+from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext

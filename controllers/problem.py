@@ -33,13 +33,12 @@ from numpy.typing import NDArray
 
 from controllers.errors import ControllerConfigError
 from controllers.machinery import Machinery
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import N_FEATURES
 
-J_PER_KWH = 3.6e6
 # Unit of power in solvers, W; scales its constraints like the others.
 POWER_UNIT_W = 1000.0
 

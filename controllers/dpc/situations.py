@@ -12,8 +12,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.boundary.weather.year import YEAR_S
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.model.free_response.rc import RcParameters
 
 # Years of weather, and their shift: the building's climate is not known.

@@ -24,8 +24,7 @@ from controllers.dpc.policy import (
 )
 from controllers.dpc.situations import Drawer, Situations
 from controllers.errors import ControllerConfigError
-from controllers.problem import J_PER_KWH
-from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.reading import DoubtfulInput, read_bounded, read_pieces
 
@@ -22,7 +22,6 @@ CONSTANT = 0.2535
 DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
 # Gas in Belgium, as in BOPTEST's `bestest_hydronic`: the same price in all three tariffs.
 GAS, GAS_EMISSION_KG_PER_KWH = 0.07, 0.181
-_YEAR_S = 365 * DAY_S
 # A price for each minute of a year has 10 MB.
 _MOST_BYTES = 20_000_000
 _MOST_PRICES = 600_000
@@ -82,9 +81,9 @@ def tariff_from_file(path: Path) -> Tariff:
     time_s, price = _read_prices(path, _text(path))
     if time_s.size < 2:
         raise ConfigError(f"{path}: only one price; give at least two, whose distance says how long the last one holds")
-    if time_s.min() < -_YEAR_S or time_s.max() > _YEAR_S + DAY_S:
+    if time_s.min() < -YEAR_S or time_s.max() > YEAR_S + DAY_S:
         raise ConfigError(
-            f"{path}: times from {time_s.min():g} to {time_s.max():g} s; a year ends at {_YEAR_S:g} s: "
+            f"{path}: times from {time_s.min():g} to {time_s.max():g} s; a year ends at {YEAR_S:g} s: "
             "give the prices of one, which then repeats"
         )
     if time_s[0] > 0 or not (np.diff(time_s) > 0).all():
@@ -99,7 +98,7 @@ def tariff_from_file(path: Path) -> Tariff:
             DoubtfulInput,
             stacklevel=2,
         )
-    if time_s[-1] > _YEAR_S:  # a row at its end may close the year
+    if time_s[-1] > YEAR_S:  # a row at its end may close the year
         warnings.warn(
             f"{path}: has prices until day {time_s[-1] / DAY_S:g}; those after day 365 are not used, since the year "
             "repeats then",
@@ -118,7 +117,7 @@ def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:
     until_s = float(time_s[-1] + (time_s[-1] - time_s[-2]))
 
     def tariff(at_s: Array) -> Array:
-        in_year_s = np.mod(np.asarray(at_s, dtype=np.float64), _YEAR_S)
+        in_year_s = np.mod(np.asarray(at_s, dtype=np.float64), YEAR_S)
         if in_year_s.size and in_year_s.max() >= until_s:
             raise ConfigError(
                 f"{source}: has prices until day {until_s / DAY_S:g}, asked for day {in_year_s.max() / DAY_S:g}; "

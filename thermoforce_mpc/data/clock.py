@@ -1,4 +1,4 @@
-"""Units of time, the type of arrays, and instants that go up in equal steps."""
+"""The type of arrays, and instants that go up in equal steps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ from numpy.typing import NDArray
 from thermoforce_mpc.errors import DataError
 
 Array = NDArray[np.float64]
-
-HOUR_S = 3600.0
-DAY_S = 86400.0
 
 # Tolerance of equal steps, s: clocks in milliseconds and summed steps round; more is a missing sample.
 CLOCK_ROUNDING_S = 0.01

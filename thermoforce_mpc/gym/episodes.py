@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.year import YEAR_S
-from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.data import DAY_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
 
 

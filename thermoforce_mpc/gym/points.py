@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import ZERO_C_K, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.sources import Source
 from thermoforce_mpc.gym.view import ObservationBox, copied
 from thermoforce_mpc.scenario.settings import suggestion
-
-_KELVIN = 273.15
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ class PointsView:
     def state(self) -> dict[str, float]:
         """Time and observed measurements now; zone temperatures in K also in °C, as `T_zone_C[name]`."""
         found = dict(zip(self._measured, self._past[:, 0].tolist(), strict=True))
-        zones = {f"T_zone_C[{name}]": T - _KELVIN for name, T in found.items() if name.startswith("reaTZon")}
+        zones = {f"T_zone_C[{name}]": T - ZERO_C_K for name, T in found.items() if name.startswith("reaTZon")}
         return {"time": self.now_s} | found | zones
 
     def snapshot(self) -> _State:

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import J_PER_KWH, ZERO_C_K, Array
 
 TemperatureUnit = Literal["°C", "C", "degC", "K", "°F", "F", "degF"]
 PowerUnit = Literal[
@@ -20,8 +20,8 @@ PriceUnit = Literal["per kWh", "per MWh"]
 
 PER_STEP, COUNTER = " per step", " counter"
 
-_TEMPERATURES = {"C": (1.0, 0.0), "K": (1.0, -273.15), "F": (5.0 / 9.0, -160.0 / 9.0)}
-_ENERGIES_J = {"Wh": 3600.0, "kWh": 3.6e6, "MWh": 3.6e9, "BTU": 1055.05585262, "kJ": 1e3, "MJ": 1e6}
+_TEMPERATURES = {"C": (1.0, 0.0), "K": (1.0, -ZERO_C_K), "F": (5.0 / 9.0, -160.0 / 9.0)}
+_ENERGIES_J = {"Wh": 3600.0, "kWh": J_PER_KWH, "MWh": 3.6e9, "BTU": 1055.05585262, "kJ": 1e3, "MJ": 1e6}
 _LINEAR = {
     "W": 1.0,
     "kW": 1e3,

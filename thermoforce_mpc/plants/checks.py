@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.year import YEAR_S
-from thermoforce_mpc.data import DAY_S, SINGLE, Array, Bands, Block, Levels, Names, Period
+from thermoforce_mpc.data import DAY_S, SINGLE, YEAR_S, Array, Bands, Block, Levels, Names, Period
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.scenario.actuator import Actuator
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints

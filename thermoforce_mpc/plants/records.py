@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import ACTING, Array, Block, Boundary, Measurement, Record
+from thermoforce_mpc.data import ACTING, ZERO_C_K, Array, Block, Boundary, Measurement, Record
 from thermoforce_mpc.plants.checks import plant_inputs
 from thermoforce_mpc.scenario.actuator import Actuator
 from thermoforce_mpc.scenario.building import BuildingPoints, Machine, Price
 from thermoforce_mpc.scenario.heat import HeatMeter, weighted_sum
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 
-_KELVIN = 273.15
 # Applied value above which the signal of a machine's pump or fan means that it runs, and share from which a valve is
 # open.
 _RUNS, _OPEN = 1e-3, 0.5
@@ -57,7 +56,7 @@ def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied
         elif one.full_W is not None:
             level = np.clip(one.heat.heat_W(record) / one.full_W, 0.0, 1.0)
         else:
-            room_C = record[points.zones[home].temperature] - _KELVIN
+            room_C = record[points.zones[home].temperature] - ZERO_C_K
             level = actuator.level(applied[actuator.point], room_C, applied)
         rows.append(level if running is None else np.where(applied[running] > _RUNS, level, 0.0))
     return np.stack(rows)
@@ -78,7 +77,7 @@ def acting_means(record: Mapping[str, Array], points: BuildingPoints, u: Array, 
         "heat_W": np.stack([heat_means(record, one.heat, edges) for one in points.actuators]),
         "T_return_C": np.stack(
             [
-                interval_means(record, [machine.return_water] if machine.return_water else [], edges) - _KELVIN
+                interval_means(record, [machine.return_water] if machine.return_water else [], edges) - ZERO_C_K
                 for machine in points.machines
             ]
         ),
@@ -104,8 +103,8 @@ def past_record(
     acting = acting_means(record, points, levels(edges), edges)
     return Record(
         time_s=edges,
-        T_zone_C=np.stack(T_zone) - _KELVIN,
-        T_out_C=T_out - _KELVIN,
+        T_zone_C=np.stack(T_zone) - ZERO_C_K,
+        T_out_C=T_out - ZERO_C_K,
         solar_W_m2=solar,
         u=acting["u"],
         power_W=acting["power_W"],
@@ -122,8 +121,8 @@ def measurement(
     means = {name: np.empty(0) if acting is None else acting[name][:, 0] for name in ACTING}
     return Measurement(
         time_s=time_s,
-        T_zone_C=np.array([values.get(name, math.nan) for name in points.temperatures]) - _KELVIN,
-        T_out_C=values.get(points.outdoor_temperature, math.nan) - _KELVIN,
+        T_zone_C=np.array([values.get(name, math.nan) for name in points.temperatures]) - ZERO_C_K,
+        T_out_C=values.get(points.outdoor_temperature, math.nan) - ZERO_C_K,
         solar_W_m2=values.get(points.solar, math.nan),
         u=means["u"],
         power_W=means["power_W"],
@@ -147,8 +146,8 @@ def boundary(
         T_out_C=weather[0],
         solar_W_m2=weather[1],
         occupancy=of_zones("occupancy"),
-        lower_C=of_zones("lower") - _KELVIN,
-        upper_C=of_zones("upper") - _KELVIN,
+        lower_C=of_zones("lower") - ZERO_C_K,
+        upper_C=of_zones("upper") - ZERO_C_K,
         price_per_kWh=np.stack([values[machine.price[price]] for machine in points.machines]),
         emission_kg_per_kWh=np.stack([values[machine.emission] for machine in points.machines]),
         heating_price_per_kWh=np.stack(
@@ -200,7 +199,7 @@ def _supply_K(
     if last is not None and last.heat_W.size and _open(one.actuator, last):
         before_K, gave_W = _applied(last, machine.supply.point), float(last.heat_W[a])
     elif last is not None and machine.return_water is not None:
-        floor_C = float(np.fmax(last.points.get(machine.return_water, math.nan) - _KELVIN, room_C))
+        floor_C = float(np.fmax(last.points.get(machine.return_water, math.nan) - ZERO_C_K, room_C))
     return machine.supply.value(u * (one.full_W or 0.0), floor_C, before_K, gave_W)
 
 

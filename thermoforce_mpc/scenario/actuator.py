@@ -9,11 +9,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import ZERO_C_K, Array
 from thermoforce_mpc.scenario.actuator_map import FanCoilMap, LinearMap, MapName, RadiatorMap
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
-
-_KELVIN = 273.15
 
 
 class Actuator(StrictModel):
@@ -67,7 +65,7 @@ class Actuator(StrictModel):
     def _mapped(self) -> Actuator:
         if self.map != "linear" and not self.rising:
             raise ValueError(f"map {self.map}: the value rises with u; leave rising out")
-        reference = self.reference_zone_C + _KELVIN
+        reference = self.reference_zone_C + ZERO_C_K
         if self.map == "radiator" and not (self.unit == "K" and self.maximum > reference):
             raise ValueError("map radiator: the value is a water temperature in K, its maximum above reference_zone_C")
         if (self.map == "fan_coil") != (self.supply is not None):
@@ -142,14 +140,14 @@ class Actuator(StrictModel):
 
     def _room(self, T_zone_C: float | Array) -> Array:
         T = np.asarray(T_zone_C, dtype=np.float64)
-        return np.where(np.isfinite(T), T, self.reference_zone_C) + _KELVIN
+        return np.where(np.isfinite(T), T, self.reference_zone_C) + ZERO_C_K
 
     @property
     def _plain(self) -> LinearMap | RadiatorMap:
         if self.map == "radiator":
-            return RadiatorMap(self.minimum, self.maximum, self.reference_zone_C + _KELVIN, self.exponent)
+            return RadiatorMap(self.minimum, self.maximum, self.reference_zone_C + ZERO_C_K, self.exponent)
         return LinearMap(self.minimum, self.maximum, self.rising)
 
     @property
     def _fan_coil(self) -> FanCoilMap:
-        return FanCoilMap(self.minimum, self.maximum, self.reference_zone_C + _KELVIN)
+        return FanCoilMap(self.minimum, self.maximum, self.reference_zone_C + ZERO_C_K)

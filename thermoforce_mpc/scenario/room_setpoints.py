@@ -12,6 +12,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
 
 
@@ -73,7 +74,7 @@ class RoomSetpoints(StrictModel):
         released = {f"{name}_activate": 0.0 for name in self.points}
         if u is None:
             return released
-        heat, cool = (value + 273.15 for value in band_C) if band_C else self._driven(u)
+        heat, cool = (value + ZERO_C_K for value in band_C) if band_C else self._driven(u)
         if u > 0:
             cool = self.maximum
         elif u < 0:

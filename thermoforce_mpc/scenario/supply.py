@@ -6,9 +6,8 @@ import math
 
 from pydantic import Field, model_validator
 
+from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
-
-_KELVIN = 273.15
 
 
 class Supply(StrictModel):
@@ -43,7 +42,7 @@ class Supply(StrictModel):
         if math.isfinite(last_K + more_W):
             wanted = last_K + more_W / self.flow_W_per_K
         elif math.isfinite(T_floor_C):
-            wanted = T_floor_C + _KELVIN + heat_W / self.flow_W_per_K
+            wanted = T_floor_C + ZERO_C_K + heat_W / self.flow_W_per_K
         else:
             wanted = self.maximum
         return min(max(wanted, self.minimum), self.maximum)

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
 from thermoforce_mpc.service import descriptions
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS, measurement_name
 
-_KELVIN = 273.15
 # Occupants' gains, W per person: 60 % of the sensible part is radiative.
 _RADIANT_W, _CONVECTIVE_W, _LATENT_W = 43.8, 29.2, 45.0
 
@@ -91,7 +90,7 @@ def recorded_points(plant: EmbeddedPlant, names: list[str], record: Mapping[str,
             return -record["Q_evaporator"]
         # Remaining: the set-points of the schedule. The heating control follows its set-point with an offset or an
         # overwrite; the cooling set-point has no effect, since the house has no cooling.
-        return schedule.set_points_C(schedule.occupied(time_s))[_SET_POINTS.index(name)] + _KELVIN
+        return schedule.set_points_C(schedule.occupied(time_s))[_SET_POINTS.index(name)] + ZERO_C_K
 
     return {name: series(name) for name in names} | {"time": time_s}
 
@@ -109,8 +108,8 @@ _FORECAST_CLOCK: Mapping[str, tuple[str, _People]] = {
     "InternalGainsRad[1]": ("W", _per_person(_RADIANT_W)),
     "InternalGainsCon[1]": ("W", _per_person(_CONVECTIVE_W)),
     "InternalGainsLat[1]": ("W", _per_person(_LATENT_W)),
-    "LowerSetp[1]": ("K", lambda t: schedule.bounds_C(t)[0] + _KELVIN),
-    "UpperSetp[1]": ("K", lambda t: schedule.bounds_C(t)[1] + _KELVIN),
+    "LowerSetp[1]": ("K", lambda t: schedule.bounds_C(t)[0] + ZERO_C_K),
+    "UpperSetp[1]": ("K", lambda t: schedule.bounds_C(t)[1] + ZERO_C_K),
     "UpperCO2[1]": ("ppm", lambda t: np.full(t.shape, schedule.CO2_LIMIT_PPM)),
     "EmissionsElectricPower": ("kgCO2/kWh", lambda t: np.full(t.shape, tariffs.EMISSION_KG_PER_KWH)),
 }
@@ -141,7 +140,7 @@ def forecast_points(
     if set(erring_names) & set(names):
         # A plant forecasts one interval at least; here the present alone may be asked for.
         boundary = plant.forecast(*((horizon_s, interval_s) if steps.size > 1 else (HOUR_S, HOUR_S)))
-        series_of = {"TDryBul": boundary.T_out_C + _KELVIN, "HGloHor": boundary.solar_W_m2}
+        series_of = {"TDryBul": boundary.T_out_C + ZERO_C_K, "HGloHor": boundary.solar_W_m2}
         erring = {name: series_of[name][: steps.size] for name in erring_names}
 
     def series(name: str) -> Array:

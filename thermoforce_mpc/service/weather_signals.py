@@ -10,9 +10,8 @@ import psychrolib
 
 from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 
-_KELVIN = 273.15
 # The test case's weather reader takes the pressure from a parameter, not from the file.
 _PRESSURE_PA = 101_325.0
 psychrolib.SetUnitSystem(psychrolib.SI)
@@ -52,13 +51,13 @@ def _solar_time(weather: Weather, time_s: Array) -> Array:
 
 
 def _sky_K(weather: Weather, time_s: Array) -> Array:
-    return weather.sky_temperature_C(time_s) + _KELVIN
+    return weather.sky_temperature_C(time_s) + ZERO_C_K
 
 
 def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
     """Wet bulb temperature, K, from dry bulb, relative humidity and pressure (ASHRAE Fundamentals 2017, ch. 1)."""
     dry_C, humidity = weather.at("T_dry_C", time_s), weather.at("relative_humidity", time_s)
-    return np.asarray(psychrolib.GetTWetBulbFromRelHum(dry_C, humidity, _PRESSURE_PA)) + _KELVIN
+    return np.asarray(psychrolib.GetTWetBulbFromRelHum(dry_C, humidity, _PRESSURE_PA)) + ZERO_C_K
 
 
 # Keys: forecast names.
@@ -68,11 +67,11 @@ WEATHER_SIGNALS: dict[str, WeatherSignal] = {
     "HGloHor": WeatherSignal("W/m2", _column("global_W_m2")),
     "HHorIR": WeatherSignal("W/m2", _column("infrared_W_m2")),
     "TBlaSky": WeatherSignal("K", _sky_K),
-    "TDewPoi": WeatherSignal("K", _column("T_dew_C", _KELVIN)),
-    "TDryBul": WeatherSignal("K", _column("T_dry_C", _KELVIN)),
+    "TDewPoi": WeatherSignal("K", _column("T_dew_C", ZERO_C_K)),
+    "TDryBul": WeatherSignal("K", _column("T_dry_C", ZERO_C_K)),
     "TWetBul": WeatherSignal("K", _wet_bulb_K),
     "ceiHei": WeatherSignal("m", _column("ceiling_m")),
-    "cloTim": WeatherSignal("s", lambda _, t: np.asarray(t % (365 * DAY_S))),
+    "cloTim": WeatherSignal("s", lambda _, t: np.asarray(t % YEAR_S)),
     "lat": WeatherSignal("rad", _constant(lambda w: float(np.deg2rad(w.latitude_deg)))),
     "lon": WeatherSignal("rad", _constant(lambda w: float(np.deg2rad(w.longitude_deg)))),
     "nOpa": WeatherSignal("1", _column("opaque_cover")),

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from controllers.registry import controller_config
-from thermoforce_mpc.data import DAY_S, HOUR_S, Period, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Period, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
@@ -134,7 +134,7 @@ def identify_on(
     testcase, config = testcase or load_testcase("bestest_hydronic_heat_pump"), config or IdentificationConfig()
     start_s, end_s = before.start_s - before.warmup_s - days * DAY_S, before.start_s
     if start_s < 0:
-        start_s, end_s = 365 * DAY_S - days * DAY_S, 365 * DAY_S
+        start_s, end_s = YEAR_S - days * DAY_S, YEAR_S
     run = Probing(
         plant,
         start_s,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.data import DAY_S, J_PER_KWH
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.reading import read_bounded
 from thermoforce_mpc.scenario.scenario import load_testcase
@@ -110,13 +110,13 @@ def _so_far(result: RunResult, testcase: TestCase) -> RunResult:
     """A result with figures of its own where the plant's are not there: until the last step that ended."""
     if "ener_tot" in result.kpis:
         return result
-    from thermoforce_mpc.simulation.report.courses import JOULE_PER_KWH, course_of
+    from thermoforce_mpc.simulation.report.courses import course_of
 
     course = course_of(result, testcase.layout, testcase.area_m2, len(result.steps) * 1000)
     energy_J = np.nansum(course.power_W * course.duration_s)
     found = {
         "cost_tot": float(course.cost[-1]),
-        "ener_tot": float(energy_J / JOULE_PER_KWH / testcase.area_m2),
+        "ener_tot": float(energy_J / J_PER_KWH / testcase.area_m2),
         "tdis_tot": float(course.discomfort_Kh[:, -1].mean()),
     }
     return replace(result, kpis={**found, **result.kpis})

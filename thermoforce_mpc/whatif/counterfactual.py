@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Names, Observation, Record
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.dataframes import seconds_at, table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.report import step_response_of
@@ -25,7 +25,6 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Half width of a 90 % band of a normal distribution, standard deviations.
 _BAND = 1.645
-_JOULE_PER_KWH = 3.6e6
 
 
 @dataclass(frozen=True)
@@ -231,7 +230,7 @@ def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
             continue
         T_out_C, weights = stretch.T_out_C[:-1], model.layout.weights[fed]
         watts = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
-        found[m] = float(watts.sum()) * stretch.step_s / _JOULE_PER_KWH
+        found[m] = float(watts.sum()) * stretch.step_s / J_PER_KWH
     return found
 
 

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Record
 from thermoforce_mpc.errors import DataError
 
 # Least share of a day's steps with energy and outdoor temperature for it to count, and with sun, where that is metered:
 # a sensor may be silent at night.
 _LEAST_MEASURED, _LEAST_SUN = 0.9, 0.25
-_JOULE_PER_KWH = 3.6e6
 # Time constants of the weather's low passes, h; 0: the day's own mean.
 LAGS_H: tuple[float, ...] = (0.0, 12.0, 24.0, 48.0)
 
@@ -80,7 +79,7 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
         if known[at].mean() < _LEAST_MEASURED or sunny[at].mean() < least_sun:
             left_out += 1
             continue
-        energy = float(np.nanmean(total[at])) * DAY_S / _JOULE_PER_KWH
+        energy = float(np.nanmean(total[at])) * DAY_S / J_PER_KWH
         zone = np.array([np.nanmean(row[at]) if np.isfinite(row[at]).any() else np.nan for row in record.T_zone_C])
         rows.append((day, energy, low_out[:, at].mean(axis=1), low_sun[:, at].mean(axis=1), zone))
     if not rows:

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.year import Weather, black_body_sky_C
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.boundary.weather.year import STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C
+from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 
 _HOURS = 8760
 # Transmittance of a hazy maritime sky relative to Haurwitz' clear sky.
 _TURBIDITY = 0.86
 _LATITUDE, _LONGITUDE, _ZONE = 51.0, 4.5, 1.0
-_KELVIN = 273.15
-_STEFAN_BOLTZMANN = 5.670374419e-8
 # Value of IWEC files for an unlimited ceiling.
 _UNLIMITED_CEILING_M = 22_000.0
 
@@ -62,7 +60,7 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
         opaque_cover=cover,
         pressure_Pa=np.round(pressure, -2),
         relative_humidity=_vapour_pressure_Pa(T_dew) / _vapour_pressure_Pa(T_dry),
-        infrared_W_m2=_STEFAN_BOLTZMANN * (black_body_sky_C(T_dry, T_dew, cover) + _KELVIN) ** 4,
+        infrared_W_m2=STEFAN_BOLTZMANN_W_M2_K4 * (black_body_sky_C(T_dry, T_dew, cover) + ZERO_C_K) ** 4,
         total_cover=cover,
         ceiling_m=np.full(_HOURS, _UNLIMITED_CEILING_M),
     )
@@ -108,7 +106,7 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
 
     minutes = (np.arange(6) + 0.5) * 600.0 - HOUR_S
     time_s = hour[:, None] * HOUR_S + minutes[None, :]
-    sun = sun_position(np.mod(time_s, 365 * DAY_S), _LATITUDE, _LONGITUDE, _ZONE)
+    sun = sun_position(np.mod(time_s, YEAR_S), _LATITUDE, _LONGITUDE, _ZONE)
     cos_zenith = np.maximum(np.cos(sun.zenith), 0.0)
     global_ = (_TURBIDITY * clear_sky_W_m2(sun) * (1.0 - 0.75 * cover[:, None] ** 3.4)).mean(axis=1)
     cos_mean = cos_zenith.mean(axis=1)

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 from thermoforce_mpc.errors import WeatherError
 
-YEAR_S = 365 * DAY_S
 _HOURS = 8760
-_KELVIN = 273.15
-_STEFAN_BOLTZMANN = 5.670374419e-8
+STEFAN_BOLTZMANN_W_M2_K4 = 5.670374419e-8
 # Radiation rows are means over the hour that ends there; reading them half an hour ahead centres them on that hour.
 _RADIATION_SHIFT_S = 1800.0
 _RADIATION = ("global_W_m2", "normal_W_m2", "diffuse_W_m2")
@@ -141,6 +139,6 @@ class Weather:
 def black_body_sky_C(T_dry_C: Array, T_dew_C: Array, opaque_cover: Array) -> Array:
     """Return black-body sky temperature, °C; see `Weather.sky_temperature_C`."""
     tenths = 10.0 * opaque_cover
-    clear = 0.787 + 0.764 * np.log((T_dew_C + _KELVIN) / _KELVIN)
+    clear = 0.787 + 0.764 * np.log((T_dew_C + ZERO_C_K) / ZERO_C_K)
     emissivity = clear * (1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3)
-    return np.asarray((T_dry_C + _KELVIN) * emissivity**0.25 - _KELVIN)
+    return np.asarray((T_dry_C + ZERO_C_K) * emissivity**0.25 - ZERO_C_K)

@@ -21,7 +21,7 @@ from boptest_client import (
     TransportConfig,
     UnknownTest,
 )
-from thermoforce_mpc.data import DAY_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times
@@ -37,7 +37,6 @@ from thermoforce_mpc.plants.records import (
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
-_KELVIN = 273.15
 # Warm-up under native control and length of a scenario's time period in BOPTEST.
 _SCENARIO_WARMUP_S = 7 * DAY_S
 _SCENARIO_LENGTH_S = 14 * DAY_S
@@ -232,7 +231,7 @@ class BoptestPlant:
                 "advanced the test"
             )
         series = {name: values[: instants.size] for name, values in series.items()}
-        weather = series[self._points.forecast_outdoor] - _KELVIN, series[self._points.forecast_solar]
+        weather = series[self._points.forecast_outdoor] - ZERO_C_K, series[self._points.forecast_solar]
         return boundary(series["time"], series, self._points, tariff, weather)
 
     def past(self, step_s: float) -> Record:

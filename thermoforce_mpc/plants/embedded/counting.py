@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.embedded import kernel, schedule
 
 _POWER = tuple(kernel.RECORD.index(name) for name in ("P_heat_pump", "P_fan", "P_pump"))
 _T, _CO2 = kernel.RECORD.index("T_operative"), kernel.RECORD.index("CO2")
-_KELVIN = 273.15
 
 
 @njit(cache=True)
@@ -33,7 +32,7 @@ def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> Array:
         at_home = schedule.is_occupied_sample(time_s[i])
         lower_C = schedule.LOWER_OCCUPIED_C if at_home else schedule.LOWER_EMPTY_C
         upper_C = schedule.UPPER_OCCUPIED_C if at_home else schedule.UPPER_EMPTY_C
-        T_C = rows[i, _T] - _KELVIN
+        T_C = rows[i, _T] - ZERO_C_K
         out[2] += weight_h * max(lower_C - T_C, T_C - upper_C, 0.0)
         out[3] += weight_h * max(rows[i, _CO2] - schedule.CO2_LIMIT_PPM, 0.0)
     return out

@@ -14,8 +14,20 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
-from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import (
+    DAY_S,
+    HOUR_S,
+    YEAR_S,
+    ZERO_C_K,
+    Array,
+    Boundary,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+)
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.embedded import kernel, schedule
@@ -26,7 +38,6 @@ from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, peak_power
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.version import VERSION
 
-_KELVIN = 273.15
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
 
 # Shortest step, s; shorter ones are lost in the rounding of the clock.
@@ -224,13 +235,13 @@ class EmbeddedPlant:
         sampled = {name: np.interp(edges, record["time"], record[name]) for name in ("T_operative", "T_out", "solar")}
         return Record(
             time_s=edges,
-            T_zone_C=sampled["T_operative"] - _KELVIN,
-            T_out_C=sampled["T_out"] - _KELVIN,
+            T_zone_C=sampled["T_operative"] - ZERO_C_K,
+            T_out_C=sampled["T_out"] - ZERO_C_K,
             solar_W_m2=sampled["solar"],
             u=interval_means(record, ["level"], edges),
             power_W=interval_means(record, ["P_heat_pump", "P_fan", "P_pump"], edges),
             heat_W=interval_means(record, ["Q_condenser"], edges),
-            T_return_C=interval_means(record, ["T_return"], edges) - _KELVIN,
+            T_return_C=interval_means(record, ["T_return"], edges) - ZERO_C_K,
         )
 
     def kpis(self) -> dict[str, float]:
@@ -393,13 +404,13 @@ class EmbeddedPlant:
         points = {name: last[_COLUMN[column]] for name, column in MEASUREMENTS.items()}
         return Measurement(
             time_s=self._now_s,
-            T_zone_C=points["reaTZon_y"] - _KELVIN,
-            T_out_C=points["weaSta_reaWeaTDryBul_y"] - _KELVIN,
+            T_zone_C=points["reaTZon_y"] - ZERO_C_K,
+            T_out_C=points["weaSta_reaWeaTDryBul_y"] - ZERO_C_K,
             solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
             u=means[_COLUMN["level"]],
             power_W=means[_COLUMN["P_heat_pump"]] + means[_COLUMN["P_fan"]] + means[_COLUMN["P_pump"]],
             heat_W=means[_COLUMN["Q_condenser"]],
-            T_return_C=means[_COLUMN["T_return"]] - _KELVIN,
+            T_return_C=means[_COLUMN["T_return"]] - ZERO_C_K,
             points=points,
         )
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
-from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import YEAR_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.embedded.constructions import WINDOW_M2
 
 GRID_S = 900.0
-_KELVIN = 273.15
 _SHORT_WAVE_ABSORPTANCE = 0.6
 
 # Azimuth of the walls, degrees clockwise from north.
@@ -67,8 +66,8 @@ def build_exposure(weather: Weather) -> Exposure:
     time_s = np.arange(0.0, YEAR_S + GRID_S, GRID_S)
     sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
     grid = np.empty((time_s.size, N_COLUMNS))
-    grid[:, T_OUT] = weather.at("T_dry_C", time_s) + _KELVIN
-    grid[:, T_SKY] = weather.sky_temperature_C(time_s) + _KELVIN
+    grid[:, T_OUT] = weather.at("T_dry_C", time_s) + ZERO_C_K
+    grid[:, T_SKY] = weather.sky_temperature_C(time_s) + ZERO_C_K
     wind, wind_from = weather.at("wind_m_s", time_s), weather.at("wind_from_rad", time_s)
     for i, (side, facing_deg) in enumerate(_FACING_DEG.items()):
         off_normal = np.abs(np.angle(np.exp(1j * (wind_from - np.deg2rad(facing_deg)))))

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
+from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
 from thermoforce_mpc.plants.embedded import heat_pump as hp
@@ -37,7 +38,6 @@ RECORD = (
     "T_setpoint", "CO2", "T_out", "solar", "fan", "pump", "Q_evaporator",
 )  # fmt: skip
 
-_KELVIN = 273.15
 _SIGMA = 5.670374419e-8
 _CP_AIR = 1006.0 + 1860.0 * 0.006  # dry air with 6 g/kg of vapour
 _AIR_J_K = 1.2 * c.VOLUME_M3 * _CP_AIR
@@ -122,7 +122,7 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
     # Native control. While the level is overwritten, the integral follows the native level.
     if math.isnan(overrides[1]):
         occupied = is_occupied(time_s)
-        setpoint = _KELVIN + (
+        setpoint = ZERO_C_K + (
             s.LOWER_OCCUPIED_C + s.SETPOINT_OCCUPIED_K if occupied else s.LOWER_EMPTY_C + s.SETPOINT_EMPTY_K
         )
     else:

@@ -14,14 +14,12 @@ import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError
-from thermoforce_mpc.data import Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import ZERO_C_K, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.energyplus.office import SmallOffice
 from thermoforce_mpc.plants.energyplus.office_data import OfficeMeasurement, OfficeRecord
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
-
-_KELVIN = 273.15
 
 
 class SmallOfficePlant:
@@ -70,8 +68,8 @@ class SmallOfficePlant:
             if level is None or not isinstance(actuator, RoomSetpoints):
                 continue
             values = actuator.inputs(level, band)
-            told[a] = values[f"{actuator.heating}_u"] - _KELVIN
-            told[n + a] = values[f"{actuator.cooling}_u"] - _KELVIN
+            told[a] = values[f"{actuator.heating}_u"] - ZERO_C_K
+            told[n + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
         return self._measured(self._office.advance(told, block.duration_s))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:

@@ -17,7 +17,7 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.checks import (
     check_levels,
@@ -35,7 +35,6 @@ from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
-_KELVIN = 273.15
 _STEPS_PER_HOUR = 12
 _GAINS_SEED = 1
 
@@ -45,7 +44,7 @@ def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Ar
 
     The temperature lift is that between supply and outdoor air, at least `least_lift_K`.
     """
-    supply_K = zone.supply_C + _KELVIN
+    supply_K = zone.supply_C + ZERO_C_K
     lift = (zone.supply_C - T_out_C) if mode == "heating" else (T_out_C - zone.supply_C)
     return np.asarray(np.abs(heat_W) * np.maximum(lift, zone.least_lift_K) / (zone.carnot_share * supply_K))
 
@@ -343,8 +342,8 @@ class EnergyPlusPlant:
         T_zone = np.array([T])
         m = self.testcase.metered
         points = {
-            m.zone_temperature: T + _KELVIN,
-            m.outdoor_temperature: T_out + _KELVIN,
+            m.zone_temperature: T + ZERO_C_K,
+            m.outdoor_temperature: T_out + ZERO_C_K,
             m.solar: solar,
             m.electric_power[0]: float(record["power"][-1]),
         }

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.data import DAY_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError, WeatherError
 
 # BOPTEST interpolates these series linearly and holds all others (prices, set-points, occupancy).
@@ -41,7 +41,6 @@ _WEATHER = frozenset(
         "winSpe",
     ]
 )
-YEAR_S = 365 * DAY_S
 # A year of weather every 15 minutes has 12 MB.
 MOST_BYTES = 100_000_000
 _MOST_ROWS = 2 * 365 * 1440 + 2

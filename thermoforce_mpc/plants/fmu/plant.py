@@ -13,7 +13,18 @@ import numpy as np
 from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
-from thermoforce_mpc.data import HOUR_S, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    HOUR_S,
+    ZERO_C_K,
+    Array,
+    Bands,
+    Boundary,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+)
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import (
@@ -37,8 +48,6 @@ from thermoforce_mpc.plants.records import (
     recorded_levels,
 )
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
-
-_KELVIN = 273.15
 
 
 class FmuPlant:
@@ -172,7 +181,7 @@ class FmuPlant:
             raise InputError("the plant has not been started: call reset() first")
         time_s = forecast_times(self._now_s, horizon_s, interval_s)
         p, at = self._points, self._archive.boundary.at
-        T_out, solar = at(p.forecast_outdoor, time_s) - _KELVIN, at(p.forecast_solar, time_s)
+        T_out, solar = at(p.forecast_outdoor, time_s) - ZERO_C_K, at(p.forecast_solar, time_s)
         if self._forecast_error:
             hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
             T_out, solar = self._forecast_error.apply(time_s, T_out, at(p.forecast_solar, hours), solar)

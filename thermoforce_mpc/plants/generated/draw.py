@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K, Mass
 from thermoforce_mpc.plants.glazing import FACADES, Facade
 from thermoforce_mpc.plants.occupants import PATTERNS, Pattern
@@ -294,8 +295,8 @@ def heat_pump_cop(carnot: float, T_out_C: float, water_C: float) -> float:
 
     The temperature lift counts as at least 15 K, as at the end of data sheets, which bounds the COP.
     """
-    warm_K = water_C + 5.0 + 273.15
-    return carnot * warm_K / max(warm_K - (T_out_C - 8.0 + 273.15), 15.0)
+    warm_K = water_C + 5.0 + ZERO_C_K
+    return carnot * warm_K / max(warm_K - (T_out_C - 8.0 + ZERO_C_K), 15.0)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

@@ -16,6 +16,7 @@ import math
 import numpy as np
 from numba import njit
 
+from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.plants.envelope import (
     AIR_J_M2_K,
     AIR_SHARE,
@@ -43,7 +44,6 @@ RECORD = (
     "loss_W", "gain_W", "stored_J", "T_supply",
 )  # fmt: skip
 
-_KELVIN = 273.15
 # Width of the throttling range below the water limit, K.
 _THROTTLE_K = 10.0
 # Return temperature below which a boiler condenses, °C, and gain of efficiency per K below it (EN 15502 data sheets:
@@ -235,10 +235,10 @@ def advance(
         state[SENSOR] = felt + (state[SENSOR] - felt) * math.exp(-dt / lag) if lag > 0.0 else felt
         reading = measured_C(p, state[SENSOR], noise[int((now + dt) / STEP_S + 1e-6) % noise.size])
         row = record[k]
-        row[0], row[1] = operative + _KELVIN, reading + _KELVIN
+        row[0], row[1] = operative + ZERO_C_K, reading + ZERO_C_K
         row[2], row[3] = power, heat
-        row[4], row[11] = state[WATER] - 0.5 * spread + _KELVIN, state[WATER] + 0.5 * spread + _KELVIN
-        row[5], row[6], row[7] = level, T_out + _KELVIN, w[GLOBAL]
+        row[4], row[11] = state[WATER] - 0.5 * spread + ZERO_C_K, state[WATER] + 0.5 * spread + ZERO_C_K
+        row[5], row[6], row[7] = level, T_out + ZERO_C_K, w[GLOBAL]
         row[8] = (
             ventilation * (state[AIR] - T_out)
             + p[P_WINDOWS] * (state[SURFACE] - T_out)

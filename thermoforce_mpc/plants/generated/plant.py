@@ -12,8 +12,8 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
-from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import YEAR_S, ZERO_C_K, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import (
     check_levels,
@@ -37,7 +37,6 @@ THERMOSTAT_ABOVE_K = 0.3
 
 _NAME = re.compile(r"generated:(\d{1,9}):(\d{1,9})")
 
-_KELVIN = 273.15
 _CLOCK_S = 1e-6
 _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
 # Full sun on the sensor, W/m² on its facade.
@@ -211,7 +210,7 @@ class GeneratedHousePlant:
         return building_kpis(
             time_s,
             supplies=[supply],
-            thermal=[Violation("1", excess(record["T_operative"] - _KELVIN, lower, upper))],
+            thermal=[Violation("1", excess(record["T_operative"] - ZERO_C_K, lower, upper))],
             air_quality=[],
             area_m2=self.house.floor_area_m2,
         )
@@ -267,9 +266,9 @@ class GeneratedHousePlant:
         now = np.array([self._now_s])
         T = self.house.lower_C
         reading = physics.measured_C(self._parameters, T, self._noise[int(self._now_s / physics.STEP_S)])
-        row[_COLUMN["T_operative"]], row[_COLUMN["T_measured"]] = T + _KELVIN, reading + _KELVIN
-        row[_COLUMN["T_return"]] = row[_COLUMN["T_supply"]] = T + _KELVIN
-        row[_COLUMN["T_out"]] = float(self.weather.at("T_dry_C", now)[0]) + _KELVIN
+        row[_COLUMN["T_operative"]], row[_COLUMN["T_measured"]] = T + ZERO_C_K, reading + ZERO_C_K
+        row[_COLUMN["T_return"]] = row[_COLUMN["T_supply"]] = T + ZERO_C_K
+        row[_COLUMN["T_out"]] = float(self.weather.at("T_dry_C", now)[0]) + ZERO_C_K
         row[_COLUMN["solar"]] = float(self.weather.at("global_W_m2", now)[0])
         row[_COLUMN["stored_J"]] = physics.stored_J(self._parameters, self._state)
         return row

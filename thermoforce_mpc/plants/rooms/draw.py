@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import heat_pump as emulator
 from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K
@@ -88,7 +89,7 @@ def emulator_fixed_share() -> float:
 
     Constant loss of the compressor, fan and pump; air and refrigerant are 4 K apart.
     """
-    _, heat_W, _ = emulator.heat_pump(2.0 - 4.0 + 273.15, 35.0 + 273.15, 1.0)
+    _, heat_W, _ = emulator.heat_pump(2.0 - 4.0 + ZERO_C_K, 35.0 + ZERO_C_K, 1.0)
     return float((emulator.CONSTANT_LOSS_W + emulator.FAN_W + emulator.PUMP_W) / heat_W)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
-from thermoforce_mpc.boundary.weather.year import YEAR_S, Weather
-from thermoforce_mpc.data import Array, Boundary, Layout, Levels, Measurement, Names, Period, PlantInfo, Record
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.data import YEAR_S, Array, Boundary, Layout, Levels, Measurement, Names, Period, PlantInfo, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
 from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from controllers.registry import build_controller
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Period, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.files import write_whole
@@ -44,7 +44,6 @@ _LEAST_HEATING_KWH_M2 = 0.05
 _MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING = 0.5, 0.90, 0.05
 _QUICK_HOUSES = 4
 
-_KELVIN = 273.15
 
 Row = dict[str, Any]
 
@@ -201,7 +200,7 @@ def run_case(case: Case) -> Outcome:
 
 def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str, float]:
     """Return the discomfort below the lower and above the upper bound, K·h; their sum is `tdis_tot`."""
-    T, hours = trace["T_operative"] - _KELVIN, trace["time"] / HOUR_S
+    T, hours = trace["T_operative"] - ZERO_C_K, trace["time"] / HOUR_S
     lower, upper = bounds_C(house, trace["time"])
     return {
         "too_cold": float(np.trapezoid(np.maximum(lower - T, 0.0), hours)),

@@ -5,11 +5,9 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 
-from thermoforce_mpc.data import DAY_S, Array
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.generated import House
 from thermoforce_mpc.plants.generated.schedule import bounds_C
-
-_KELVIN = 273.15
 
 
 def plot_case(house: House, traces: Mapping[str, Mapping[str, Array]]) -> bytes:
@@ -26,13 +24,13 @@ def plot_case(house: House, traces: Mapping[str, Mapping[str, Array]]) -> bytes:
     rooms.plot(day, lower, "k-", lw=0.8)
     rooms.plot(day, upper, "k-", lw=0.8)
     for name, trace in traces.items():
-        rooms.plot(trace["time"] / DAY_S, trace["T_operative"] - _KELVIN, lw=1, label=name)
+        rooms.plot(trace["time"] / DAY_S, trace["T_operative"] - ZERO_C_K, lw=1, label=name)
         levels.plot(trace["time"] / DAY_S, trace["level"], lw=0.6, label=name)
     rooms.set_ylim(house.lower_C - 4.0, house.upper_C + 3.0)
     rooms.set_ylabel("operative temperature, °C")
     rooms.legend(loc="upper right")
     levels.set_ylabel("level")
-    weather.plot(day, any_trace["T_out"] - _KELVIN, "C0", lw=1)
+    weather.plot(day, any_trace["T_out"] - ZERO_C_K, "C0", lw=1)
     weather.set_ylabel("outdoors, °C")
     sun = weather.twinx()
     sun.plot(day, any_trace["solar"], "C1", lw=0.7)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, kernel
 
@@ -22,7 +22,6 @@ _AIR_CHANGES_PER_H, _EXCHANGE_S = 2.0, 60.0
 # Sub-step of a weak machine under native control, s.
 _NATIVE_S = 300.0
 _SENSOR_OFFSET_K, _SENSOR_LAG_S = 2.0, 1.5 * HOUR_S
-_KELVIN = 273.15
 # Length of a short forecast, s.
 _SHORT_S = 3 * HOUR_S
 
@@ -149,7 +148,7 @@ class FaultyPlant:
             measurement = self.plant.advance(u, duration_s / n)
             parts.append((duration_s / n, measurement))
             air = self.plant._scalars[kernel.T_AIR]
-            self.plant._scalars[kernel.T_AIR] += share * (measurement.T_out_C + _KELVIN - air)
+            self.plant._scalars[kernel.T_AIR] += share * (measurement.T_out_C + ZERO_C_K - air)
         return parts[-1][1].averaged_with(parts)
 
     def _reported(self, measurement: Measurement) -> Measurement:

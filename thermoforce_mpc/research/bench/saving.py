@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
@@ -181,4 +181,4 @@ def _setpoint_C(case: Case, change: str, time_s: float) -> float:
 
 
 def _energy_kWh(record: Record) -> float:
-    return float(record.power_W.sum()) * record.step_s / 3.6e6
+    return float(record.power_W.sum()) * record.step_s / J_PER_KWH

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Layout
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Layout
 from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
 
-JOULE_PER_KWH = 3.6e6
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, blocks on end are averaged.
 MOST_BYTES = 800_000
 # Coarsest roundings: K, W, level, W/m², price and cost per kWh and m².
@@ -108,7 +107,7 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
     # A machine that is not metered counts for nothing, and does not hide the others.
     paid = found["power_W"] * price
-    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) * found["duration_s"] / JOULE_PER_KWH / area_m2
+    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) * found["duration_s"] / J_PER_KWH / area_m2
     before_C = np.column_stack([result.start.T_zone_C, found["T_zone_C"][:, :-1]])
     outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
     discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S

@@ -7,10 +7,10 @@ from itertools import islice
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Boundary, Layout
+from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Layout
 from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
-from thermoforce_mpc.simulation.report.courses import JOULE_PER_KWH, RESOLUTION
+from thermoforce_mpc.simulation.report.courses import RESOLUTION
 from thermoforce_mpc.simulation.report.decisions import thinning
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed, smooth
 
@@ -87,7 +87,7 @@ def _planned_cost(step: StepRecord, layout: Layout, area_m2: float) -> Array:
     n = min(step.plan.power_W.shape[-1], boundary.n_steps)
     price = price_paid(u[:, :n], boundary.price_per_kWh[:, :n], boundary.heating_price_per_kWh[:, :n], layout)
     spent = (step.plan.power_W[:, :n] * price).sum(axis=0) * boundary.step_s
-    return np.asarray(np.cumsum(spent) / JOULE_PER_KWH / area_m2)[None]
+    return np.asarray(np.cumsum(spent) / J_PER_KWH / area_m2)[None]
 
 
 def _bounds_ahead(boundary: Boundary, n: int) -> Json:
