@@ -443,7 +443,6 @@ def checked_solution(
     claimed: float,
     status: str,
     iterations: int,
-    tolerance: float = _CLAIM_TOLERANCE,
 ) -> Solution:
     """Check the result of a solver that reports success.
 
@@ -459,7 +458,7 @@ def checked_solution(
         return failed(status, iterations, f"{status} was reported, but {outside}")
     u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
     cost = float(problem.cost_under(u, modes_of(u)))
-    if not abs(cost - claimed) <= tolerance * (1.0 + abs(cost)):
+    if not abs(cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(cost)):
         what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {cost:.6g}"
         return failed(status, iterations, what)
     return Solution(True, u, status, iterations)

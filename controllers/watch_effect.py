@@ -21,6 +21,8 @@ from thermoforce_mpc.data import Array
 
 # Length of the record and time between two tests, h.
 WINDOW_H, EVERY_H = 24.0, 6.0
+# Time in which all tests together have the stated probability of a false alarm, h.
+_MONTH_H = 30 * 24.0
 # Least share of the effect that is missing in a fault: smaller ones are errors of the gain, for adaptation.
 _LEAST_SHARE = 0.2
 # 0.9 quantile of the normal distribution: half-width of an 80 % band over standard deviation.
@@ -49,13 +51,13 @@ def missing_effect(error_K: Array, effect_K: Array, promise_K: Array) -> tuple[f
     return share, share * math.sqrt(information) * _NORMAL_90
 
 
-def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm: float, days: float = 30.0) -> str:
+def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm: float) -> str:
     """What is wrong with the effect of acting, empty if nothing is; arguments as `missing_effect`.
 
-    `false_alarm` is the largest probability of an alarm in `days` while errors are as promised.
+    `false_alarm` is the largest probability of an alarm in 30 days while errors are as promised.
     """
     share, z = missing_effect(error_K, effect_K, promise_K)
-    if share < _LEAST_SHARE or z < norm.isf(false_alarm * EVERY_H / (24.0 * days)):
+    if share < _LEAST_SHARE or z < norm.isf(false_alarm * EVERY_H / _MONTH_H):
         return ""
     return (
         f"acting has less effect than predicted: {share:.0%} of it is missing in the last {WINDOW_H:g} h ({z:.1f}"

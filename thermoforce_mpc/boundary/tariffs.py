@@ -44,13 +44,13 @@ def dynamic(time_s: Array) -> Array:
     return np.where((hour >= 7.0) & (hour < 22.25), DYNAMIC_DAY, DYNAMIC_NIGHT)
 
 
-def synthetic_spot(seed: int = 0) -> Tariff:
+def synthetic_spot() -> Tariff:
     """Return a synthetic highly dynamic tariff: hourly, spot-like, mean near 0.24 EUR/kWh, rare negative hours.
 
     It replaces the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which cannot be redistributed.
     Morning and evening peaks, low prices at night and at weekends, slow weather-driven variation.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     hour = np.arange(8760.0)
     of_day = hour % 24
     day = hour // 24

@@ -145,7 +145,6 @@ def execute(
 def collect(
     tasks: Sequence[Task],
     engine: Engine,
-    results: Results | None = None,
     watcher: Watcher | None = None,
     on_value: Callable[[Any], None] = lambda value: None,
 ) -> list[Any]:
@@ -157,7 +156,7 @@ def collect(
     """
     wanted = {task.key for task in tasks}
     values = {}
-    with closing(execute(tasks, engine, results, watcher)) as outcomes:
+    with closing(execute(tasks, engine, watcher=watcher)) as outcomes:
         for outcome in outcomes:
             if outcome.error is not None:
                 raise outcome.error(outcome.reason)

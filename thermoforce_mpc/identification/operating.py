@@ -80,9 +80,7 @@ class Finding:
     advice: tuple[str, ...] = ()
 
 
-def telling_part(
-    record: Record, layout: Layout, config: IdentificationConfig | None = None, days: float = MOST_DAYS
-) -> tuple[Record, str]:
+def telling_part(record: Record, layout: Layout, days: float = MOST_DAYS) -> tuple[Record, str]:
     """The `days` of a longer record that tell most about the effects of all actuators, and a note; else the record.
 
     Raises:
@@ -91,7 +89,7 @@ def telling_part(
     n = round(days * DAY_S / record.step_s)
     if record.n_steps <= n:
         return record, ""
-    designer, every = Designer(config), round(_EVERY_DAYS * DAY_S / record.step_s)
+    designer, every = Designer(), round(_EVERY_DAYS * DAY_S / record.step_s)
     starts = [*range(0, record.n_steps - n, every), record.n_steps - n]
     worth = [_worth(record.slice(start, start + n), layout, designer) for start in starts]
     if not np.isfinite(worth).any():
@@ -117,11 +115,10 @@ def _worth(part: Record, layout: Layout, designer: Designer) -> float:
     return float(sum(designer.information(part.part(home, [a])) for a, home in enumerate(layout.home)) * min(known))
 
 
-def findings(record: Record, layout: Layout, config: IdentificationConfig | None = None) -> list[Finding]:
+def findings(record: Record, layout: Layout) -> list[Finding]:
     """What a linear model of the record says of each actuator; where none can be fitted, the reason stands at all."""
-    linear = (config or IdentificationConfig()).model_copy(update={"modulation": "linear"})
     try:
-        model = identify(record, layout=layout, config=linear)
+        model = identify(record, layout=layout, config=IdentificationConfig(modulation="linear"))
     except DataError as error:
         return [Finding(name, False, str(error)) for name in layout.names.actuators]
     verdicts = [card.competence for card in model.cards]

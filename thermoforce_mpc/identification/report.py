@@ -34,13 +34,13 @@ class Rollouts:
     rmse_K: Array
 
 
-def rollouts(model: ThermalModel, record: Record, hours: float = _ROLLOUT_H) -> Rollouts | None:
-    """Predict a record by consecutive rollouts of `hours`, each from the record before it with the measured weather.
+def rollouts(model: ThermalModel, record: Record) -> Rollouts | None:
+    """Predict a record by consecutive rollouts of 12 h, each from the record before it with the measured weather.
 
     Sun that the model found on a sensor is taken off the record. Gaps in the record's weather and levels are bridged.
     Returns None if a zone has no linear free part (identified from pairs only) or the record is too short.
     """
-    n = max(1, round(hours * HOUR_S / record.step_s))
+    n = max(1, round(_ROLLOUT_H * HOUR_S / record.step_s))
     known = [free for free in model.free if free is not None]
     if len(known) < len(model.free) or record.n_steps < 2 * n:
         return None

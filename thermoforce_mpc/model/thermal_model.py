@@ -81,10 +81,9 @@ class ThermalModel:
         return cls.of_zone(ZoneModel(operator, power, free, card or ModelCard()))
 
     @classmethod
-    def of_zone(cls, zone: ZoneModel, names: Names = SINGLE) -> ThermalModel:
-        """The building of one zone with one actuator, by their `names`."""
-        operator = single(zone.operator, names.zones[0], names.actuators[0])
-        return cls(operator, (zone.power,), (zone.free,), (zone.card,), names.machines)
+    def of_zone(cls, zone: ZoneModel) -> ThermalModel:
+        """The building of one zone with one actuator."""
+        return cls(single(zone.operator), (zone.power,), (zone.free,), (zone.card,))
 
     @property
     def names(self) -> Names:

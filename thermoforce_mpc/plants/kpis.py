@@ -133,9 +133,9 @@ def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[flo
     return {key: float(np.mean(values)) for key, values in found.items()} if len(found) > 1 else {}
 
 
-def zone_kpis(kpis: Mapping[str, float], name: str = "tdis_tot") -> dict[str, float]:
-    """Return the values of the KPI `name` of each zone, by zone; empty for one zone."""
-    return {key[len(name) + 1 : -1]: value for key, value in kpis.items() if key.startswith(f"{name}[")}
+def zone_kpis(kpis: Mapping[str, float]) -> dict[str, float]:
+    """Return the discomfort `tdis_tot[zone]` of each zone, K·h, by zone; empty for one zone."""
+    return {key[len("tdis_tot[") : -1]: value for key, value in kpis.items() if key.startswith("tdis_tot[")}
 
 
 def _check(values: Array, time_s: Array, weights: Array, name: str) -> None:

@@ -85,8 +85,6 @@ def probe(
     seed: int,
     layout: Layout | None = None,
     config: ProbingConfig | None = None,
-    identification: IdentificationConfig | None = None,
-    on_step: Callable[[float], None] | None = None,
 ) -> Record:
     """Probe `plant` for `days` from `start_s`, after a reset with native warm-up.
 
@@ -95,8 +93,6 @@ def probe(
         layout: what acts where, by default one heating actuator; one whose levels are signed is probed by room
             set-points instead of levels.
         config: options of the probing.
-        identification: options of the identification that will use the record; its priors define the information gain.
-        on_step: called after every step with the completed fraction.
 
     Returns:
         The record at `config.step_s`, without the warm-up.
@@ -104,8 +100,7 @@ def probe(
     Raises:
         PlantError: the plant or service failed.
     """
-    probing = Probing(plant, start_s, seed=seed, layout=layout, config=config, identification=identification)
-    return probing.go_on(days, on_step=on_step)
+    return Probing(plant, start_s, seed=seed, layout=layout, config=config).go_on(days)
 
 
 class Probing:

@@ -119,7 +119,6 @@ def fit_power(
     histories: Sequence[Record],
     *,
     lowest_level: float | None = None,
-    slope: SlopePrior = POWER_SLOPE,
     running: Sequence[tuple[float, Array]] | None = None,
     squares: Array | None = None,
 ) -> PowerModel:
@@ -143,7 +142,7 @@ def fit_power(
             power,
             what=what,
             lowest_level=lowest_level,
-            slope=slope,
+            slope=POWER_SLOPE,
             factor=factor,
             running=running,
             squares=squares,

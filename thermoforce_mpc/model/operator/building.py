@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import SINGLE, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import N_FEATURES
@@ -218,6 +218,6 @@ class BuildingOperator:
         return sum(2 * pair.order for *_, pair in self.each()) + sum(head.n_trained - 2 * head.order for head in heads)
 
 
-def single(operator: OperatorParameters, zone: str = "zone", actuator: str = "actuator") -> BuildingOperator:
+def single(operator: OperatorParameters) -> BuildingOperator:
     """One zone with one actuator."""
-    return BuildingOperator((zone,), (actuator,), ((operator,),), (0,))
+    return BuildingOperator(SINGLE.zones, SINGLE.actuators, ((operator,),), (0,))

@@ -23,15 +23,15 @@ _LEVEL = 0.01
 TEMPERATURES = ("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C")
 
 
-def plans_json(result: RunResult, layout: Layout, area_m2: float, most_bytes: int = MOST_BYTES) -> Json | None:
-    """The planned courses over the instants of a run, thinned to `most_bytes`; None where nothing was planned.
+def plans_json(result: RunResult, layout: Layout, area_m2: float) -> Json | None:
+    """The planned courses over the instants of a run, thinned to `MOST_BYTES`; None where nothing was planned.
 
     All plans have the length of the longest; what a shorter one does not know is NaN.
     """
     n = max((step.plan.u.shape[-1] for step in result.steps), default=0)
     if not n:
         return None
-    every = _thinning(result, n, most_bytes)
+    every = _thinning(result, n)
     times, lengths, kept = [], [], []
     last: Boundary | None = None
     for step in islice(result.steps, 0, None, every):
@@ -63,12 +63,12 @@ def plans_json(result: RunResult, layout: Layout, area_m2: float, most_bytes: in
     }
 
 
-def _thinning(result: RunResult, n: int, most_bytes: int) -> int:
+def _thinning(result: RunResult, n: int) -> int:
     """Of how many plans one is kept, 1, 2, 4, …: all of them are of instants whose decisions are told."""
     # A byte of each temperature and level, two of the cost.
     per_plan = (4 * len(result.names.zones) + len(result.names.actuators) + 2) * n
     every = thinning(result)
-    while len(result.steps) / every * per_plan > most_bytes:
+    while len(result.steps) / every * per_plan > MOST_BYTES:
         every *= 2
     return every
 
