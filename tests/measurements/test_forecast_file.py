@@ -76,3 +76,11 @@ def test_other_columns_for_the_forecast(measured, tmp_path):
 def test_a_forecast_that_does_not_fit_is_refused(measured, change, message):
     with pytest.raises(DataError, match=message):
         read_forecast(change(hourly()), measured)
+
+
+def test_a_pattern_of_several_files_is_no_forecast(measured, tmp_path):
+    for name in ("monday.csv", "tuesday.csv"):
+        hourly().to_csv(tmp_path / name)
+    with pytest.raises(DataError, match=r"names 2 files, a forecast is one"):
+        read_forecast(str(tmp_path / "*.csv"), measured)
+    assert read_forecast(str(tmp_path / "mon*.csv"), measured).n_steps == 96

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -469,3 +473,17 @@ def test_files_that_are_none_or_too_large_are_refused(tmp_path):
         tf.read_measurements(tmp_path / "huge.csv", rules)
     with pytest.raises(ConfigError, match="no such file"):
         tf.read_measurements(path, tmp_path / "other.yaml")
+
+
+@pytest.mark.parametrize(("suffix", "packed"), [(".gz", gzip.compress), (".bz2", bz2.compress), (".xz", lzma.compress)])
+def test_a_packed_file_that_was_damaged_is_named(suffix, packed, tmp_path):
+    _, rules = written(tmp_path, house())
+    df = house()
+    df["T"] += np.random.default_rng(1).uniform(0, 1, len(df))
+    content = bytearray(packed(df.to_csv(index=False).encode()))
+    content[20:26] = bytes(255 - byte for byte in content[20:26])
+    file = tmp_path / f"house.csv{suffix}"
+    file.write_bytes(content)
+    for read in (lambda: tf.read_measurements(file, rules), lambda: starting_map(file)):
+        with pytest.raises(DataError, match=rf"house\.csv{suffix}: cannot be read"):
+            read()

@@ -10,6 +10,7 @@ import gzip
 import itertools
 import lzma
 import re
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ _PACKING = 10
 _BLOCK = 1_000_000
 _PARQUET = (".parquet", ".pq")
 _SEPARATORS = ",;\t"
+# What reading a damaged file raises: the errors of pandas and of text that cannot be decoded are ValueErrors.
+_DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAError, zlib.error)
 
 
 def found_files(given: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
@@ -114,7 +117,7 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
             skip_blank_lines=False,  # so that the number of a row tells its line
             low_memory=False,
         ).set_axis([names[place] for place in places], axis=1)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, csv.Error, ValueError, OSError, EOFError) as error:
+    except _DAMAGED as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
     filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
     return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
@@ -159,7 +162,7 @@ def _head(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     try:
         df = pd.read_csv(path, sep=separator, decimal=form.decimal, encoding=form.encoding, nrows=rows, index_col=False)
         return df.set_axis(names, axis=1)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OSError) as error:
+    except _DAMAGED as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
 
 
@@ -170,7 +173,7 @@ def guessed_form(path: Path) -> CsvFormat:
     try:
         with _COMPRESSED.get(path.suffix, open)(path, "rb") as file:
             start = file.read(_BLOCK)
-    except (OSError, EOFError, lzma.LZMAError) as error:
+    except _DAMAGED as error:
         raise DataError(f"{path}: cannot be read ({_short(error)})") from error
     encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
     decoder = codecs.getincrementaldecoder(encoding)
@@ -202,7 +205,7 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
             f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map: "
             "cp1252 for a file of Excel, utf-16 for its Unicode text"
         ) from error
-    except (OSError, EOFError, LookupError, lzma.LZMAError) as error:
+    except _DAMAGED as error:
         raise DataError(f"{path}: cannot be read ({_short(error)})") from error
     separator = form.separator or max(_SEPARATORS, key=header.count)
     try:

@@ -28,8 +28,8 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     hold throughout.
 
     Raises:
-        DataError: the forecast does not begin at or before the end of the record, or lacks something; names file,
-            column and time.
+        DataError: the forecast is several files, does not begin at or before the end of the record, or lacks something;
+            names file, column and time.
     """
     rules, record = measured.map, measured.record
     names = record.names
@@ -45,7 +45,10 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     if isinstance(file, pd.DataFrame):
         table = raw_table(file, ours.time.column, columns, "forecast")
     else:
-        table = read_table(found_files([file])[0], ours.time.column, columns, rules.csv)
+        paths = found_files([file])
+        if len(paths) > 1:
+            raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
+        table = read_table(paths[0], ours.time.column, columns, rules.csv)
     rows = timed([table], ours.time)
     time_s = seconds_since(record.origin, rows.index, table.name)
     now_s, step_s = float(record.time_s[-1]), record.step_s
