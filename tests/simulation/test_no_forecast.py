@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from simple_house import SimpleHouse, simple_model
 from controllers import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.data import DAY_S, HOUR_S, Period, PlanStatus
+from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.explaining import decision_at
+from thermoforce_mpc.simulation.told_results import told_run
 
 START_S = 10 * DAY_S
 
@@ -101,3 +103,39 @@ def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explai
     assert np.isfinite(decision.boundary.T_out_C).all(), "filled as it was for the plan"
     steps = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     assert not any("is down" in line["message"] for line in steps if "step" not in line), "not said again"
+
+
+class Gappy(Silent):
+    """A house that also gives forecasts that are too short, or without the price of heating."""
+
+    def forecast(self, horizon_s, interval_s):
+        given, hour = super().forecast(horizon_s, interval_s), (self.now_s - START_S) / HOUR_S
+        if 2 <= hour < 4:
+            return given.head(given.n_steps - 5)
+        if 7 <= hour < 9:
+            return replace(given, heating_price_per_kWh=np.where(given.time_s % DAY_S < 6 * HOUR_S, np.nan, 0.1)[None])
+        return given
+
+
+def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
+    simple_model().save(tmp_path / "model")
+    had = {}
+
+    def kept(*args, **options):
+        had["run"] = run_closed_loop(*args, **options)
+        return had["run"]
+
+    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: Gappy(4, 7))
+    monkeypatch.setattr(simulation_run, "run_closed_loop", kept)
+    monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
+    words = ["run", "--testcase", "bestest_hydronic_heat_pump", "--model", tmp_path / "model", "--baselines", ""]
+    words += ["--out", tmp_path / "run", "--days", "0.5"]
+    words += ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600"]
+    done = CliRunner().invoke(cli, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    (told,) = told_run(tmp_path / "run").results.values()
+    for k, (mine, theirs) in enumerate(zip(told.steps, had["run"].steps, strict=True)):
+        explained = decision_at(tmp_path / "run", f"{theirs.time_s:.0f}s").boundary
+        for name in CONDITIONS:
+            for found in (mine.boundary, explained):
+                np.testing.assert_array_equal(getattr(found, name), getattr(theirs.boundary, name), f"{name} of {k}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,11 +13,9 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.model.forecast_gaps import completed, whole
-from thermoforce_mpc.simulation.forecasts import empty_forecast
 from thermoforce_mpc.simulation.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal_values import unpack
-from thermoforce_mpc.simulation.told_steps import ToldStep, history_before, told_loops, told_steps
+from thermoforce_mpc.simulation.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
 
 # A planned temperature nearer to its bound than this is bound by it, K.
 _BINDING_K = 0.05
@@ -153,20 +151,7 @@ def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision
             )
         steps = [step for step in steps if step.time_s <= seconds]
     plan = {key: unpack(packed) for key, packed in steps[-1].told.get("plan", {}).items()}
-    return Decision(name, tuple(steps), _forecast_of(steps), plan)
-
-
-def _forecast_of(steps: Sequence[ToldStep]) -> Boundary:
-    """The forecast of the last of `steps`, its gaps filled."""
-    given = steps[-1].given
-    if given is not None and whole(given):
-        return given
-    history, asked = history_before(steps), steps[-1].told["asked"]
-    if given is None:
-        step_s = float(asked["interval_s"])
-        given = empty_forecast(history, round(float(asked["horizon_s"]) / step_s), step_s)
-    earlier = (found for step in reversed(steps[:-1]) if (found := step.given) is not None and whole(found))
-    return completed(given, history, next(earlier, None))[0]
+    return Decision(name, tuple(steps), forecast_of(steps), plan)
 
 
 def seconds_of(at: str) -> float:

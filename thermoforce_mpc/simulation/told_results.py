@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
-from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of
-from thermoforce_mpc.simulation.forecasts import empty_forecast, holes
 from thermoforce_mpc.simulation.journal import NAME, Entry, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal_values import PLANNED, block_of, measurement_of, names_of, unpack
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
-from thermoforce_mpc.simulation.told_steps import ToldStep, history_before, told_loops, told_steps
+from thermoforce_mpc.simulation.told_steps import ToldStep, next_forecast, told_loops, told_steps
 
 
 @dataclass(frozen=True)
@@ -95,21 +93,8 @@ def _records(loop: Sequence[Entry]) -> Iterator[StepRecord]:
         told.append(step)
         if step.done is None:
             return
-        boundary = _completed(told, last)
-        last = boundary
+        boundary, last = next_forecast(told, last)
         yield _record(step, boundary)
-
-
-def _completed(steps: Sequence[ToldStep], last: Boundary | None) -> Boundary:
-    """The forecast of the last of `steps`, its gaps filled as in the run."""
-    given = steps[-1].given
-    if given is not None and (whole(given) or not holes(given)):
-        return given
-    history, asked = history_before(steps), steps[-1].told["asked"]
-    if given is None:
-        step_s = float(asked["interval_s"])
-        given = empty_forecast(history, round(float(asked["horizon_s"]) / step_s), step_s)
-    return completed(given, history, last)[0]
 
 
 def _record(step: ToldStep, boundary: Boundary) -> StepRecord:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import SIGNALS, SINGLE, Boundary, Measurement, Names, Record
+from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import Limits, screened_history
 from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.forecasts import empty_forecast, holes
 from thermoforce_mpc.simulation.journal import Entry, JournalError
 from thermoforce_mpc.simulation.journal_values import block_of, boundary_of, measurement_of, names_of, record_of
 
@@ -142,6 +144,52 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
         record = Record(**columns, names=record.names)
     # Limits that need a model or a floor area are left to the notes of the run.
     return screened_history(record, Limits(lowest=-1.0))[0]
+
+
+def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
+    """The forecast of the last of `steps` (all of a loop until then), its gaps filled as in the run.
+
+    Raises:
+        JournalError: as `history_before`.
+    """
+    # Gaps are filled from the forecast before: what came before one without gaps does not count.
+    first = next((i for i in range(len(steps) - 1, 0, -1) if not _has_gaps(steps[i])), 0)
+    last = None
+    for i in range(first, len(steps)):
+        found, last = next_forecast(steps[: i + 1], last)
+    return found
+
+
+def next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Boundary, Boundary | None]:
+    """The forecast of the last of `steps` as in the run (`Forecasts`), and what gaps of the next are filled from.
+
+    `last`: what gaps of this one are filled from, None at the begin of a loop. Raises as `history_before`.
+    """
+    given = _lengthened(steps[-1])
+    if given is None:
+        history = history_before(steps)
+        step_s, n_steps = _asked(steps[-1])
+        return completed(empty_forecast(history, n_steps, step_s), history, last)[0], last
+    if holes(given):
+        given = completed(given, history_before(steps), last)[0]
+    return given, given
+
+
+def _has_gaps(step: ToldStep) -> bool:
+    given = _lengthened(step)
+    return given is None or bool(holes(given))
+
+
+def _lengthened(step: ToldStep) -> Boundary | None:
+    """The forecast of a step as the run had it before gaps were filled; None where the plant gave none."""
+    step_s, n_steps = _asked(step)
+    return None if step.given is None else lengthened(step.given, n_steps, step_s)
+
+
+def _asked(step: ToldStep) -> tuple[float, int]:
+    """Step, s, and number of steps of the forecast that was asked for."""
+    step_s = float(step.told["asked"]["interval_s"])
+    return step_s, round(float(step.told["asked"]["horizon_s"]) / step_s)
 
 
 def _end_of(step: ToldStep) -> Measurement:
