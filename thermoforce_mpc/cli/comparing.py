@@ -28,6 +28,7 @@ from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Varia
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.display import zone_table
 from thermoforce_mpc.simulation.whole_tables import print_whole
+from thermoforce_mpc.words import counted
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3
@@ -170,11 +171,12 @@ def run_comparison(
     say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
     found = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in found]
-    say(f"{len(cells)} cells: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
+    say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
     stale = sum(record.get("source") != source_fingerprint() for record in found.values())
     if stale:
         say(
-            f"Note: {stale} stored cells were made by other source code of this version; use another --out to rerun all"
+            f"Note: {stale} of the stored cells made by other source code of this version; use another --out to rerun "
+            "all"
         )
     try:
         ran = _run(todo, store, console, options, say) if todo else {}

@@ -36,6 +36,7 @@ from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
 from thermoforce_mpc.simulation.whole_tables import print_whole
+from thermoforce_mpc.words import counted
 
 RUNS_FAILED = 3
 _SHOWN_FAILURES = 10
@@ -88,8 +89,8 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     runs = runs_of(file, [building for building in buildings if building.runs], path)
     identifications = len({run.cell.identification_key for run in runs} - {None})
     if measured:
-        console.print(f"{len(measured)} buildings are identified from measurements", soft_wrap=True)
-    console.print(f"{_counted(runs)}, {identifications} identifications", soft_wrap=True)
+        console.print(f"{counted(len(measured), 'building')} to identify from measurements", soft_wrap=True)
+    console.print(f"{_counted(runs)}, {counted(identifications, 'identification')}", soft_wrap=True)
     if count:
         return
     results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
@@ -105,12 +106,12 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     own = [run for run in runs if run.cell.key not in rows_of_others]
     todo = [run for run in own if run.cell.key not in records]
     if not quiet:
-        taken = f"{len(rows_of_others)} are taken from other datasets, " if reuse else ""
-        console.print(f"{len(records)} runs are done, {taken}{len(todo)} are left; {results.folder}", soft_wrap=True)
+        taken = f"{len(rows_of_others)} taken from other datasets, " if reuse else ""
+        console.print(f"{counted(len(records), 'run')} done, {taken}{len(todo)} left; {results.folder}", soft_wrap=True)
         made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
         if stale := sum(source != source_fingerprint() for source in made_by):
             console.print(
-                f"Note: {stale} of them were made by other source code of this version; to run all anew, take another "
+                f"Note: {stale} of them made by other source code of this version; to run all anew, take another "
                 f"--out{' and leave out --reuse' if rows_of_others else ''}",
                 soft_wrap=True,
             )
@@ -154,7 +155,8 @@ def _counted(runs: list[Run]) -> str:
     ]
     if not runs:
         return "no runs"
-    return " × ".join(f"{n} {what}" for n, what in axes if n > 1) + f": {len(runs)} runs"
+    of = " × ".join(f"{n} {what}" for n, what in axes if n > 1)
+    return f"{of}: {len(runs)} runs" if of else "1 run"
 
 
 def _identify(
@@ -235,7 +237,7 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
             )
         print_whole(table, console, folded=True)
         for cause, n in causes(lost(pairs)):
-            console.print(f"{n} runs {cause}", soft_wrap=True)
+            console.print(f"{counted(n, 'run')} {cause}", soft_wrap=True)
     failed = rows[rows["status"] != DONE]
     for row in failed.head(_SHOWN_FAILURES).to_dict("records"):
         console.print(

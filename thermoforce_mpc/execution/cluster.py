@@ -19,6 +19,7 @@ from thermoforce_mpc.errors import ConfigError, EngineError
 from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, perform
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
 from thermoforce_mpc.execution.environment import difference, environment
+from thermoforce_mpc.words import counted
 
 _CONNECT_S = 10.0
 _LOOK_EVERY_S = 2.0
@@ -63,7 +64,7 @@ class DaskEngine:
             raise
         dashboard = self._client.scheduler_info().get("services", {}).get("dashboard")
         link = f", dashboard {self._client.dashboard_link}" if dashboard else ""
-        say(f"Dask scheduler {address}: {n} workers{link}")
+        say(f"Dask scheduler {address}: {counted(n, 'worker')}{link}")
 
     def __enter__(self) -> DaskEngine:
         return self
@@ -213,7 +214,7 @@ class DaskEngine:
                     ) from error
                 time.sleep(1.0)
         self._look()
-        self._say(f"the Dask scheduler is back; {len(self._orders)} tasks are sent again")
+        self._say(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
         for key in self._orders:
             self._send(key, key)
 

@@ -25,6 +25,7 @@ from thermoforce_mpc.measurements.resampling import (
 from thermoforce_mpc.measurements.screening import EXCURSION_S, Flag, Rules, screened
 from thermoforce_mpc.measurements.understood import SignalSummary
 from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, converted
+from thermoforce_mpc.words import counted
 
 # A largest power below this makes kW likelier than W, one above makes W likelier than kW.
 _SMALLEST_W, _LARGEST_W = 15.0, 2e6
@@ -172,8 +173,8 @@ def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
     jumps = np.abs(changes) > rules.spike
     if jumps.any():
         return (
-            f"{int(jumps.sum())} jumps, the largest of {np.abs(changes).max():.3g} {rules.unit} between two readings, "
-            "without coming back: was the sensor moved or exchanged? use the part before or after"
+            f"{counted(int(jumps.sum()), 'jump')}, the largest of {np.abs(changes).max():.3g} {rules.unit} between two "
+            "readings, without coming back: was the sensor moved or exchanged? use the part before or after"
         )
     return ""
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, LEVELS_AROUND_H
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.words import counted
 
 WEATHER = ("T_out_C", "solar_W_m2")
 
@@ -120,5 +121,4 @@ def _levels(u: Array, step_s: float) -> Array:
 
 
 def _count(missing: NDArray[np.bool_]) -> str:
-    n = int(missing.sum())
-    return f"{n} value" if n == 1 else f"{n} values"
+    return counted(int(missing.sum()), "value")

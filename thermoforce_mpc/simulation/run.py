@@ -45,6 +45,7 @@ from thermoforce_mpc.simulation.run_folder import (
 from thermoforce_mpc.simulation.run_log import log_step, logging_to
 from thermoforce_mpc.simulation.run_models import identify_all, kept_models, origins_of
 from thermoforce_mpc.simulation.watching import watch_spells
+from thermoforce_mpc.words import counted
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -147,7 +148,7 @@ def resume_run(folder: Path, display: RunDisplay) -> Path:
             return folder
         book = RunBook.reopen(folder)
         steps = sum(entry.kind == "done" for entry in book.told)
-        display.say(f"Resuming after {steps} recorded steps")
+        display.say(f"Resuming after {counted(steps, 'recorded step')}")
         return _carry_out(book, display, validate_scenario(book.scenario))
 
 
@@ -267,7 +268,7 @@ def _execute(
         if actuation and origins:
             origins["actuation"] = actuation
         if isinstance(plant, JournaledPlant) and plant.differing:
-            display.say(f"{plant.differing} steps were planned otherwise than then; what acted then counts")
+            display.say(f"{counted(plant.differing, 'step')} planned otherwise than then; what acted then counts")
         return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster)
 
 

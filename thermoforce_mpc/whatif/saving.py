@@ -29,6 +29,7 @@ from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.dataframes import seconds_since, stamps
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.whatif.days import LAGS_H, Days, days_of
+from thermoforce_mpc.words import counted
 
 LEAST_BEFORE, LEAST_AFTER = 10, 7
 _LEVEL = 0.95
@@ -376,5 +377,5 @@ def _notes(old: Days, new: Days, fit: _Fit) -> list[str]:
     if fit.r2 < 0.5:
         notes.append(f"the weather explains only {100 * max(fit.r2, 0):.0f} % of the energy: a poor baseline")
     if old.left_out or new.left_out:
-        notes.append(f"{old.left_out} days before and {new.left_out} after left out for gaps")
+        notes.append(f"{counted(old.left_out, 'day')} before and {new.left_out} after left out for gaps")
     return notes

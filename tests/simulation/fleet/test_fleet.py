@@ -83,12 +83,12 @@ def test_a_fleet_is_run_once_and_its_dataset_is_the_same_bytes_whatever_ran_befo
     assert "native against thermostat in 4 runs" in (out / "index.html").read_text()
 
     bytes_before = (out / "runs.parquet").read_bytes()
-    assert "8 runs are done, 0 are left" in _fleet(path)[1]
+    assert "8 runs done, 0 left" in _fleet(path)[1]
     assert (out / "runs.parquet").read_bytes() == bytes_before
     # What is missing is run again, to the same result but for the time it took.
     run = next((out / "runs").rglob("*.json"))
     run.unlink()
-    assert "7 runs are done, 1 are left" in _fleet(path)[1]
+    assert "7 runs done, 1 left" in _fleet(path)[1]
     timing = ["seconds", "plan_median_s", "plan_longest_s"]
     pd.testing.assert_frame_equal(read_dataset(out).drop(columns=timing), rows.drop(columns=timing))
 
@@ -108,7 +108,7 @@ def test_parts_of_a_fleet_run_apart_come_together(tmp_path: Path) -> None:
     path = _file(tmp_path, variants=renamed, reference="timer")
     code, said = _fleet(path, "--reuse", str(parts[0]), "--reuse", str(elsewhere))
     assert code == 0, said
-    assert "0 runs are done, 8 are taken from other datasets, 0 are left" in said
+    assert "0 runs done, 8 taken from other datasets, 0 left" in said
     rows = read_dataset(tmp_path / "out")
     assert set(rows["variant"]) == {"timer", "native"}
     apart = pd.concat([read_dataset(part) for part in parts]).replace({"variant": {"thermostat": "timer"}})
@@ -119,7 +119,7 @@ def test_parts_of_a_fleet_run_apart_come_together(tmp_path: Path) -> None:
     assert "native against timer in 4 runs" in (tmp_path / "out" / "index.html").read_text()
     (tmp_path / "more").mkdir()
     more = _file(tmp_path / "more", buildings=[{"generated": {"seed": 5, "count": 3}}])
-    assert "8 are taken from other datasets, 4 are left" in _fleet(more, "--reuse", str(tmp_path / "out"))[1]
+    assert "8 taken from other datasets, 4 left" in _fleet(more, "--reuse", str(tmp_path / "out"))[1]
 
 
 def test_rows_in_the_repository_are_those_of_the_fleet_that_ships() -> None:
@@ -139,7 +139,7 @@ def test_reused_runs_of_the_same_inputs_keep_their_own_names(tmp_path: Path) -> 
     assert _fleet(path)[0] == 0
     made = (tmp_path / "out").rename(tmp_path / "made")
     code, said = _fleet(path, "--reuse", str(made))
-    assert (code, "0 are left" in said) == (0, True)
+    assert (code, " 0 left" in said) == (0, True)
     pd.testing.assert_frame_equal(read_dataset(tmp_path / "out"), read_dataset(made))
 
 
@@ -163,7 +163,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
         monkeypatch.setattr(module, "source_fingerprint", lambda: "other")
     code, said = _fleet(path)
     assert code == 0, said
-    assert "Note: 2 of them were made by other source code of this version" in said
+    assert "Note: 2 of them made by other source code of this version" in said
     assert (models.read_bytes(), rows.read_bytes()) == before
     assert pd.read_parquet(models)["verdict"].tolist() == ["refused: too few steps"] * 2
 
@@ -370,7 +370,7 @@ def test_without_a_heated_run_no_saving_is_said() -> None:
     )
     (everything,) = groups(paired(rows, "mpc", "rule"))
     said = headline(everything, "mpc", "rule")
-    assert said.startswith("mpc against rule in 1 runs, 0 of which count for the saving: saving –; 0 % more than 0.5 K")
+    assert said.startswith("mpc against rule in 1 run, 0 of which count for the saving: saving –; 0 % more than 0.5 K")
     assert fleet_command._saving(everything) == ("–", "–", "–")
 
 
@@ -433,7 +433,7 @@ def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_
     )
     code, said = _fleet(path)
     assert code == 0, said
-    assert "3 buildings are identified from measurements" in said
+    assert "3 buildings to identify from measurements" in said
     assert "never heated: no model, it is not run: " in said
     rows = read_dataset(tmp_path / "out")
     assert rows["building"].tolist() == ["good"] * 3
@@ -442,4 +442,4 @@ def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_
     assert models.loc["good", "competent"]
     assert models.loc["only known", "effect_K"] == models.loc["good", "effect_K"]
     assert models.loc["never heated", "verdict"].startswith("refused")
-    assert "3 runs are done, 0 are left" in _fleet(path)[1]
+    assert "3 runs done, 0 left" in _fleet(path)[1]

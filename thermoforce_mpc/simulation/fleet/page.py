@@ -24,6 +24,7 @@ from thermoforce_mpc.simulation.fleet.summary import (
     paired,
 )
 from thermoforce_mpc.simulation.report.page import rendered
+from thermoforce_mpc.words import counted
 
 _SHOWN = 20
 _WIDE, _HIGH, _LEFT, _BELOW = 720.0, 300.0, 60.0, 46.0
@@ -37,17 +38,8 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str, sce
     variants = [name for name in dict.fromkeys(runs["variant"]) if name != reference]
     parts = [_part(paired(runs, name, reference), name, reference, scenarios) for name in variants]
     failed = runs[runs["status"] != DONE]
-    count = ", ".join(
-        f"{n} {what}"
-        for n, what in (
-            (runs["building"].nunique(), "buildings"),
-            (runs["window"].nunique(), "windows"),
-            (runs["price"].nunique(), "tariffs"),
-            (runs["seed"].nunique(), "seeds"),
-            (len(runs), "runs"),
-        )
-        if n > 1
-    )
+    axes = (("building", "building"), ("window", "window"), ("price", "tariff"), ("seed", "seed"))
+    several = [counted(n, what) for column, what in axes if (n := runs[column].nunique()) > 1]
     plants = ", ".join(sorted(plant for plant in runs["plant"].unique() if plant))
     return rendered(
         "fleet.html.j2",
@@ -55,7 +47,7 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str, sce
         {},
         title=title,
         command=command,
-        counts=f"{count}, {len(failed)} failed",
+        counts=", ".join([*several, counted(len(runs), "run"), f"{len(failed)} failed"]),
         origin=f"Results of simulated buildings ({plants or 'none finished'}), not of real ones.",
         reference=reference,
         parts=[part for part in parts if part],
@@ -77,8 +69,8 @@ def headline(everything: Group, variant: str, reference: str) -> str:
             f"cheaper in {100 * everything.cheaper:.0f} % of them"
         )
     return (
-        f"{variant} against {reference} in {everything.runs} runs, {everything.counted} of which count for the saving: "
-        f"{saving}; {colder} more than {MORE_DISCOMFORT_KH:g} K·h a week less comfortable."
+        f"{variant} against {reference} in {counted(everything.runs, 'run')}, {everything.counted} of which count for "
+        f"the saving: {saving}; {colder} more than {MORE_DISCOMFORT_KH:g} K·h a week less comfortable."
     )
 
 
