@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, suggestion
 
 
 def new_year(index: pd.Index, what: str) -> pd.Timestamp:
@@ -97,9 +95,7 @@ def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
     """
     if name not in df.columns:
         known = [str(key) for key in df.columns]
-        close = difflib.get_close_matches(str(name), known, n=1)
-        hint = f", did you mean '{close[0]}'?" if close else ""
-        raise DataError(f"{what}: no column '{name}'{hint}; there are {', '.join(known)}")
+        raise DataError(f"{what}: no column '{name}'{suggestion(str(name), known)}; there are {', '.join(known)}")
     if isinstance(df[name], pd.DataFrame):
         raise DataError(f"{what}: there are {df[name].shape[1]} columns '{name}'; give each a name of its own")
     try:

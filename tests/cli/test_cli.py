@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.simulation import composition
 from thermoforce_mpc.simulation import run as simulation_run
@@ -304,3 +305,9 @@ def test_controllers_lists_options_with_defaults():
     overview = CliRunner().invoke(cli, ["controllers"]).output
     for name in ("thermoforce_mpc", "rc_mpc", "candidate_search", "thermostat", "native"):
         assert name in overview
+
+
+def test_names_of_baselines_may_have_spaces_between():
+    options = {"testcase": "bestest_hydronic_heat_pump", "baselines": "native, thermostat,"}
+    assert scenario_from(options).baselines == ("native", "thermostat")
+    assert scenario_from(options | {"baselines": ""}).baselines == ()

@@ -20,6 +20,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import write_whole, written
+from thermoforce_mpc.simulation import journal
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal import read_journal
 from thermoforce_mpc.simulation.run_log import logging_to
@@ -89,6 +90,16 @@ def test_a_full_disk_before_the_first_step_leaves_nothing_behind(call, tmp_path)
     house = SimpleHouse()
     with files_of_at_most(100):
         done = call(house, *WORDS, "--days", 1, "--out", tmp_path / "full")
+    assert isinstance(done.exception, StorageError)
+    assert not (tmp_path / "full").exists()
+
+
+def test_a_journal_that_cannot_be_made_leaves_nothing_behind(call, tmp_path, monkeypatch):
+    def refuse(path: Path, size: int) -> int:
+        raise StorageError(f"{path}: cannot be written (no room for another file)")
+
+    monkeypatch.setattr(journal, "_opened", refuse)
+    done = call(SimpleHouse(), *WORDS, "--days", 1, "--out", tmp_path / "full")
     assert isinstance(done.exception, StorageError)
     assert not (tmp_path / "full").exists()
 

@@ -85,7 +85,7 @@ def test_a_package_that_is_too_old_or_missing(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_command_says_what_failed(tmp_path, monkeypatch):
-    words = ["doctor", "--out", str(tmp_path), "--only", "disk,Python", "--json", str(tmp_path / "d.json")]
+    words = ["doctor", "--out", str(tmp_path), "--only", "disk, Python", "--json", str(tmp_path / "d.json")]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0
     assert "Nothing failed" in done.output

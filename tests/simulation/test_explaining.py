@@ -181,6 +181,7 @@ def test_several_zones_on_one_machine(tmp_path, monkeypatch):
 def test_times_as_people_write_them(text, seconds):
     assert seconds_of(text) == seconds
     assert seconds_of(words_of(seconds).removeprefix("day ")) == seconds
+    assert words_of(DAY_S - 0.4) == "day 1 00:00", "a clock that is off by a little"
 
 
 @pytest.mark.parametrize("text", ["", "noon", "16:30", "13-40 06:30", "-1"])

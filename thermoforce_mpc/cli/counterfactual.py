@@ -97,7 +97,7 @@ def _show(found: Counterfactual, console: Console) -> None:
         for a in range(len(names.actuators)):
             cells += [f"{found.u[a, k]:.2f}", f"{found.u_other[a, k]:.2f}"]
         for z in range(len(names.zones)):
-            half = 1.645 * found.sd_K[z, k]
+            half = found.half_K[z, k]
             band = f" ± {half:.1f}" if np.isfinite(half) else ""
             proven = f"{found.certified_low_K[z, k]:+.1f} to {found.certified_high_K[z, k]:+.1f}"
             cells += [f"{found.measured_C[z, k]:.1f}", f"{found.other_C[z, k]:.1f}{band}"]
@@ -123,7 +123,7 @@ def draw(found: Counterfactual, step_s: float, path: Path) -> None:
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     for z, zone in enumerate(found.names.zones):
-        colour, half = f"C{z % 10}", 1.645 * found.sd_K[z]
+        colour, half = f"C{z % 10}", found.half_K[z]
         axes.plot(edges[1:], found.measured_C[z], color=colour, label=f"{zone}, measured")
         axes.plot(edges[1:], found.other_C[z], color=colour, linestyle="--", label=f"{zone}, other levels")
         low, high = found.other_C[z] - half, found.other_C[z] + half

@@ -36,7 +36,8 @@ def command(url: str | None, testcase: str, out: Path, only: str | None, json_fi
 
     console = Console(highlight=False, markup=False, soft_wrap=True)
     findings: list[Finding] = []
-    for found in examine(testcase=testcase, url=url, folder=out, only=(only or "").split(",") if only else ()):
+    names = [name.strip() for name in (only or "").split(",") if name.strip()]
+    for found in examine(testcase=testcase, url=url, folder=out, only=names):
         findings.append(found)
         console.print(f"{_MARKS[found.state]}{found.name}: {found.told} ({found.seconds:.1f} s)", markup=False)
         if found.todo and found.state != "ok":

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 _SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
 _CERTIFIED_H = 48
-# Half width of a 90 % band of a normal distribution, standard deviations.
-_BAND = 1.645
 # Meaning of the scores of a model card, in printing order.
 _MEANING = {
     "explained_by_actuation": "share of the temperature variation, beyond weather and drift, explained by the action",
@@ -92,7 +90,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
-    from thermoforce_mpc.identification.report import step_response_of
+    from thermoforce_mpc.identification.report import BAND, step_response_of
     from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 
     hours = STEP_RESPONSE_H[-1]
@@ -108,7 +106,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
             if pair is None:
                 cells.append("no effect")
             elif mean.size:
-                cells.append(f"{mean[-1]:.2f} ({mean[-1] - _BAND * sd[-1]:.2f} to {mean[-1] + _BAND * sd[-1]:.2f})")
+                cells.append(f"{mean[-1]:.2f} ({mean[-1] - BAND * sd[-1]:.2f} to {mean[-1] + BAND * sd[-1]:.2f})")
             else:
                 cells.append(f"{pair.impulse(round(hours * 3600 / pair.step_s)).sum():.2f}")
         table.add_row(zone, *cells)
@@ -252,11 +250,13 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     found = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not found:
         return
+    from thermoforce_mpc.identification.report import BAND
+
     table = Table()
     for heading in ("hours later", "expected", "from", "to"):
         table.add_column(heading, justify="right")
     for hours in found:
         name = f"step_response_{hours}h"
         mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
-        table.add_row(str(hours), f"{mean:.2f}", f"{mean - _BAND * sd:.2f}", f"{mean + _BAND * sd:.2f}")
+        table.add_row(str(hours), f"{mean:.2f}", f"{mean - BAND * sd:.2f}", f"{mean + BAND * sd:.2f}")
     _titled("Step response of the zone to full actuation, K (90 % band)", table, console)

@@ -190,7 +190,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     if plant:
         named["plant"] = plant
     if options.get("baselines") is not None:
-        named["baselines"] = [name for name in options["baselines"].split(",") if name]
+        named["baselines"] = [name.strip() for name in options["baselines"].split(",") if name.strip()]
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
     named = merge(defaults or {}, named)
     if path is None and "testcase" not in named:

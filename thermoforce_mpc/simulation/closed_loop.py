@@ -326,8 +326,7 @@ def with_level(measurement: Measurement, block: Block) -> Measurement:
 
 def sample_of(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:
     """Sample of one block, with the bounds and prices in force at its start (from the forecast)."""
-    # Bounds are looked up at the latest forecast instant not after the block's start.
-    index = int(max((boundary.time_s <= start_s + _CLOCK_TOLERANCE_S).sum() - 1, 0))
+    index = in_force(boundary, start_s)
     return Sample(
         start_s=start_s,
         duration_s=block.duration_s,
@@ -343,3 +342,8 @@ def sample_of(start_s: float, block: Block, measurement: Measurement, boundary: 
         heat_W=measurement.heat_W,
         names=measurement.names,
     )
+
+
+def in_force(boundary: Boundary, start_s: float) -> int:
+    """Number of the instant whose bounds and prices hold for a block from `start_s`, s: the latest not after it."""
+    return int(max((boundary.time_s <= start_s + _CLOCK_TOLERANCE_S).sum() - 1, 0))

@@ -182,5 +182,5 @@ def hour_ends(n: int, step_s: float, hours: float) -> range:
 
 def words_of(time_s: float) -> str:
     """A time for people: day from 0 and clock."""
-    minutes = round(time_s % DAY_S / 60.0)
-    return f"day {int(time_s // DAY_S)} {minutes // 60:02d}:{minutes % 60:02d}"
+    day, minutes = divmod(round(time_s / 60.0), 24 * 60)
+    return f"day {day} {minutes // 60:02d}:{minutes % 60:02d}"

@@ -29,7 +29,11 @@ class RunBook:
     @classmethod
     def begin(cls, folder: Path, scenario: Scenario, command: Sequence[str]) -> RunBook:
         """Begin the journal of a run; raises `StorageError`, and then leaves no folder behind."""
-        journal = Journal(folder / NAME, durable=_is_real(scenario))
+        try:
+            journal = Journal(folder / NAME, durable=_is_real(scenario))
+        except BaseException:
+            shutil.rmtree(folder)
+            raise
         book = cls(folder, scenario, tuple(command), journal)
         head = {"format": FORMAT, "version": VERSION, "command": list(command)}
         try:

@@ -16,7 +16,7 @@ import pandas as pd
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.dataframes import seconds_at, table
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.report import step_response_of
+from thermoforce_mpc.identification.report import BAND, step_response_of
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.gaps import bridged
@@ -24,7 +24,6 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Half width of a 90 % band of a normal distribution, standard deviations.
-_BAND = 1.645
 
 
 @dataclass(frozen=True)
@@ -62,11 +61,15 @@ class Counterfactual:
         """Temperature under the other levels at the end of each step (Z, N), °C."""
         return np.asarray(self.measured_C + self.effect_K)
 
+    @property
+    def half_K(self) -> Array:
+        """Half width of the 90 % band of `other_C` (Z, N), K; NaN where the card has no uncertainty."""
+        return np.asarray(BAND * self.sd_K)
+
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step at its start: levels applied and other; at its end, measured and other temperature with its
         90 % band by the identification, the effect and its certified bounds.
         """
-        half = _BAND * self.sd_K
         columns = self.names.columns(
             u=self.u,
             T_zone_C=self.measured_C,
@@ -74,8 +77,8 @@ class Counterfactual:
         parts = {
             "u_other": ("u", self.u_other),
             "T_other_C": ("T_zone_C", self.other_C),
-            "T_other_low_C": ("T_zone_C", self.other_C - half),
-            "T_other_high_C": ("T_zone_C", self.other_C + half),
+            "T_other_low_C": ("T_zone_C", self.other_C - self.half_K),
+            "T_other_high_C": ("T_zone_C", self.other_C + self.half_K),
             "effect_K": ("T_zone_C", self.effect_K),
             "certified_low_K": ("T_zone_C", self.certified_low_K),
             "certified_high_K": ("T_zone_C", self.certified_high_K),

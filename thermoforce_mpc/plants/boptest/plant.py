@@ -24,7 +24,7 @@ from boptest_client import (
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_levels, check_record_step, forecast_times
+from thermoforce_mpc.plants.checks import check_levels, check_record_step, day_period, forecast_times
 from thermoforce_mpc.plants.records import (
     acting_means,
     boundary,
@@ -135,15 +135,11 @@ class BoptestPlant:
             InputError: `name` is neither a scenario of the service nor a day of the year.
             PlantError: the service failed.
         """
-        try:
-            day = float(name)
-        except ValueError:
-            if name not in self._start_of:
-                self._start_of[name] = self._initialize_scenario(name).time_s
-            return Period(name, self._start_of[name], _SCENARIO_LENGTH_S, _SCENARIO_WARMUP_S)
-        if not 0.0 <= day < 365.0:
-            raise InputError(f"period '{name}': a start day lies between 0 and 365")
-        return Period(f"day {day:g}", day * DAY_S)
+        if _is_day(name):
+            return day_period(name, self._start_of)
+        if name not in self._start_of:
+            self._start_of[name] = self._initialize_scenario(name).time_s
+        return Period(name, self._start_of[name], _SCENARIO_LENGTH_S, _SCENARIO_WARMUP_S)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` after `warmup_s` of native control.

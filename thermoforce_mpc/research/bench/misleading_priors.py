@@ -14,6 +14,7 @@ import numpy as np
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.report import BAND
 from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.research.bench.operator_data import ReferencePair
@@ -23,8 +24,6 @@ from thermoforce_mpc.simulation.bench_result import Target
 # Given floor areas as shares of the true one.
 _TOLD = (1.0, 1.25, 0.8)
 _CONFIG = IdentificationConfig(modulation="linear", order=3)
-# A band of ± this many standard deviations holds 90 % of a normal distribution.
-_BAND = 1.645
 # Lags up to 24 h: the reference pairs last 1.25 days and do not determine longer ones.
 _LAGS_H = tuple(h for h in STEP_RESPONSE_H if h <= 24)
 _COVERED = 0.8
@@ -83,5 +82,5 @@ def _inside(model: ThermalModel, truth: ThermalModel) -> Array:
     scale = model.only.operator.heat_input.reference_W / truth.only.operator.heat_input.reference_W
     names = [f"step_response_{hours}h" for hours in _LAGS_H]
     return np.array(
-        [abs(known[f"{n}_K"] - scale * true[f"{n}_K"]) <= _BAND * known[f"{n}_sd_K"] for n in names], dtype=np.float64
+        [abs(known[f"{n}_K"] - scale * true[f"{n}_K"]) <= BAND * known[f"{n}_sd_K"] for n in names], dtype=np.float64
     )

@@ -9,7 +9,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Layout
 from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.simulation.bills import price_paid
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, in_force
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
 
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, blocks on end are averaged.
@@ -101,7 +101,7 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
             ):  # fmt: skip
                 rows.setdefault(name, []).append(getattr(sample, name))
             rows.setdefault("u", []).append(sample.u_measured)
-            heating_price.append(_heating_price(step, sample.start_s))
+            heating_price.append(step.boundary.heating_price_per_kWh[:, in_force(step.boundary, sample.start_s)])
             bands.append(_band_C(step, k))
     found = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
     price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
@@ -118,12 +118,6 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     found |= {"cost": scaled * cost, "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
     course = Course(averaged=1, scaled=scaled, band_C=np.array(bands).transpose(2, 1, 0), **found)
     return _averaged(course, -(-course.start_s.size // most))
-
-
-def _heating_price(step: StepRecord, start_s: float) -> Array:
-    """Price of the heating of each machine in force at an instant (M,)."""
-    index = int(max((step.boundary.time_s <= start_s + 1e-6).sum() - 1, 0))
-    return np.asarray(step.boundary.heating_price_per_kWh[:, index])
 
 
 def _band_C(step: StepRecord, k: int) -> Array:
