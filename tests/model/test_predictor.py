@@ -123,6 +123,8 @@ def test_weather_that_does_not_begin_where_the_record_ends_is_refused(predictor)
     model = ThermalModel.single(predictor.operator.pairs[0][0])
     with pytest.raises(DataError, match="3600 s after now"):
         model.predict(history, late, 0.0, free_response=HoldLast())
+    with pytest.raises(DataError, match="of one instant, which is no step to predict"):
+        model.predict(history, weather.head(0), 0.0, free_response=HoldLast())
 
 
 class Answering(HoldLast):

@@ -228,8 +228,8 @@ class Predictor:
 
         Raises:
             DataError: the history cannot be split (see `forced_history`), no zone's temperature was ever measured nor
-                the weather, the forecast of the weather does not begin now or has gaps, or the estimate or the forecast
-                is not fit to plan with.
+                the weather, the forecast of the weather does not begin now, is of one instant or has gaps, or the
+                estimate or the forecast is not fit to plan with.
         """
         return answered(self.contexting(observation, state))
 
@@ -237,6 +237,8 @@ class Predictor:
         """`context` as a computation: the forecasts of all zones are asked for together."""
         boundary = observation.boundary
         observation.check_begin()
+        if not boundary.n_steps:
+            raise DataError("boundary forecast: it is of one instant, which is no step to predict: give two or more")
         boundary.check(*WEATHER)
         began = time.perf_counter()
         history, note = bridged(observation.history, boundary)

@@ -139,6 +139,7 @@ def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words, message in (
         (("--over", "colour"), "no such numeric option"),
+        (("--over", "fallback.safe_C"), "no such numeric option"),
         (("--values", "1,x"), "'x' is not a number"),
         (("--values", ","), "--values"),
     ):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Field, field_validator
 
@@ -179,8 +180,9 @@ def _numeric_leaves(model: type[BaseModel], prefix: str = "") -> list[str]:
     """Dotted names of all numeric fields of `model`, nested models included."""
     found: list[str] = []
     for name, field in model.model_fields.items():
-        options: Mapping[Any, None] = dict.fromkeys((field.annotation, *getattr(field.annotation, "__args__", ())))
-        for annotation in options:
+        # Of a union (a number, or null) its parts; a pair of numbers is none to sweep.
+        union = get_origin(field.annotation) in (Union, UnionType)
+        for annotation in get_args(field.annotation) if union else (field.annotation,):
             if annotation in (float, int):
                 found.append(prefix + name)
                 break
