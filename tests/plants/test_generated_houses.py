@@ -408,6 +408,18 @@ def test_schedules():
     assert weak[0] == weak[1]
 
 
+@pytest.mark.parametrize("name", ["generated:7:0", "house:2rooms:7"])
+def test_a_forecast_beyond_new_year_has_the_presence_that_the_house_then_has(name):
+    """Gains and native set-points repeat with the year; a year is no whole number of weeks."""
+    plant, week_s = build_plant(PlantSpec(), load_testcase(name), 1), 8 * DAY_S
+    plant.reset(0.0, 0.0)
+    first = plant.forecast(week_s - 3600.0, 3600.0)
+    plant.reset(364 * DAY_S, 0.0)
+    later = plant.forecast(DAY_S + week_s - 3600.0, 3600.0)
+    for had, has in ((first.lower_C, later.lower_C), (first.occupancy, later.occupancy)):
+        np.testing.assert_array_equal(np.atleast_2d(has)[:, 24:], np.atleast_2d(had))
+
+
 def test_the_test_case_has_no_defaults_and_the_house_s_own_thermostat():
     house = draw_house(SEED, 5)
     testcase = house_testcase(house)

@@ -16,6 +16,7 @@ PATTERNS: tuple[Pattern, ...] = ("away", "home", "workers", "always")
 PERSON_W = 80.0
 # Days of the year modulo 7 that are a weekend (BOPTEST: 1 January is a Tuesday).
 _WEEKEND = (4, 5)
+_YEAR_D = 365
 _GAINS_HOURS = 2.0
 
 
@@ -23,10 +24,10 @@ def at_home(pattern: Pattern, time_s: Array) -> NDArray[np.bool_]:
     """Return presence at `time_s`, shape of `time_s`, by the pattern of a household.
 
     away: weekdays before 7:00 and from 20:00, weekends (BOPTEST); home: daily 6:00 to 22:00; workers: weekdays 6:00 to
-    8:00 and 17:00 to 22:00, weekends 7:00 to 23:00; always: all the time.
+    8:00 and 17:00 to 22:00, weekends 7:00 to 23:00; always: all the time. The year repeats, as weather and gains do.
     """
     time_s = np.asarray(time_s, dtype=np.float64)
-    day = np.floor(time_s / DAY_S + 1e-9)
+    day = np.floor(time_s / DAY_S + 1e-9) % _YEAR_D
     hour = hour_of_day(time_s)
     weekend = np.isin(day % 7, _WEEKEND)
     if pattern == "away":
