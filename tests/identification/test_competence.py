@@ -12,11 +12,17 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.cases import Case, held_out
-from thermoforce_mpc.identification.competence import MOST_ERROR_K, MOST_RELATIVE_SD, is_well_known
+from thermoforce_mpc.identification.competence import (
+    MOST_ERROR_K,
+    MOST_RELATIVE_SD,
+    _Errors,
+    _missed,
+    is_well_known,
+)
 from thermoforce_mpc.identification.modes import mode_priors
 from thermoforce_mpc.identification.order import earlier_fold
 from thermoforce_mpc.identification.regression_data import run_regression
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
@@ -148,6 +154,16 @@ def test_little_excitation_is_condemned_with_levels_and_hours():
     advice = " | ".join(verdict.advice)
     assert "the highest level was 0.2: probe full level too" in advice
     assert "hours more" in advice
+
+
+@pytest.mark.parametrize(("sd_K", "known"), [(4.03, "41"), (4.3, "43"), (np.inf, "inf")])
+def test_what_misses_the_bar_by_a_hair_does_not_read_as_if_it_met_it(sd_K, known):
+    """Probing said that an effect was known to ± 40 % only, need 40 %."""
+    verdict = Competence(True, effect_K=10.0, effect_sd_K=sd_K, horizons=(HorizonScore(1.0, 0.502, 1.0, 1.0, 5.0, 8),))
+    found = {1.0: _Errors(*(np.zeros(3),) * 3, np.zeros(3, dtype=np.intp), np.zeros(3))}
+    reasons, _ = _missed(verdict, found, [record(HOUSE, 1.0)], MOST_ERROR_K)
+    assert reasons[0] == f"the effect of 8 h at full level is known to ± {known} % only, need 40 %"
+    assert reasons[1] == "1 h ahead it errs by 0.51 K, need 0.5 K"
 
 
 def test_what_cannot_be_judged_is_not_judged():

@@ -320,16 +320,16 @@ def _missed(
         )
         advice.append(_OFTENER)
     if not verdict.relative_sd <= MOST_RELATIVE_SD:
-        reasons.append(
-            f"the effect of 8 h at full level is known to ± {100 * verdict.relative_sd:.0f} % only, need "
-            f"{100 * MOST_RELATIVE_SD:.0f} %"
-        )
+        known = _above(100 * MOST_RELATIVE_SD, 100 * verdict.relative_sd, 0)
+        need = f"{100 * MOST_RELATIVE_SD:.0f} %"
+        reasons.append(f"the effect of 8 h at full level is known to ± {known} % only, need {need}")
         longer = (verdict.relative_sd / MOST_RELATIVE_SD) ** 2
         advice.append(_levels(records))
     for score in judged:
         off = f"{score.hours:g} h ahead it errs by {score.model_K:.2f} K"
         if not score.model_K <= most_K[score.hours]:
-            reasons.append(f"{off}, need {most_K[score.hours]:g} K")
+            off_K, need_K = _above(most_K[score.hours], score.model_K, 2), most_K[score.hours]
+            reasons.append(f"{score.hours:g} h ahead it errs by {off_K} K, need {need_K:g} K")
             advice.append(_signals(found[score.hours], records))
         worse = score.persistence_t > float(student_t.ppf(WORSE_PROBABILITY, max(score.blocks - 1, 1)))
         if worse and not score.model_K <= MOST_OVER_PERSISTENCE * score.persistence_K:
@@ -351,6 +351,12 @@ def _missed(
     if longer > 1.0 and _NO_EFFECT not in advice:
         advice.append(_more(sum(r.n_steps * r.step_s for r in records) / HOUR_S, longer))
     return tuple(reasons), tuple(dict.fromkeys(advice))
+
+
+def _above(most: float, value: float, decimals: int) -> str:
+    """A value above `most`, rounded; up where it would read as if it were not."""
+    rounded = f"{value:.{decimals}f}"
+    return f"{np.ceil(value * 10**decimals) / 10**decimals:.{decimals}f}" if float(rounded) <= most else rounded
 
 
 def _more(hours: float, factor: float) -> str:
