@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from houses import House, record
 from simple_house import SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
@@ -14,6 +16,7 @@ from controllers.actuation_choice import choose_actuation
 from controllers.qp import QPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
+from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -96,3 +99,20 @@ def test_probing_sees_part_load_where_it_is_to_be_decided():
     probing, identification = identification_settings(water, load_testcase(water.testcase))
     assert probing.trial_levels == (), "its own levels show part load"
     assert identification.lowest_level == 0.1
+
+
+def test_blocks_below_full_level_are_identified_at_the_one_level_that_is_probed():
+    """Before, a run ended after probing: "the data have only off and full level"."""
+    blocks = {"mode": "duty", "level": 0.6}
+    pump = Scenario(testcase="bestest_hydronic_heat_pump", controller={"options": {"actuation": blocks}})
+    probing, identification = identification_settings(pump, load_testcase(pump.testcase))
+    assert (probing.levels, identification.lowest_level) == ((0.0, 0.6), 0.6)
+    levels = np.tile(np.repeat([0.0, 0.6], 16), 6)
+    run = record(House(), 2.0, u=levels, noise_K=0.01)
+    linear = identification.model_copy(update={"modulation": "linear"})
+    model = identify([run], config=linear, floor_area_m2=190.0)
+    controller = ThermoForceMPC(model, MPCConfig(actuation=blocks, free_response={"name": "linear_weather"}))
+    assert "on/off blocks at 0.60" in controller.actuation_in_words
+    on = levels > 0
+    told = model.only.power(np.full(on.sum(), 0.6), run.T_out_C[:-1][on], run.T_return_C[0][on])
+    np.testing.assert_allclose(told, run.power_W[0][on], rtol=0.1)

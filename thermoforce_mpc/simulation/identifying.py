@@ -268,6 +268,8 @@ def identification_settings(
     between = [level for level in (*probing.levels, *probing.trial_levels) if 0.0 < level < max(probing.levels)]
     if actuation is not None and actuation.mode == "auto" and between:
         ours["lowest_level"] = min(between)  # these levels are held, not made by cycling
+    elif actuation is not None and actuation.mode == "duty" and max(probing.levels) <= actuation.level < 1.0:
+        ours["lowest_level"] = actuation.level  # blocks at part load, the only level that there is
     if probing.trial_levels and not all(one.heat.units for one in testcase.points.actuators):
         ours["part_load"] = True
     if any(machine.supply is not None for machine in testcase.machines.values()):
