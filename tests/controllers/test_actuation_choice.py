@@ -101,6 +101,7 @@ def test_probing_sees_part_load_where_it_is_to_be_decided():
     assert identification.lowest_level == 0.1
 
 
+@pytest.mark.slow
 def test_blocks_below_full_level_are_identified_at_the_one_level_that_is_probed():
     """Before, a run ended after probing: "the data have only off and full level"."""
     blocks = {"mode": "duty", "level": 0.6}
