@@ -95,8 +95,9 @@ def cli() -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump
 
     \b
-    Exit codes: 0 done, 1 a check failed (doctor, chaos), 2 bad input, 3 the
-    plant or its service failed, 4 the model is below the bar (identify, plan),
+    Exit codes: 0 done, 1 a check failed (doctor, chaos) or there is no plan
+    (plan), 2 bad input, 3 the plant or its service failed, or one of many runs
+    (compare, sweep, fleet), 4 the model is below the bar (identify, plan),
     5 the service no longer has the test (resume only), 6 a file cannot be
     written (disk full, folder read-only or removed), 7 the Dask cluster of
     --scheduler is gone or does not fit, 129 the terminal was closed (control),

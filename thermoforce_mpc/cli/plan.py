@@ -52,7 +52,8 @@ def command(
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step.
 
-    Exit code 4 where the model is below the bar: there is no plan then, the building's own control is better.
+    Exit code 4 where the model is below the bar, 1 where readings, forecast or solver give no plan: leave the building
+    to its own control then.
 
     \b
     Example:
