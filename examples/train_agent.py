@@ -1,6 +1,6 @@
 """Train a small reinforcement-learning agent (PPO of Stable-Baselines3), then put it beside the thermostat and the MPC.
 
-    pip install 'thermoforce-mpc[rl]'
+    pip install -e '.[rl]'
     python examples/train_agent.py                       # some minutes on one core
     python examples/train_agent.py --steps 4000 --days 1 --without-mpc
 
