@@ -299,6 +299,15 @@ def test_validate_names_what_is_wrong(tmp_path):
     assert "setpoint: unknown key, did you mean 'setpoint_C'?" in done.stderr
 
 
+def test_a_connection_lists_its_options_with_their_meaning():
+    """Defaults as they are set, and what the docstring's `Args:` says of them."""
+    done = CliRunner().invoke(cli, ["connections", "files"])
+    assert done.exit_code == 0, done.output
+    assert "connection.levels  (default 'levels.json')\n      what is to be set" in done.output
+    assert "or an `until` that has passed: the building's own control." in done.output
+    assert "connection.forecast  (default 'tomorrow.csv')\n      weather, prices and bounds." in done.output
+
+
 def test_controllers_lists_options_with_defaults():
     done = CliRunner().invoke(cli, ["controllers", "thermoforce_mpc"])
     assert "controller.options.actuation.block_s  (default 300.0)" in done.output

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -32,5 +33,10 @@ def show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: st
             show_options(type(default), defaults.get(key, {}), f"{prefix}{key}.")
             continue
         value = defaults.get(key, default)
-        shown = "required" if value is PydanticUndefined else f"default {value!r}"
-        click.echo(f"  {prefix}{key}  ({shown})\n      {field.description or ''}")
+        shown = "required" if value is PydanticUndefined else f"default {_as_written(value)!r}"
+        click.echo(f"  {prefix}{key}  ({shown})" + (f"\n      {field.description}" if field.description else ""))
+
+
+def _as_written(value: Any) -> Any:
+    """A default as it is set: of a path its text."""
+    return str(value) if isinstance(value, Path) else value

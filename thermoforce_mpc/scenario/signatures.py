@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from pydantic import create_model
+from pydantic import Field, create_model
 
 from thermoforce_mpc.scenario.strict_model import StrictModel
 
@@ -40,8 +40,9 @@ def unfit(make: object, handed: Collection[str]) -> str:
 def options_model(make: Callable[..., Any], handed: Collection[str]) -> type[StrictModel]:
     """The options of a function or class as a model: its parameters but those `handed`, with their types and defaults.
 
-    A parameter without an annotation has the type of its default.
+    A parameter without an annotation has the type of its default. Its meaning is that of the docstring's `Args:`.
     """
+    meanings = _meanings(make)
     names = getattr(make.__init__ if inspect.isclass(make) else make, "__globals__", {})
     fields: dict[str, Any] = {}
     for name, one in inspect.signature(make).parameters.items():
@@ -50,8 +51,24 @@ def options_model(make: Callable[..., Any], handed: Collection[str]) -> type[Str
             if kind is inspect.Parameter.empty:
                 kind = Any if one.default is None else type(one.default)
             # Only these: what is handed may have a type that is imported for type checking alone.
-            fields[name] = (eval(kind, names) if isinstance(kind, str) else kind, one.default)
+            kind = eval(kind, names) if isinstance(kind, str) else kind
+            fields[name] = (kind, Field(one.default, description=meanings.get(name)))
     return create_model(f"Options of {getattr(make, '__name__', 'a plugin')}", __base__=StrictModel, **fields)
+
+
+def _meanings(make: Callable[..., Any]) -> dict[str, str]:
+    """What the section `Args:` of a docstring says of each parameter."""
+    doc = inspect.getdoc(make.__init__ if inspect.isclass(make) else make) or ""
+    found: dict[str, str] = {}
+    for line in doc.partition("\nArgs:\n")[2].splitlines():
+        if not line.startswith("    "):
+            break
+        name, colon, text = line.strip().partition(": ")
+        if colon and line[4] != " ":
+            found[name] = text
+        elif found:
+            found[next(reversed(found))] += f" {line.strip()}"
+    return found
 
 
 def called(make: Callable[..., Any], options: StrictModel, given: Mapping[str, Any]) -> Any:
