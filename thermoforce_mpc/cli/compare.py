@@ -28,8 +28,8 @@ def command(**options: Any) -> None:
 
     A cell is one controller on one window under one tariff. Each finished cell is stored in the folder under a hash
     of all its inputs; repeating the command runs only missing and failed cells. Cells with the same identification
-    settings share one model per window. Writes tables, CSV, JSON, a plot of cost against discomfort and an HTML page,
-    and reports where a baseline is cheaper or more comfortable than a model-based controller.
+    settings share one model per window. Writes a table as Markdown and CSV, JSON, and an HTML page with cost against
+    discomfort, and reports where a baseline is cheaper or more comfortable than a model-based controller.
 
     \b
     Examples:
@@ -38,7 +38,8 @@ def command(**options: Any) -> None:
       tf-mpc compare --testcase bestest_hydronic_heat_pump --variants ablation --weather Brussels.mos
 
     \b
-    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 130 interrupted.
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 7 the cluster is gone,
+    130 interrupted.
     """
     file = load_comparison(options["variants"]) if options["variants"] else None
     names: tuple[str, ...] = ()

@@ -39,7 +39,8 @@ def scenario_options(function: Function) -> Function:
             click.option(
                 "--period",
                 metavar="P",
-                help="peak_heat_day, typical_heat_day, or a start day such as 44.  "
+                help="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, mix_day, cold_week, "
+                "...), or a start day such as 44.  "
                 "[default: the peak of the building's season]",
             ),
             click.option("--days", type=float, help="Scored days.  [default: 14]"),

@@ -51,7 +51,8 @@ def command(**options: Any) -> None:
       tf-mpc sweep --testcase bestest_hydronic_heat_pump --over horizon_h --values 12,24,48 --windows 44
 
     \b
-    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 130 interrupted.
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 7 the cluster is gone,
+    130 interrupted.
     """
     base = scenario_from(scenario_options_from(options))
     testcase = load_testcase(base.testcase)
