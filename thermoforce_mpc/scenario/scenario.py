@@ -99,8 +99,9 @@ class Scenario(StrictModel):
     plant: PlantSpec = PlantSpec()
     period: str = Field(
         "peak_heat_day",
-        description="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, typical_cool_day, mix_day, "
-        "cold_day, cold_week, sunny_week), or a start day such as 44; default for cooled buildings: peak_cool_day",
+        description="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, typical_cool_day, "
+        "mix_day, cold_day, cold_week, sunny_week), or a start day such as 44; default for cooled buildings: "
+        "peak_cool_day",
     )
     days: float = Field(14.0, gt=0, le=365, description="scored days")
     step_s: float | None = Field(
