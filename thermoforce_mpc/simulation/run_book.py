@@ -32,7 +32,7 @@ class RunBook:
         try:
             journal = Journal(folder / NAME, durable=_is_real(scenario))
         except BaseException:
-            shutil.rmtree(folder)
+            shutil.rmtree(folder, ignore_errors=True)  # what went wrong is the reason, not that it may be gone
             raise
         book = cls(folder, scenario, tuple(command), journal)
         head = {"format": FORMAT, "version": VERSION, "command": list(command)}

@@ -23,8 +23,6 @@ from thermoforce_mpc.model.gaps import bridged
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Half width of a 90 % band of a normal distribution, standard deviations.
-
 
 @dataclass(frozen=True)
 class Counterfactual:
