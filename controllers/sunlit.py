@@ -25,8 +25,11 @@ _LATEST_S = 14 * DAY_S
 # A look is for the dark, when what it finds changes no reading; from one night to the next it is less than a day in
 # autumn.
 _EVERY_S, _DARK_W_M2 = 20 * HOUR_S, 1.0
-# Probability below which sun that was found before is no longer believed.
-_UNLIKELY = 0.1
+# Probabilities from which a look finds sun, more than identification asks of its one record, since looks are many, and
+# below which sun that was found before is no longer believed.
+_FOUND, _UNLIKELY = 0.99, 0.1
+# Share of the standard deviation of what is taken off that a new find must undercut.
+_CLEARLY_SURER = 0.7
 
 
 @dataclass(frozen=True)
@@ -82,14 +85,14 @@ class Sunlit:
         return "; ".join(found)
 
     def _after(self, z: int, before: SunOnSensor | None, history: Record) -> SunOnSensor | None:
-        """What looks have found for zone `z` after one more: of two finds the more certain one."""
+        """What looks have found for zone `z` after one more: another find replaces one that is clearly less certain."""
         now = self._look(z, history)
         if now is None:
             return before
-        if not now.likely:
+        if now.probability < _FOUND:
             return None if now.probability < _UNLIKELY else before
         had = before or self._model.sun_on_sensors[z]
-        return before if had is not None and had.sd_K <= now.sd_K else now
+        return now if had is None or now.sd_K < _CLEARLY_SURER * had.sd_K else before
 
     def _look(self, z: int, history: Record) -> SunOnSensor | None:
         """The likeliest sun on the sensor of zone `z` in the latest days; None where they do not tell."""
