@@ -121,7 +121,7 @@ def test_irradiance_on_a_facade_is_near_that_of_its_own_components():
     noon_s = (12.0 + weather.timezone_h - weather.longitude_deg / 15.0) * HOUR_S
     nominal = sun_at(time_s, weather.latitude_deg, noon_s)
     np.testing.assert_allclose(nominal.zenith, sun.zenith, atol=1e-9)
-    estimate = facade_W_m2(nominal, time_s, weather.at("global_W_m2", time_s), (180.0,))[:, 0]
+    estimate = facade_W_m2(time_s, weather.at("global_W_m2", time_s), weather.latitude_deg, noon_s, (180.0,))[:, 0]
     high = np.rad2deg(sun.zenith) < 80.0
     assert np.corrcoef(estimate[high], true_W_m2[high])[0, 1] > 0.95
     assert np.mean(estimate[high]) == pytest.approx(np.mean(true_W_m2[high]), rel=0.15)

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import expit, logsumexp
-from scipy.stats import norm
+from scipy.linalg import solve_triangular
+from scipy.special import expit, log_ndtr
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.identification.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.disturbance import Disturbance
 from thermoforce_mpc.identification.regression_data import OtherActuator, RegressionData, run_regression
-from thermoforce_mpc.identification.whitened import blocks_of, whitened_columns
+from thermoforce_mpc.identification.whitened import Blocks, blocks_of, whitened_columns
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
 
@@ -39,6 +39,7 @@ _FULL_SD_K, _MOST_K = 3.0, 8.0
 # Surfaces in the sun through the windows of east, south and west: their time constant, s, latitude, °, and the prior of
 # what they do to the room in full sun, K.
 _SURFACES_S, _SURFACES_LATITUDE_DEG, _SURFACES_SD_K = 1800.0, 50.0, 0.5
+_SURFACES = 3
 # Priors of the forced response at full level, initial slope in K/h and gains in K: from a slab to a fan coil.
 _GAINS_SD = (20.0, 5.0, 25.0)
 # Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
@@ -63,7 +64,7 @@ class _Explained:
     @property
     def odds(self) -> float:
         """Log odds of sun on the sensor, at even odds before."""
-        return float(logsumexp(self.gained) - np.log(self.gained.size))
+        return float(np.logaddexp.reduce(self.gained) - np.log(self.gained.size))
 
     @property
     def evidence(self) -> float:
@@ -94,14 +95,18 @@ def sun_on_sensor(
         return None
     regressions = [run_regression(run, heat_input, config, others) for run in runs]
     sites = [(latitude, lag_s) for latitude in _LATITUDES_DEG for lag_s in _LAGS_S]
-    signals = [_signals(run, noon_s, sites)[e.rows] for run, e in zip(runs, regressions, strict=True)]
+    signals = [
+        np.column_stack([_signals(run, noon_s, sites)[e.rows], e.target])
+        for run, e in zip(runs, regressions, strict=True)
+    ]
     noise_K = float(np.hypot(max(config.sensor_sd_K, _LEAST_NOISE_K), resolution_K / np.sqrt(12.0)))
     found = []
     for scale in _SCALES:
         disturbed = [_disturbed(e, scale, noise_K) for e in regressions]
         white = np.concatenate([e.disturbance.whitened(s) for e, s in zip(disturbed, signals, strict=True)])
         size = -sum(e.disturbance.log_determinant for e in disturbed)
-        found += [_explained(disturbed, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
+        blocks = blocks_of(disturbed, len(_GAINS_SD), 1)
+        found += [_explained(regressions, blocks, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
     best = max(found, key=lambda one: one.evidence)
     at = int(np.argmax(best.gained))
     (latitude, lag_s), azimuth = sites[at // len(_AZIMUTHS_DEG)], _AZIMUTHS_DEG[at % len(_AZIMUTHS_DEG)]
@@ -128,7 +133,7 @@ def _signals(run: Record, noon_s: float, sites: Sequence[tuple[float, float]]) -
     """Sun on the surfaces (3) and on the sensor (sites times azimuths) in full suns, at all boundaries."""
     time_s, solar = run.time_s, run.solar_W_m2
     facades = {
-        latitude: facade_W_m2(sun_at(time_s, latitude, noon_s), time_s, solar, _AZIMUTHS_DEG) / FULL_SUN_W_M2
+        latitude: facade_W_m2(time_s, solar, latitude, noon_s, _AZIMUTHS_DEG) / FULL_SUN_W_M2
         for latitude in _LATITUDES_DEG
     }
     parts = [lagged(facades[_SURFACES_LATITUDE_DEG][:, ::2], time_s, _SURFACES_S)]
@@ -141,23 +146,31 @@ def _disturbed(regression: RegressionData, scale: float, noise_K: float) -> Regr
     return replace(regression, disturbance=Disturbance(assumed.time_s, scale * assumed.sd_K, assumed.hours, noise_K))
 
 
-def _explained(regressions: Sequence[RegressionData], signals: Array, log_tau: Array, size: float) -> _Explained:
-    """Evidence of the records for these time constants; `signals` whitened, `size`: log density of the whitening."""
-    surfaces, sensor = signals[:, :3], signals[:, 3:]
+def _explained(
+    regressions: Sequence[RegressionData], blocks: Blocks, signals: Array, log_tau: Array, size: float
+) -> _Explained:
+    """Evidence of the records for these time constants.
+
+    `signals`, whitened: surfaces, sensor and target; `size`: log density of the whitening.
+    """
     mean, sd = _priors(regressions, log_tau)
-    columns = np.zeros((signals.shape[0], sd.size - surfaces.shape[1]))
-    whitened_columns(blocks_of(regressions, log_tau.size, 1), log_tau, columns)
-    known = np.concatenate([np.concatenate([columns, surfaces], axis=1), np.diag(1.0 / sd)])
-    target = np.concatenate([*(e.disturbance.whitened(e.target) for e in regressions), mean / sd])
-    q, triangle = np.linalg.qr(known)
-    left = target - q @ (q.T @ target)
-    seen = np.concatenate([sensor, np.zeros((sd.size, sensor.shape[1]))])
-    seen -= q @ (q.T @ seen)
-    precision = (seen**2).sum(axis=0) + _FULL_SD_K**-2.0
-    full_K, sd_K = seen.T @ left / precision, precision**-0.5
+    columns = np.zeros((signals.shape[0], sd.size - _SURFACES))
+    whitened_columns(blocks, log_tau, columns)
+    p = sd.size
+    rows = np.concatenate([columns, signals], axis=1)
+    # Normal equations with the priors; without the known columns, what is left of sensor and target follows from them.
+    normal = rows.T @ rows
+    normal[np.arange(p), np.arange(p)] += sd**-2.0
+    normal[:p, -1] += mean / sd**2
+    triangle = np.linalg.cholesky(normal[:p, :p])
+    known = solve_triangular(triangle, normal[:p, p:], lower=True, check_finite=False)
+    left = normal[p:, -1] - known.T @ known[:, -1]
+    left[-1] += float(((mean / sd) ** 2).sum())
+    precision = np.diag(normal)[p:-1] - (known[:, :-1] ** 2).sum(axis=0) + _FULL_SD_K**-2.0
+    full_K, sd_K = left[:-1] / precision, precision**-0.5
     gained = 0.5 * full_K**2 * precision - 0.5 * np.log(precision * _FULL_SD_K**2)
-    gained += np.log(2.0) + norm.logcdf(full_K / sd_K)  # the sun only adds
-    without = size - 0.5 * float(left @ left) - float(np.log(np.abs(np.diag(triangle))).sum() + np.log(sd).sum())
+    gained += np.log(2.0) + log_ndtr(full_K / sd_K)  # the sun only adds
+    without = size - 0.5 * float(left[-1]) - float(np.log(np.diag(triangle)).sum() + np.log(sd).sum())
     return _Explained(without, np.where(full_K <= _MOST_K, gained, -np.inf), full_K, sd_K)
 
 
@@ -167,5 +180,7 @@ def _priors(regressions: Sequence[RegressionData], log_tau: Array) -> tuple[Arra
     free_mean, free_sd, _ = free_prior(modes)
     other_mean, other_sd = other_prior(regressions[0], log_tau)
     starts = np.tile(start_sd(modes + 1), len(regressions))
-    mean = [np.zeros(len(_GAINS_SD)), other_mean, free_mean, np.zeros(starts.size + 3)]
-    return np.concatenate(mean), np.concatenate([_GAINS_SD, other_sd, free_sd, starts, np.full(3, _SURFACES_SD_K)])
+    mean = [np.zeros(len(_GAINS_SD)), other_mean, free_mean, np.zeros(starts.size + _SURFACES)]
+    return np.concatenate(mean), np.concatenate(
+        [_GAINS_SD, other_sd, free_sd, starts, np.full(_SURFACES, _SURFACES_SD_K)]
+    )

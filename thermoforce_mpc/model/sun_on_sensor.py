@@ -54,9 +54,9 @@ class SunOnSensor:
         known = np.isfinite(solar_W_m2)
         if not known.any():
             return np.zeros(len(time_s))
-        solar_W_m2 = np.interp(time_s, np.asarray(time_s)[known], np.asarray(solar_W_m2)[known])
-        sun = sun_at(time_s, self.latitude_deg, self.noon_s)
-        facade = facade_W_m2(sun, time_s, solar_W_m2, (self.azimuth_deg,))
+        if not known.all():
+            solar_W_m2 = np.interp(time_s, np.asarray(time_s)[known], np.asarray(solar_W_m2)[known])
+        facade = facade_W_m2(time_s, solar_W_m2, self.latitude_deg, self.noon_s, (self.azimuth_deg,))
         return np.asarray(self.full_K / FULL_SUN_W_M2 * lagged(facade, time_s, self.lag_s)[:, 0])
 
     def in_words(self) -> str:
@@ -75,20 +75,27 @@ def sun_at(time_s: Array, latitude_deg: float, noon_s: float) -> Sun:
     return sun_position(time_s, latitude_deg, 0.0, noon_s / HOUR_S - 12.0)
 
 
-def facade_W_m2(sun: Sun, time_s: Array, solar_W_m2: Array, azimuths_deg: tuple[float, ...]) -> Array:
-    """Irradiance on vertical planes (n, planes) from that on the horizontal (n,), W/m²."""
+def facade_W_m2(
+    time_s: Array, solar_W_m2: Array, latitude_deg: float, noon_s: float, azimuths_deg: tuple[float, ...]
+) -> Array:
+    """Irradiance on vertical planes (n, planes) from that on the horizontal (n,), W/m²; sun as in `sun_at`."""
     from pvlib import irradiance
 
+    found = np.zeros((len(time_s), len(azimuths_deg)))
+    lit = np.flatnonzero(np.asarray(solar_W_m2) > 0.0)
+    if not lit.size:
+        return found
+    time_s, solar_W_m2 = np.asarray(time_s)[lit], np.asarray(solar_W_m2)[lit]
+    sun = sun_at(time_s, latitude_deg, noon_s)
     zenith, azimuth = np.rad2deg(sun.zenith), np.rad2deg(sun.azimuth)
-    split = irradiance.erbs(
-        np.maximum(solar_W_m2, 0.0), zenith, np.asarray(time_s) / DAY_S + 1.0, max_zenith=90.0 - _LOWEST_SUN_DEG
-    )
+    split = irradiance.erbs(solar_W_m2, zenith, time_s / DAY_S + 1.0, max_zenith=90.0 - _LOWEST_SUN_DEG)
     planes = [
         irradiance.get_total_irradiance(90.0, plane, zenith, azimuth, split["dni"], solar_W_m2, split["dhi"])
         for plane in azimuths_deg
     ]
-    found = np.stack([np.asarray(plane["poa_global"]) for plane in planes], axis=-1)
-    return np.asarray(np.clip(np.nan_to_num(found), 0.0, _MOST_W_M2))
+    on_planes = np.stack([np.asarray(plane["poa_global"]) for plane in planes], axis=-1)
+    found[lit] = np.clip(np.nan_to_num(on_planes), 0.0, _MOST_W_M2)
+    return found
 
 
 def lagged(signals: Array, time_s: Array, lag_s: float) -> Array:
