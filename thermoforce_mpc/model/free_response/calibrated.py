@@ -60,6 +60,10 @@ class _Group:
     window: float = float("nan")
     scores: Array = field(default_factory=lambda: _NONE)
 
+    def ages(self, now: float) -> bool:
+        """Whether a value is older than the window; the first is the oldest."""
+        return bool(len(self.scores)) and now - float(self.scores[0, 0]) > _WINDOW_S
+
 
 @dataclass(frozen=True)
 class CalibratedState:
@@ -144,7 +148,9 @@ def _compared(
     now = float(history.time_s[-1])
     ends = issued[:, _ENDS]
     due = (ends > last.latest_s + 0.5) & (ends <= now + 0.5)
-    pending = issued[(ends > now + 0.5).any(axis=1)]
+    if not due.any() and not any(group.ages(now) for group in last.groups):
+        return issued, last.groups
+    pending = issued[(ends[:, -1:] > now + 0.5).any(axis=1)]
     came = issued.transpose(1, 0, 2)[:, due]
     gap = _known(came[_ENDS], history.time_s, free) - came[_MEDIAN]
     scores = np.abs(gap) / np.where(gap >= 0, came[_UP], came[_DOWN])

@@ -9,6 +9,7 @@ better than most single ones. Quantiles are averaged level by level (Lichtendahl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -37,24 +38,6 @@ class Resolution:
         """The same instants and weather of another series (k,), °C, with values where this one's has them."""
         series = _every(free_C, self.stride, self.context.free_C.size)
         return replace(self, context=replace(self.context, free_C=series), now_C=_now_C(free_C))
-
-    def at_own_step(self, quantiles_C: Array) -> Array:
-        """Return quantiles (levels, ahead) at the series' own steps, (levels, n_steps), NaN beyond their reach.
-
-        A coarse resolution is interpolated linearly between its instants, starting from the last known value.
-        """
-        reached = np.full((quantiles_C.shape[0], self.n_steps), np.nan)
-        if self.stride == 1:
-            n = min(self.n_steps, quantiles_C.shape[1])
-            reached[:, :n] = quantiles_C[:, :n]
-            return reached
-        before = np.concatenate([np.full((quantiles_C.shape[0], 1), self.now_C), quantiles_C[:, :-1]], axis=1)
-        share = np.arange(1, self.stride + 1) / self.stride
-        between = before[:, :, None] + (quantiles_C - before)[:, :, None] * share
-        courses = between.reshape(quantiles_C.shape[0], -1)[:, : self.n_steps]
-        reached[:, : courses.shape[1]] = courses
-        reached[:, courses.shape[1] :] = courses[:, -1:]
-        return reached
 
 
 def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
@@ -111,16 +94,34 @@ def _now_C(free_C: Array) -> float:
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
-    """Return the mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN."""
-    stack = np.array([resolution.at_own_step(answer) for resolution, answer in zip(resolutions, answers, strict=True)])
-    reaches = np.array([_reach(resolution) for resolution in resolutions])
-    counted = np.arange(stack.shape[2]) < reaches[:, None]
-    total = np.where(counted[:, None, :], stack, 0.0).sum(axis=0)
-    return np.asarray(total / counted.sum(axis=0))
+    """Return the mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN.
+
+    Coarse ones are interpolated linearly between their instants, starting from the last known value.
+    """
+    courses = tuple((one.stride, len(one.context.ahead_weather)) for one in resolutions)
+    total = np.zeros((len(answers[0]), resolutions[0].n_steps))
+    for one, answer, (of_now, of_answer) in zip(
+        resolutions, answers, _shares(courses, resolutions[0].n_steps), strict=True
+    ):
+        total += answer @ of_answer
+        total += one.now_C * of_now
+    return total
 
 
-def _reach(resolution: Resolution) -> int:
-    return min(resolution.n_steps, resolution.stride * len(resolution.context.ahead_weather))
+@lru_cache(maxsize=64)
+def _shares(courses: tuple[tuple[int, int], ...], n_steps: int) -> list[tuple[Array, Array]]:
+    """What the last known value (n_steps,) and the answer (ahead, n_steps) of each resolution count in the mean.
+
+    `courses`: stride and number of steps ahead of each.
+    """
+    lead = np.arange(1, n_steps + 1)
+    reaches = np.array([lead <= stride * ahead for stride, ahead in courses])
+    found = []
+    for (stride, ahead), reached in zip(courses, reaches / reaches.sum(axis=0), strict=True):
+        # The answer to step i of its own counts fully at lead i · stride, and less before and after.
+        of_each = np.maximum(0.0, 1.0 - np.abs(lead / stride - np.arange(ahead + 1)[:, None])) * reached
+        found.append((of_each[0], of_each[1:]))
+    return found
 
 
 def _block_means(weather: Array, stride: int, *, pad_before: bool) -> Array:
