@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.first_order import first_order
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -42,14 +44,20 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
 
 def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
     """Return the forced state of every mode for a known m(x)·v: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
-    lead = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1])
-    drive = np.broadcast_to(drive, (*lead, drive.shape[-1]))
-    F0 = np.broadcast_to(F0, (*lead, params.order))
-    modes = [
-        lfilter([g], [1.0, -a], drive, axis=-1, zi=(a * F0[..., i])[..., None])[0]
-        for i, (a, g) in enumerate(zip(params.poles, params.gains, strict=True))
-    ]
-    return np.stack(modes, axis=-1)
+    lead, n, r = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1]), drive.shape[-1], params.order
+    if lead != drive.shape[:-1]:
+        drive = np.broadcast_to(drive, (*lead, n))
+    if lead != F0.shape[:-1]:
+        F0 = np.broadcast_to(F0, (*lead, r))
+    courses = math.prod(lead)
+    states = first_order(
+        np.ascontiguousarray(drive).reshape(courses, n),
+        np.repeat(np.arange(courses), r),
+        np.tile(params.poles, courses),
+        np.tile(params.gains, courses),
+        np.ascontiguousarray(F0).reshape(courses * r),
+    )
+    return np.asarray(np.moveaxis(states[:, 1:].reshape(*lead, r, n), -2, -1))
 
 
 def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
