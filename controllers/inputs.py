@@ -10,6 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from controllers.errors import ControllerConfigError
+from controllers.packed_state import PackedState
 from thermoforce_mpc.data import Names, Observation
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.errors import DataError
@@ -28,6 +29,8 @@ def checked_state(state: object, kind: type[State], names: Names) -> State | Non
 
     `rows` of a state says how many zones, actuators or machines it is of.
     """
+    if isinstance(state, PackedState):
+        state = state.unpacked()
     if state is None:
         return None
     wanted = f"expected None (a run begins) or the Plan.state of the last plan of the same controller ({kind.__name__})"

@@ -6,7 +6,6 @@ own, whose controllers it keeps and whose forecasts it makes together.
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future
@@ -16,12 +15,10 @@ from types import TracebackType
 from controllers.errors import ControllerConfigError
 from controllers.many import AT_A_TIME, Planned, Together, Wanted, known_of
 from controllers.mpc_config import MPCConfig
-from controllers.planning_process import PlanningProcess
+from controllers.planning_process import PlanningProcess, Plans
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.thermal_model import ThermalModel
-
-_Plans = list[tuple[str, Planned]]
 
 
 def plan_many(
@@ -136,11 +133,10 @@ class Portfolio:
         found = dict(one for worker, part, future in asked for one in self._answer(worker, part, future, until_s))
         return {name: found[name] for name in observations}
 
-    def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[bytes], until_s: float) -> _Plans:
+    def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[bytes], until_s: float) -> Plans:
         """Plans of some buildings of a process; where it died, it is asked again, and then for ever fewer of them."""
         try:
-            plans: _Plans = pickle.loads(future.result(max(0.0, until_s - time.monotonic())))
-            return plans
+            return worker.plans(future.result(max(0.0, until_s - time.monotonic())))
         except BrokenProcessPool:
             if time.monotonic() < until_s:
                 return self._again(worker, wanted, until_s)
@@ -148,13 +144,12 @@ class Portfolio:
             worker.end()
         return self._left(wanted, f"no plan within {self._deadline_s:g} s")
 
-    def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> _Plans:
+    def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> Plans:
         left_s = until_s - time.monotonic()
         try:
             if left_s <= 0.0:
                 raise TimeoutError
-            plans: _Plans = pickle.loads(worker.asked(wanted).result(left_s))
-            return plans
+            return worker.plans(worker.asked(wanted).result(left_s))
         except TimeoutError:
             worker.end()
             return self._left(wanted, f"no plan within {self._deadline_s:g} s, after its process died")
@@ -164,6 +159,6 @@ class Portfolio:
         half = len(wanted) // 2
         return [*self._again(worker, wanted[:half], until_s), *self._again(worker, wanted[half:], until_s)]
 
-    def _left(self, wanted: list[Wanted], reason: str) -> _Plans:
+    def _left(self, wanted: list[Wanted], reason: str) -> Plans:
         """Buildings without a plan; their runs go on from where they were."""
         return [(name, self._here.told(name, observation, reason, state)) for name, observation, state in wanted]
