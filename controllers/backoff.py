@@ -16,6 +16,8 @@ from thermoforce_mpc.data import HOUR_S, Array, FreeForecast
 # Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), decreasing.
 _Z = np.linspace(0.0, 4.0, 401)
 _SHORTFALL = norm.pdf(_Z) - _Z * norm.sf(_Z)
+# `np.interp` needs increasing abscissae.
+_BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
 # Calibrated quantile level from which the standard deviation is computed, and its normal score.
 _SPREAD_LEVEL = 0.1
 _SPREAD_Z = float(norm.isf(_SPREAD_LEVEL))
@@ -40,6 +42,6 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
         return np.asarray(chance)
     sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
     soon = sd[..., : max(1, round(_AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
-    # Solve sd · shortfall(z) = violation; np.interp needs increasing abscissae.
-    z = np.interp(violation_K / np.maximum(soon, 1e-9), _SHORTFALL[::-1], _Z[::-1])
+    # Solve sd · shortfall(z) = violation.
+    z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
     return np.asarray(np.maximum(chance, z * sd))

@@ -157,9 +157,10 @@ class Sensor:
         if not known.size or not math.isfinite(predicted_C):
             return ""
         limit_K, off_K = self._limit_K(seen, half_K), y - predicted_C
+        if abs(off_K) <= limit_K:
+            return ""
         # A model that drifts away while the sensor moves on is the model's fault.
-        followed = known[-1] == seen.T_C.size - 2 and abs(y - seen.T_C[-2]) <= self._limit_K(seen)
-        if abs(off_K) <= limit_K or followed:
+        if known[-1] == seen.T_C.size - 2 and abs(y - seen.T_C[-2]) <= self._limit_K(seen):
             return ""
         return f"jumped to {y:.2f} °C, {abs(off_K):.2f} K from its prediction ({limit_K:.2f} K are believed)"
 

@@ -65,9 +65,11 @@ def level_fault(asked: Sequence[tuple[float, float]], history: Record) -> str:
     A plant that does not report its level cannot fail here: the record then holds the level asked for.
     """
     hours = history.step_s / HOUR_S
+    all_want, all_got, all_index = _steps(asked, history)
     for window_h in _WINDOWS_H:
         begin = float(history.time_s[-1]) - window_h * HOUR_S - 1.0
-        want, got, index = _steps([item for item in asked if item[0] > begin], history)
+        last = slice(int(np.searchsorted(history.time_s[all_index], begin, side="right")), None)
+        want, got, index = all_want[last], all_got[last], all_index[last]
         off = np.abs(_hourly(got - want, index, hours))
         off_h = float(off[off > _SAME].sum()) * hours
         if off_h >= max(_DIFFERENT_H, _DIFFERENT_SHARE * float(np.maximum(want, got).sum()) * hours):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,7 +68,12 @@ class FreeForecast:
     def stacked(cls, zones: Sequence[FreeForecast]) -> FreeForecast:
         """The forecasts of all zones as one; levels that not all zones have are interpolated."""
         levels = np.asarray(zones[0].levels, dtype=np.float64)
-        rows = [np.stack([zone.quantile_C(float(level)) for level in levels]) for zone in zones]
+        rows = [
+            zone.quantiles_C
+            if np.array_equal(zone.levels, levels)
+            else np.stack([zone.quantile_C(float(level)) for level in levels])
+            for zone in zones
+        ]
         note = "; ".join(dict.fromkeys(zone.note for zone in zones))
         doubt = "; ".join(dict.fromkeys(zone.doubt for zone in zones if zone.doubt))
         return cls(levels, np.stack(rows, axis=1), note, doubt)
@@ -83,8 +89,12 @@ class FreeForecast:
         beyond the outermost theirs.
         """
         levels = np.asarray(self.levels, dtype=np.float64)
-        place = float(np.interp(level, levels, np.arange(levels.size)))
-        below = min(int(place), levels.size - 2) if levels.size > 1 else 0
-        share = place - below
-        lower, upper = self.quantiles_C[below], self.quantiles_C[min(below + 1, levels.size - 1)]
+        above = int(np.searchsorted(levels, level))
+        for at in (above, above - 1):  # levels are decimal fractions, which are rounded
+            if 0 <= at < levels.size and math.isclose(levels[at], level, abs_tol=1e-12):
+                return np.asarray(self.quantiles_C[at], dtype=np.float64)
+        if above in (0, levels.size):
+            return np.asarray(self.quantiles_C[min(above, levels.size - 1)], dtype=np.float64)
+        share = (level - levels[above - 1]) / (levels[above] - levels[above - 1])
+        lower, upper = self.quantiles_C[above - 1], self.quantiles_C[above]
         return np.asarray(lower + share * (upper - lower), dtype=np.float64)

@@ -156,22 +156,31 @@ def _compared(
     scores = np.abs(gap) / np.where(gap >= 0, came[_UP], came[_DOWN])
     known = np.isfinite(scores)
     of = np.broadcast_to(group_of, due.shape)[due]
+    window_of = np.array([group.window for group in last.groups])[of]
+    inside = scores <= _width(window_of, came[_ADAPTED])
+    adapted = np.isfinite(came[_ADAPTED] + window_of) & known
     groups = []
     for index, (group, gain) in enumerate(zip(last.groups, _STEERING_OF_GROUP, strict=True)):
-        new = known & (of == index)
-        steering, adapted = group.steering, came[_ADAPTED, new] + group.window
-        if np.isfinite(adapted).any():
-            width = _width(group.window, came[_ADAPTED, new])
-            inside = (scores[new] <= width)[np.isfinite(adapted)]
-            steering = float(np.clip(steering + gain * (_INSIDE - float(np.mean(inside))), *_STEERING_RANGE))
-        kept = group.scores[now - group.scores[:, 0] <= _WINDOW_S]
-        if not new.any() and len(kept) == len(group.scores):
+        new, steering = known & (of == index), group.steering
+        judged = inside[new & adapted]
+        if judged.size:
+            steering += gain * (_INSIDE - float(judged.mean()))
+            steering = min(max(steering, _STEERING_RANGE[0]), _STEERING_RANGE[1])
+        if not new.any() and not group.ages(now):
             groups.append(replace(group, steering=steering))
             continue
+        kept = group.scores[now - group.scores[:, 0] <= _WINDOW_S]
         kept = np.concatenate([kept, np.stack([came[_ENDS, new], scores[new]], axis=1)])
-        width_now = float(np.quantile(kept[:, 1], _INSIDE)) if len(kept) >= _LEAST_VALUES else float("nan")
+        width_now = _quantile(kept[:, 1], _INSIDE) if len(kept) >= _LEAST_VALUES else float("nan")
         groups.append(_Group(steering, width_now, kept))
     return pending, tuple(groups)
+
+
+def _quantile(values: Array, level: float) -> float:
+    """What `np.quantile` returns of finite `values` (k,), in a tenth of its time; it is asked for in every hour."""
+    ordered, place = np.sort(values), level * (values.size - 1)
+    below = int(place)
+    return float(ordered[below] + (place - below) * (ordered[min(below + 1, values.size - 1)] - ordered[below]))
 
 
 def _width(window: Array | float, steering: Array | float) -> Array:

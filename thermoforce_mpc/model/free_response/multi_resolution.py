@@ -39,6 +39,11 @@ class Resolution:
         series = _every(free_C, self.stride, self.context.free_C.size)
         return replace(self, context=replace(self.context, free_C=series), now_C=_now_C(free_C))
 
+    def last(self, k: int) -> Resolution:
+        """Only the last `k` values of the context."""
+        free_C, past_weather = self.context.free_C[-k:], self.context.past_weather[-k:]
+        return replace(self, context=replace(self.context, free_C=free_C, past_weather=past_weather))
+
 
 def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
     """Return the resolution at the series' own step, over all steps ahead; arguments as in `resolutions_of`."""
@@ -59,14 +64,10 @@ def resolutions_of(
     """
     n = len(ahead_weather)
     stride = max(1, int((HOUR_S + 1e-6) // step_s))
-    coarse_s = stride * step_s
-    lengths = [longest] if stride > 1 else []
+    whole = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
+    coarse, coarse_s = [whole] if stride > 1 else [], stride * step_s
     if min(free_C.size * step_s, longest * coarse_s) > _MORE_THAN_A_WEEK_S:
-        lengths.append(min(longest, round(_WEEK_S / coarse_s) + 1))
-    coarse = [
-        _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=length, ahead=n)
-        for length in lengths
-    ]
+        coarse.append(whole.last(round(_WEEK_S / coarse_s) + 1))
     coarse = [resolution for resolution in coarse if np.isfinite(resolution.context.free_C).sum() >= FEWEST_VALUES]
     # Steps beyond one output patch are left to the coarse resolutions, if there are any.
     ahead = min(n, _AT_ONCE) if any(resolution.stride > 1 for resolution in coarse) else n

@@ -42,12 +42,14 @@ def feature_matrix(free_C: Array, T_out_C: Array, solar_W_m2: Array, time_s: Arr
     Raises:
         DataError: shapes do not broadcast, or a value is not finite.
     """
+    columns = (free_C, T_out_C, solar_W_m2, time_of_day(time_s))
     try:
-        columns = np.broadcast_arrays(free_C, T_out_C, solar_W_m2, time_of_day(time_s))
+        matrix = np.empty((*np.broadcast_shapes(*map(np.shape, columns)), N_FEATURES))
     except ValueError as error:
         raise DataError(f"features of the operator differ in shape: {error}") from error
-    matrix = np.stack([np.asarray(column, dtype=np.float64) for column in columns], axis=-1)
-    bad = [name for i, name in enumerate(FEATURES) if not np.isfinite(matrix[..., i]).all()]
-    if bad:
+    for i, column in enumerate(columns):
+        matrix[..., i] = column
+    if not np.isfinite(matrix).all():
+        bad = [name for i, name in enumerate(FEATURES) if not np.isfinite(matrix[..., i]).all()]
         raise DataError(f"features of the operator are not finite: {', '.join(bad)}; fill gaps first")
     return matrix
