@@ -98,6 +98,11 @@ class Together:
         self._built: dict[str, ThermoForceMPC | Exception] = {}
         self.answer = Answering(BoundedCalls(_ABANDONED), strangers=True)
 
+    @property
+    def controllers(self) -> int:
+        """How many controllers have been built."""
+        return len(self._built)
+
     def plans(self, wanted: Iterable[Wanted]) -> Iterator[tuple[str, Planned]]:
         """The plans in the order of `wanted`; no error of a building is raised."""
         ahead = iter(wanted)

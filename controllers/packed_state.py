@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, eq=False)
 class PackedState:
-    """A controller's state in bytes. Pickle keeps it, as it keeps any state.
+    """A controller's state in bytes. It may be pickled, as any state.
 
     Attributes:
         name: of no other state; the process that packed it still knows it by this name for a while.
@@ -16,8 +16,11 @@ class PackedState:
     """
 
     name: str
-    packed: bytes
+    packed: bytes | memoryview
 
     def unpacked(self) -> object:
         """The state itself."""
         return pickle.loads(self.packed)
+
+    def __reduce__(self) -> tuple[type[PackedState], tuple[str, bytes]]:
+        return PackedState, (self.name, bytes(self.packed))

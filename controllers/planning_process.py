@@ -6,42 +6,52 @@ process keeps the last one of each building: where that is the one given, its na
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
+import tempfile
 import threading
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from typing import IO
 
 from controllers.many import Known, Planned, Together, Wanted
 from controllers.packed_state import PackedState
+from controllers.parcels import Parcel, received, sent
 from thermoforce_mpc.execution.local import Remembering, one_thread_each
 
 Plans = list[tuple[str, Planned]]
+Answer = tuple[Parcel, int]
+"""A parcel of states, then of plans with the names of these states, which begin at the number."""
 
 
 @dataclass(frozen=True)
 class _Named:
-    """In place of a state, its name."""
+    """In place of a state, its name; where it goes out, also where it begins and ends in the parcel."""
 
     name: str
+    begin: int = 0
+    end: int = 0
 
 
 class PlanningProcess:
     """A process that plans for some buildings, started when it is first asked and again after its end."""
 
     def __init__(self, known: Known, grace_s: float) -> None:
-        self._begin = (known, grace_s)
+        self._known, self._grace_s = known, grace_s
         self._context = Remembering()
         self._pool: ProcessPoolExecutor | None = None
+        self._folder = ""
         # Names of the states that the process keeps, by building.
         self._keeps: dict[str, str] = {}
 
-    def asked(self, wanted: list[Wanted]) -> Future[bytes]:
+    def asked(self, wanted: list[Wanted]) -> Future[Answer]:
         """The plans of buildings, to come, packed for `plans`; raises `BrokenProcessPool` from its result."""
         try:
             return self._submitted(wanted)
@@ -49,29 +59,41 @@ class PlanningProcess:
             self.end()
             return self._submitted(wanted)
 
-    def _submitted(self, wanted: list[Wanted]) -> Future[bytes]:
+    def _submitted(self, wanted: list[Wanted]) -> Future[Answer]:
         pool = self._started()
         given = [(name, observation, self._named(name, state)) for name, observation, state in wanted]
-        return pool.submit(_plans_of, pickle.dumps(given, pickle.HIGHEST_PROTOCOL))
+        return pool.submit(
+            _plans_of, sent(lambda file: pickle.dump(given, file, pickle.HIGHEST_PROTOCOL), self._folder)
+        )
 
     def _named(self, name: str, state: object) -> object:
         """The name of a state that the process keeps, the state itself where it does not."""
-        kept = isinstance(state, PackedState) and self._keeps.get(name) == state.name
-        # Whatever comes of this plan, the process may then keep another one.
-        self._keeps.pop(name, None)
-        return _Named(state.name) if isinstance(state, PackedState) and kept else state
+        kept = self._keeps.pop(name, None)  # whatever comes of this plan, the process may then keep another one
+        return _Named(state.name) if isinstance(state, PackedState) and state.name == kept else state
 
-    def plans(self, packed: bytes) -> Plans:
-        """The plans that the process answered with."""
-        plans: Plans = pickle.loads(packed)
-        self._keeps |= {name: one.state.name for name, one in plans if isinstance(one.state, PackedState)}
+    def plans(self, answer: Answer) -> Plans:
+        """The plans that the process answered with; raises `BrokenProcessPool` where they went with a process."""
+        parcel, begin = answer
+        try:
+            content = received(parcel)
+        except FileNotFoundError as error:
+            raise BrokenProcessPool("the process that made the plans has ended") from error
+        plans: Plans = []
+        for name, planned in pickle.loads(content[begin:]):
+            state = planned.state
+            if isinstance(state, _Named):
+                self._keeps[name] = state.name
+                state = PackedState(state.name, content[state.begin : state.end])
+            plans.append((name, replace(planned, plan=replace(planned.plan, state=state), state=state)))
         return plans
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
             # Spawned: a fork would copy the locks of compiled code in whatever state they are.
             self._context = Remembering()
-            self._pool = ProcessPoolExecutor(1, self._context, _begin, self._begin)
+            self._folder = tempfile.mkdtemp(prefix="tf-mpc-plans-")
+            begin = (self._known, self._grace_s, self._folder)
+            self._pool = ProcessPoolExecutor(1, self._context, _begin, begin)
             with one_thread_each():
                 self._pool.submit(os.getpid)  # starts the process
         return self._pool
@@ -85,20 +107,23 @@ class PlanningProcess:
             for process in self._context.started:
                 process.kill()
             self._pool.shutdown()
+            shutil.rmtree(self._folder, ignore_errors=True)
         self._pool = None
         self._keeps.clear()
 
 
+# In the process.
 _together: Together | None = None
-# In the process: the last state of each building, and its name.
+_folder = ""
+# The last state of each building, and its name.
 _kept: dict[str, tuple[str, object]] = {}
 
 
-def _begin(known: Known, grace_s: float) -> None:
-    """In the process: an interrupt is for the parent, whose end is that of the process."""
-    global _together
+def _begin(known: Known, grace_s: float, folder: str) -> None:
+    """An interrupt is for the parent, whose end is that of the process."""
+    global _together, _folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _together = Together(known, grace_s)
+    _together, _folder = Together(known, grace_s), folder
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 
@@ -106,15 +131,30 @@ def _follow_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        shutil.rmtree(_folder, ignore_errors=True)
         os._exit(1)
 
 
-def _plans_of(given: bytes) -> bytes:
+def _plans_of(given: Parcel) -> Answer:
     assert _together is not None
-    return pickle.dumps([*_packed(_together.plans(_unpacked(pickle.loads(given))))], pickle.HIGHEST_PROTOCOL)
+    before, begin = _together.controllers, 0
+    plans = list(_together.plans(_unpacked(pickle.loads(received(given)))))
+
+    def write(file: IO[bytes]) -> None:
+        nonlocal begin
+        packed = [(name, _packed(name, planned, file)) for name, planned in plans]
+        begin = file.tell()
+        pickle.dump(packed, file, pickle.HIGHEST_PROTOCOL)
+
+    parcel = sent(write, _folder)
+    if _together.controllers > before:
+        # Controllers stay for good: looking through them for garbage costs a twentieth of all plans.
+        gc.collect()
+        gc.freeze()
+    return parcel, begin
 
 
-def _unpacked(given: Iterable[Wanted]) -> Iterator[Wanted]:
+def _unpacked(given: Sequence[Wanted]) -> Iterator[Wanted]:
     """What is wanted, with the states that stand behind names."""
     for name, observation, state in given:
         if isinstance(state, _Named):
@@ -125,13 +165,14 @@ def _unpacked(given: Iterable[Wanted]) -> Iterator[Wanted]:
             yield name, observation, state
 
 
-def _packed(plans: Iterable[tuple[str, Planned]]) -> Iterator[tuple[str, Planned]]:
-    """Plans with their states packed and kept."""
-    for name, planned in plans:
-        if planned.state is None:
-            _kept.pop(name, None)
-            yield name, planned
-            continue
-        packed = PackedState(uuid.uuid4().hex, pickle.dumps(planned.state, pickle.HIGHEST_PROTOCOL))
-        _kept[name] = packed.name, planned.state
-        yield name, replace(planned, plan=replace(planned.plan, state=packed), state=packed)
+def _packed(name: str, planned: Planned, file: IO[bytes]) -> Planned:
+    """A plan whose state is kept, and written to `file`."""
+    state = planned.state
+    if state is None:
+        _kept.pop(name, None)
+        return planned
+    begin = file.tell()
+    pickle.dump(state, file, pickle.HIGHEST_PROTOCOL)
+    named = _Named(uuid.uuid4().hex, begin, file.tell())
+    _kept[name] = named.name, state
+    return replace(planned, plan=replace(planned.plan, state=None), state=named)

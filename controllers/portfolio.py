@@ -15,7 +15,7 @@ from types import TracebackType
 from controllers.errors import ControllerConfigError
 from controllers.many import AT_A_TIME, Planned, Together, Wanted, known_of
 from controllers.mpc_config import MPCConfig
-from controllers.planning_process import PlanningProcess, Plans
+from controllers.planning_process import Answer, PlanningProcess, Plans
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -133,7 +133,7 @@ class Portfolio:
         found = dict(one for worker, part, future in asked for one in self._answer(worker, part, future, until_s))
         return {name: found[name] for name in observations}
 
-    def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[bytes], until_s: float) -> Plans:
+    def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[Answer], until_s: float) -> Plans:
         """Plans of some buildings of a process; where it died, it is asked again, and then for ever fewer of them."""
         try:
             return worker.plans(future.result(max(0.0, until_s - time.monotonic())))
