@@ -19,8 +19,8 @@ from scipy.optimize import nnls
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.first_order import first_order
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
+from thermoforce_mpc.model.free_response.linear_equations import simulated, whitened
 
 # Time constants from room air to massive structure, h.
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
@@ -32,8 +32,6 @@ _RIDGE_START = 0.01
 _LONG_RUN_GAIN_WEIGHT = 5.0
 # Unit of irradiance that gives weights of order one, W/m².
 _SOLAR_UNIT_W_M2 = 100.0
-# Waves of the daily course: cosine and sine once and twice a day.
-_WAVES = 4
 _SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
 
 
@@ -90,44 +88,19 @@ def fits_linear_weather(
     columns, bounded, ridge = _columns(time_s, T_out, solar, step_s)
     modes = TIME_CONSTANTS_H.size
     # Columns 0..modes-1 are the outdoor gains: their sum is the long-run gain.
-    long_run = np.zeros(len(columns))
+    long_run = np.zeros(bounded.size)
     long_run[:modes] = _LONG_RUN_GAIN_WEIGHT
     prior = np.diag(ridge) + np.outer(long_run, long_run)
     fits = []
     for disturbance_h in disturbances_h:
-        rows, targets = _equations(columns[:, : free_C.size], free_C, disturbance_h, step_s)
+        decay = 0.0 if disturbance_h is None else float(np.exp(-step_s / HOUR_S / disturbance_h))
+        rows, targets = whitened(columns, free_C, decay)
         weights = _bounded_least_squares(
-            rows @ rows.T + prior, rows @ targets + _LONG_RUN_GAIN_WEIGHT * long_run, bounded
+            rows.T @ rows + prior, targets @ rows + _LONG_RUN_GAIN_WEIGHT * long_run, bounded
         )
-        course = weights @ columns
+        course = columns @ weights
         fits.append(LinearFit(course[: free_C.size], course[free_C.size :], weights))
     return fits
-
-
-def _equations(columns: Array, free_C: Array, disturbance_h: float | None, step_s: float) -> tuple[Array, Array]:
-    """Return columns (p, k) and right-hand sides (k,) of the known values, whitened if `disturbance_h`.
-
-    Whitened ones are scaled to the disturbance's variance, so the priors have the same weight in both cases.
-    """
-    known = np.flatnonzero(np.isfinite(free_C))
-    rows, targets = (columns, free_C) if known.size == free_C.size else (columns[:, known], free_C[known])
-    if disturbance_h is None:
-        return rows, targets
-    # The correlation across a gap decays over the length of the gap.
-    kept = np.exp(-np.diff(known) * step_s / HOUR_S / disturbance_h)
-    unit = 1.0 / np.sqrt(1.0 - kept**2)
-    return _whitened(rows, kept, unit), _whitened(targets, kept, unit)
-
-
-def _whitened(values: Array, kept: Array, unit: Array) -> Array:
-    """Innovations of `values` (..., k) with first-order errors, of which `kept` (k − 1,) is left at the next one."""
-    out = np.empty(values.shape)
-    out[..., 0] = values[..., 0]
-    later = out[..., 1:]
-    np.multiply(kept, values[..., :-1], out=later)
-    np.subtract(values[..., 1:], later, out=later)
-    later *= unit
-    return out
 
 
 def _bounded_least_squares(gram: Array, right: Array, bounded: NDArray[np.bool_]) -> Array:
@@ -176,25 +149,19 @@ class LinearWeather:
 
 
 def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return the simulated response per unit of every parameter (p, n + N + 1), which are ≥ 0, ridge weights (p,)."""
-    q, n = TIME_CONSTANTS_H.size, time_s.size
-    rates = -step_s / HOUR_S / TIME_CONSTANTS_H
-    columns = np.empty((3 * q + 1 + _WAVES, n))
-    drives = np.stack([T_out, solar / _SOLAR_UNIT_W_M2])
-    mean = 0.5 * (drives[:, :-1] + drives[:, 1:])
-    poles = np.exp(np.tile(rates, 2))
-    # The response to the outdoor temperature in all modes, then that to the sun.
-    columns[: 2 * q] = first_order(mean, np.repeat([0, 1], q), poles, 1.0 - poles, np.repeat([T_out[0], 0.0], q))
+    """Return the simulated response per unit of every parameter (n + N + 1, p), which are ≥ 0, ridge weights (p,)."""
+    q = TIME_CONSTANTS_H.size
     hour_angle = 2 * np.pi * time_s / DAY_S
     cosine, sine = np.cos(hour_angle), np.sin(hour_angle)
-    columns[2 * q] = 1.0
-    columns[2 * q + 1 :][:_WAVES] = cosine, sine, 2 * cosine**2 - 1, 2 * sine * cosine  # once and twice a day
-    np.exp(rates[:, None] * np.arange(n), out=columns[-q:])  # of the start
-    bounded = np.arange(len(columns)) < 2 * q
-    ridge = np.concatenate(
-        [np.full(2 * q, _RIDGE_WEATHER), [0.0], np.full(_WAVES, _RIDGE_WAVE), np.full(q, _RIDGE_START)]
+    given = (np.ones(time_s.size), cosine, sine, 2 * cosine**2 - 1, 2 * sine * cosine)  # waves once and twice a day
+    columns = simulated(
+        np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1),
+        np.stack(given, axis=1),
+        np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H),
+        np.array([T_out[0], 0.0]),
     )
-    return columns, bounded, ridge
+    ridge = [np.full(2 * q, _RIDGE_WEATHER), [0.0], np.full(len(given) - 1, _RIDGE_WAVE), np.full(q, _RIDGE_START)]
+    return columns, np.arange(columns.shape[1]) < 2 * q, np.concatenate(ridge)
 
 
 def _fading(residual: Array, n: int, step_s: float) -> Array:
