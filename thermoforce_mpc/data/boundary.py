@@ -165,6 +165,8 @@ class Boundary:
     def check(self, *names: str) -> None:
         """Raises `DataError` where one of the signals `names` has a value that is no number; says which and when."""
         for name in names:
+            if np.isfinite(getattr(self, name)).all():
+                continue
             for row, values in enumerate(np.atleast_2d(getattr(self, name))):
                 missing = np.flatnonzero(~np.isfinite(values))
                 if missing.size:

@@ -55,11 +55,8 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
     notes: list[str] = []
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
-        if name in WEATHER:
-            low, high = _RANGES[name]
-            with np.errstate(invalid="ignore"):
-                rows = np.where((rows < low) | (rows > high), np.nan, rows)
-        missing = ~np.isfinite(rows)
+        low, high = _RANGES[name] if name in WEATHER else (-np.inf, np.inf)
+        missing = ~(np.isfinite(rows) & (rows >= low) & (rows <= high))
         if not missing.any():
             continue
         out = np.where(missing, np.nan, rows)

@@ -39,15 +39,15 @@ def checked_forecast(forecast: object, n_steps: int, name: str) -> FreeForecast:
     quantiles = np.asarray(forecast.quantiles_C, dtype=np.float64)
     if quantiles.shape != (levels.size, n_steps):
         raise DataError(f"{wrong} gave quantiles of shape {quantiles.shape}, expected ({levels.size}, {n_steps})")
-    gaps = np.argwhere(~np.isfinite(quantiles))
-    if gaps.size:
+    if not np.isfinite(quantiles).all():
+        gaps = np.argwhere(~np.isfinite(quantiles))
         level, step = gaps[0]
         raise DataError(
             f"{wrong}: its {levels[level]:g} quantile is not finite at step {step} of {n_steps} ({len(gaps)} such)"
         )
-    crossed = np.argwhere(np.diff(quantiles, axis=0) < -_ROUNDING_K)
-    if crossed.size:
-        level, step = crossed[0]
+    crossed = quantiles[1:] - quantiles[:-1] < -_ROUNDING_K
+    if crossed.any():
+        level, step = np.argwhere(crossed)[0]
         raise DataError(
             f"{wrong}: at step {step} its {levels[level + 1]:g} quantile is below its {levels[level]:g} quantile"
         )

@@ -160,8 +160,9 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
         np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H),
         np.array([T_out[0], 0.0]),
     )
-    ridge = [np.full(2 * q, _RIDGE_WEATHER), [0.0], np.full(len(given) - 1, _RIDGE_WAVE), np.full(q, _RIDGE_START)]
-    return columns, np.arange(columns.shape[1]) < 2 * q, np.concatenate(ridge)
+    ridge = np.full(columns.shape[1], _RIDGE_WAVE)
+    ridge[: 2 * q], ridge[2 * q], ridge[-q:] = _RIDGE_WEATHER, 0.0, _RIDGE_START
+    return columns, np.arange(columns.shape[1]) < 2 * q, ridge
 
 
 def _fading(residual: Array, n: int, step_s: float) -> Array:

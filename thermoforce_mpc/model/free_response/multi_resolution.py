@@ -91,7 +91,7 @@ def _every(free_C: Array, stride: int, longest: int) -> Array:
 
 def _now_C(free_C: Array) -> float:
     """The last value that is known."""
-    return float(free_C[np.isfinite(free_C)][-1])
+    return float(free_C[-1] if np.isfinite(free_C[-1]) else free_C[np.isfinite(free_C)][-1])
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:

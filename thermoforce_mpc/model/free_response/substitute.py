@@ -8,6 +8,7 @@ front exceeds what three days have shown, and the linear model is poor in a ligh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -154,8 +155,8 @@ def absurdity(forecast: FreeForecast, free_C: Array, history: Record, boundary: 
 def _allowed_K(free_C: Array, lead: int) -> float:
     """Largest change of `free_C` (n + 1,) over `lead` steps that is ordinary, K; from the longest known below it."""
     for n in range(min(lead, free_C.size - 1), 0, -1):
-        changes = np.abs(free_C[n:] - free_C[:-n])
-        if np.isfinite(changes).any():
+        largest = float(np.fmax.reduce(np.abs(free_C[n:] - free_C[:-n])))  # NaN where none is known
+        if math.isfinite(largest):
             # A record that is too short for the lead: what it showed, in proportion.
-            return _TIMES_RECORD * float(np.nanmax(changes)) * lead / n + _BEYOND_RECORD_K
+            return _TIMES_RECORD * largest * lead / n + _BEYOND_RECORD_K
     return _BEYOND_RECORD_K * max(1.0, lead)

@@ -80,10 +80,10 @@ class BoltBackbone:
         steps = [len(context.ahead_weather) for context in contexts]
         series = torch.from_numpy(padded_series(contexts, self._patch))
         if self._levels is not None and max(steps) <= self._at_once:
-            values = self._at_once_of(series[:, -self._longest :])[:, self._levels].transpose(1, 2)
+            values = self._at_once_of(series[:, -self._longest :])[:, self._levels]
         else:
-            values = self._unrolled(series, max(steps))
-        return [np.asarray(value[:n].T.double().numpy()) for value, n in zip(values, steps, strict=True)]
+            values = self._unrolled(series, max(steps)).transpose(1, 2)
+        return [value[:, :n] for value, n in zip(values.double().numpy(), steps, strict=True)]
 
     def _unrolled(self, series: Tensor, steps: int) -> Tensor:
         """Quantiles (B, steps, 9) by the library, which unrolls what it does not forecast at once."""
