@@ -7,7 +7,6 @@ import mmap
 import os
 import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import IO, NamedTuple
 
 
@@ -20,14 +19,16 @@ class Parcel(NamedTuple):
 
 def sent(write: Callable[[IO[bytes]], None], folder: str) -> Parcel:
     """What `write` writes to a file it is given; `write` is called again where `folder` has no room."""
-    path = ""
     try:
         handle, path = tempfile.mkstemp(dir=folder)
-        with open(handle, "wb") as file:
-            write(file)
+        try:
+            with open(handle, "wb") as file:
+                write(file)
+        except BaseException:
+            os.unlink(path)
+            raise
         return Parcel(path)
     except OSError:
-        Path(path).unlink(missing_ok=True)
         memory = io.BytesIO()
         write(memory)
         return Parcel("", memory.getvalue())

@@ -6,13 +6,14 @@ own, whose controllers it keeps and whose forecasts it makes together.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 
-from controllers.errors import ControllerConfigError
+from controllers.errors import ControllerConfigError, said
 from controllers.many import AT_A_TIME, Planned, Together, Wanted, known_of
 from controllers.mpc_config import MPCConfig
 from controllers.planning_process import Answer, PlanningProcess, Plans
@@ -80,10 +81,11 @@ class Portfolio:
             ControllerConfigError: a number makes no sense, `config` names a building without a model, or what is given
                 for a building is no model or no options.
         """
-        if workers < 1 or not grace_s >= 0.0 or not deadline_s > 0.0:
+        whole = isinstance(workers, int) and not isinstance(workers, bool)
+        if not whole or workers < 1 or not 0.0 <= grace_s < math.inf or not deadline_s > 0.0:
             raise ControllerConfigError(
-                f"workers {workers}, grace_s {grace_s:g}, deadline_s {deadline_s:g}: expected at least one process, a "
-                "grace of 0 or more and a deadline above 0"
+                f"workers {workers!r}, grace_s {grace_s:g}, deadline_s {deadline_s:g}: expected one process or more, a "
+                "grace of 0 or more that ends, and a deadline above 0"
             )
         known = known_of(models, config)
         self._here = Together(known, grace_s)
@@ -125,7 +127,7 @@ class Portfolio:
             of_worker[self._worker_of.get(one[0], self._workers[0])].append(one)
         longest = max(len(its) for its in of_worker.values())
         asked = [
-            (worker, part, worker.asked(part))
+            (worker, part, _asked(worker, part))
             for i in range(0, longest, AT_A_TIME)
             for worker, its in of_worker.items()
             if (part := its[i : i + AT_A_TIME])
@@ -134,14 +136,16 @@ class Portfolio:
         return {name: found[name] for name in observations}
 
     def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[Answer], until_s: float) -> Plans:
-        """Plans of some buildings of a process; where it died, it is asked again, and then for ever fewer of them."""
+        """Plans of some buildings of a process; where there are none, it is asked again for ever fewer of them."""
         try:
             return worker.plans(future.result(max(0.0, until_s - time.monotonic())))
-        except BrokenProcessPool:
-            if time.monotonic() < until_s:
-                return self._again(worker, wanted, until_s)
         except TimeoutError:
             worker.end()
+        except Exception as error:
+            if time.monotonic() < until_s:
+                # Whether one of them ended the process is not known; that one cannot be sent or read is.
+                parts = [wanted] if isinstance(error, BrokenProcessPool) else _halves(wanted)
+                return [one for part in parts for one in self._again(worker, part, until_s)]
         return self._left(wanted, f"no plan within {self._deadline_s:g} s")
 
     def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> Plans:
@@ -149,16 +153,34 @@ class Portfolio:
         try:
             if left_s <= 0.0:
                 raise TimeoutError
-            return worker.plans(worker.asked(wanted).result(left_s))
+            return worker.plans(_asked(worker, wanted).result(left_s))
         except TimeoutError:
             worker.end()
-            return self._left(wanted, f"no plan within {self._deadline_s:g} s, after its process died")
+            return self._left(wanted, f"no plan within {self._deadline_s:g} s, after its process failed")
         except BrokenProcessPool:
-            if len(wanted) == 1:
-                return self._left(wanted, "its process died while planning it")
-        half = len(wanted) // 2
-        return [*self._again(worker, wanted[:half], until_s), *self._again(worker, wanted[half:], until_s)]
+            reason = "its process died while planning it"
+        except Exception as error:  # likewise
+            reason = said(error)
+        if len(wanted) == 1:
+            return self._left(wanted, reason)
+        return [one for part in _halves(wanted) for one in self._again(worker, part, until_s)]
 
     def _left(self, wanted: list[Wanted], reason: str) -> Plans:
         """Buildings without a plan; their runs go on from where they were."""
         return [(name, self._here.told(name, observation, reason, state)) for name, observation, state in wanted]
+
+
+def _asked(worker: PlanningProcess, wanted: list[Wanted]) -> Future[Answer]:
+    """The answer to come of a process, or the error of what cannot be sent to it."""
+    try:
+        return worker.asked(wanted)
+    except Exception as error:  # whatever pickling a state or an observation raises
+        failed: Future[Answer] = Future()
+        failed.set_exception(error)
+        return failed
+
+
+def _halves(wanted: list[Wanted]) -> list[list[Wanted]]:
+    """Two parts of some buildings; one alone is a part."""
+    middle = (len(wanted) + 1) // 2
+    return [part for part in (wanted[:middle], wanted[middle:]) if part]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import pickle
+import tempfile
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +17,8 @@ from waiting import LONG_S
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation import ActuationConfig
 from controllers.errors import ControllerConfigError
+from controllers.packed_state import PackedState
+from controllers.parcels import received, sent
 from controllers.portfolio import Portfolio, plan_many
 from controllers.qp_backends import Clarabel
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
@@ -197,9 +202,19 @@ def test_a_plan_holds_until_it_expires_and_then_the_buildings_own_controller_act
     assert planned.block_at(planned.begins_s - 1.0) is None
 
 
-@pytest.mark.parametrize("wrong", [{"workers": 0}, {"grace_s": -1.0}, {"deadline_s": 0.0}, {"grace_s": float("nan")}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"workers": 0},
+        {"grace_s": -1.0},
+        {"deadline_s": 0.0},
+        {"grace_s": float("nan")},
+        {"grace_s": float("inf")},
+        {"workers": 1.5},
+    ],
+)
 def test_numbers_without_sense_are_refused(wrong):
-    with pytest.raises(ControllerConfigError, match="expected at least one process"):
+    with pytest.raises(ControllerConfigError, match="expected one process or more"):
         Portfolio({"a": simple_model()}, **wrong)
 
 
@@ -248,6 +263,58 @@ def test_processes_give_the_same_plans_and_one_that_dies_costs_its_cause_alone()
         assert found["house 2"].plan.status is PlanStatus.NATIVE
         assert "its process died while planning it" in found["house 2"].reason
         same(portfolio.plan(after, states)["house 2"].plan, expected["house 2"].plan)
+
+
+class Unreadable:
+    """A state that cannot be read where it was sent."""
+
+    def __reduce__(self):
+        return getattr, ("", "no_such_state")
+
+
+@pytest.mark.slow
+def test_states_of_processes_serve_every_controller_and_what_cannot_travel_costs_its_building():
+    observations, after = houses(4), {name: later(one) for name, one in houses(4).items()}
+    here = plan_many(models(4), observations, config=WEATHER_MODEL)
+    expected = plan_many(models(4), after, {n: one.state for n, one in here.items()}, config=WEATHER_MODEL)
+    with Portfolio(models(4), WEATHER_MODEL, workers=2) as portfolio:
+        first = portfolio.plan(observations)
+        states = {name: one.state for name, one in first.items()}
+        assert all(isinstance(state, PackedState) and first[n].plan.state is state for n, state in states.items())
+        # As the process keeps it, as it does not any more, and as it was stored meanwhile.
+        for given in (states, states, pickle.loads(pickle.dumps(states))):
+            for name, one in portfolio.plan(after, given).items():
+                same(one.plan, expected[name].plan)
+        # Houses 0 and 2 share a process, as 1 and 3 do.
+        found = portfolio.plan(after, states | {"house 0": lambda: 0, "house 1": Unreadable()})
+        for name in ("house 2", "house 3"):
+            same(found[name].plan, expected[name].plan)
+        assert {found[f"house {i}"].plan.status for i in (0, 1)} == {PlanStatus.NATIVE}
+        assert "pickle" in found["house 0"].reason
+        assert "no_such_state" in found["house 1"].reason
+        folders = [Path(worker._folder) for worker in portfolio._workers]
+        assert all(folder.is_dir() and not any(folder.iterdir()) for folder in folders)
+    assert not any(folder.exists() for folder in folders)
+    same(
+        ThermoForceMPC(simple_model(), WEATHER_MODEL).plan(after["house 3"], states["house 3"]),
+        expected["house 3"].plan,
+    )
+    same(plan_many(models(4), after, states, config=WEATHER_MODEL)["house 2"].plan, expected["house 2"].plan)
+
+
+def test_parcels_travel_in_files_that_are_gone_then_or_in_memory_where_there_is_no_room(tmp_path, monkeypatch):
+    parcel = sent(lambda file: file.write(b"plans"), str(tmp_path))
+    assert Path(parcel.path).parent == tmp_path
+    assert bytes(received(parcel)) == b"plans"
+    assert not any(tmp_path.iterdir())
+    with pytest.raises(FileNotFoundError):
+        received(parcel)
+
+    def full(*args: object, **kwargs: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkstemp", full)
+    assert bytes(received(sent(lambda file: file.write(b"plans"), str(tmp_path)))) == b"plans"
 
 
 @pytest.mark.slow
