@@ -39,44 +39,51 @@ _LEAST_VALUES = 24
 # embedded plant, as was the separate group for the first hour.
 _STEERING, _STEERING_LEAD_H, _FURTHEST_H = 0.12, 12.0, 48.0
 _STEERING_OF_GROUP = tuple(_STEERING * min(1.0, _STEERING_LEAD_H / lead_h) for lead_h in (*_LEAD_EDGES_H, _FURTHEST_H))
+_GROUPS = len(_STEERING_OF_GROUP)
 _STEERING_RANGE = (-1.1, 1.1)
 _SCALE_RANGE = (0.25, 5.0)
 
 
-# Rows of an issued forecast.
-_ENDS, _MEDIAN, _UP, _DOWN, _ADAPTED = range(5)
-_NONE = np.empty((0, 2))
+@dataclass(frozen=True)
+class _Issued:
+    """I forecasts at K lead times, one for each hour.
+
+    `time_s` (I,): when each was issued, s. `raw` (I, 3, K): median °C, half-widths above and below, K. `adapted` (I,
+    G): adaptation of the log width then, NaN where no width was known.
+    """
+
+    time_s: Array
+    raw: Array
+    adapted: Array
+
+    def kept(self, which: NDArray[np.bool_]) -> _Issued:
+        """Those of `which` (I,)."""
+        return _Issued(self.time_s[which], self.raw[which], self.adapted[which])
 
 
 @dataclass(frozen=True)
-class _Group:
-    """State of a group of lead times that share a width.
+class _Scores:
+    """Distances of past values from the median of what forecast them, in raw half-widths.
 
-    `steering`: adaptation of the log width. `window`: width from the last days, NaN with too few values. `scores`
-    (k, 2): time, s, and distance from the median in raw half-widths of past values.
+    `time_s` (H,): instants, s; `values` (H, K): by lead time, NaN where unknown.
     """
 
-    steering: float = 0.0
-    window: float = float("nan")
-    scores: Array = field(default_factory=lambda: _NONE)
-
-    def ages(self, now: float) -> bool:
-        """Whether a value is older than the window; the first is the oldest."""
-        return bool(len(self.scores)) and now - float(self.scores[0, 0]) > _WINDOW_S
+    time_s: Array
+    values: Array
 
 
 @dataclass(frozen=True)
 class CalibratedState:
-    """State of a run: forecasts issued and not yet fully compared, and the width of each group of lead times.
+    """State of a run: forecasts issued and not yet fully compared, and the width of each of G groups of lead times.
 
-    `issued` (I, 5, K): of each forecast, at one lead time per hour, the end of the step, s, raw median, half-widths
-    above and below, and log-width adaptation. `issued_s`: time of the last of them, s; `latest_s`: time of the last
-    forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
+    `steering` (G,): adaptation of the log width; `window` (G,): width from the `scores` of the last days, NaN with too
+    few of them. `latest_s`: time of the last forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
     """
 
-    issued: Array | None = None
-    issued_s: float = -np.inf
-    groups: tuple[_Group, ...] = (_Group(),) * (len(_LEAD_EDGES_H) + 1)
+    issued: _Issued | None = None
+    scores: _Scores | None = None
+    steering: Array = field(default_factory=lambda: np.zeros(_GROUPS))
+    window: Array = field(default_factory=lambda: np.full(_GROUPS, np.nan))
     latest_s: float = -np.inf
     n_steps: int = 0
     inner: object = None
@@ -118,69 +125,81 @@ class CalibratedFreeResponse:
         now, n = float(history.time_s[-1]), boundary.n_steps
         last = state if isinstance(state, CalibratedState) else CalibratedState()
         raw, inner = yield from following(self.inner, free, history, boundary, last.inner)
-        group_of = np.searchsorted(_LEAD_EDGES_H, np.arange(1, n + 1) * boundary.step_s / HOUR_S - 1e-9)
         if now < last.latest_s or n != last.n_steps:
-            last = CalibratedState()
+            last = CalibratedState(inner=inner)
+        lead_s = np.asarray(np.arange(1, n + 1) * boundary.step_s, dtype=np.float64)
+        group_of = np.searchsorted(_LEAD_EDGES_H, lead_s / HOUR_S - 1e-9)
         # One lead time per hour: those between are nearly identical.
         stride = max(1, round(_EVERY_S / boundary.step_s))
         hourly = slice(stride - 1, None, stride)
-        before = np.empty((0, 5, len(range(n)[hourly]))) if last.issued is None else last.issued
-        issued, groups = _compared(last, before, free, history, group_of[hourly])
-        steering = np.array([group.steering for group in groups])[group_of]
-        window = np.array([group.window for group in groups])[group_of]
-        scale = _width(window, steering)
-        median, issued_s = raw.median_C, last.issued_s
-        if not len(issued) or now - issued_s >= _EVERY_S - 1.0:
-            # NaN marks forecasts issued without a known width, which were not adapted.
-            given = np.where(np.isnan(window), np.nan, steering)
+        known = _compared(last, lead_s[hourly], group_of[hourly], free, history)
+        scale = _width(known.window[group_of], known.steering[group_of])
+        median, issued = raw.median_C, known.issued
+        if issued is None or not issued.time_s.size or now - issued.time_s[-1] >= _EVERY_S - 1.0:
             up, down = raw.quantiles_C[-1] - median, median - raw.quantiles_C[0]
-            new = np.stack([boundary.time_s[1:], median, np.maximum(up, 1e-6), np.maximum(down, 1e-6), given])
-            issued, issued_s = np.concatenate([issued, new[None, :, hourly]]), now
+            new = np.stack([median, np.maximum(up, 1e-6), np.maximum(down, 1e-6)])[None, :, hourly]
+            # NaN marks forecasts issued without a known width, which were not adapted.
+            given = np.where(np.isnan(known.window), np.nan, known.steering)[None]
+            if issued is None:
+                issued = _Issued(np.array([now]), new, given)
+            else:
+                issued = _Issued(
+                    np.append(issued.time_s, now),
+                    np.concatenate([issued.raw, new]),
+                    np.concatenate([issued.adapted, given]),
+                )
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
         forecast = FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
-        return forecast, CalibratedState(issued, issued_s, groups, now, n, inner)
+        return forecast, replace(known, issued=issued, latest_s=now, n_steps=n, inner=inner)
 
 
 def _compared(
-    last: CalibratedState, issued: Array, free: Array, history: Record, group_of: NDArray[np.intp]
-) -> tuple[Array, tuple[_Group, ...]]:
-    """Compare the values since the last call with their forecasts; return pending forecasts and updated groups."""
-    now = float(history.time_s[-1])
-    ends = issued[:, _ENDS]
+    last: CalibratedState, lead_s: Array, group_of: NDArray[np.intp], free: Array, history: Record
+) -> CalibratedState:
+    """The state after comparing the values since the last call with what forecast them at `lead_s` (K,), s."""
+    issued, now = last.issued, float(history.time_s[-1])
+    if issued is None:
+        return last
+    scores = last.scores or _Scores(np.empty(0), np.empty((0, lead_s.size)))
+    ends = issued.time_s[:, None] + lead_s
     due = (ends > last.latest_s + 0.5) & (ends <= now + 0.5)
-    if not due.any() and not any(group.ages(now) for group in last.groups):
-        return issued, last.groups
-    pending = issued[(ends[:, -1:] > now + 0.5).any(axis=1)]
-    came = issued.transpose(1, 0, 2)[:, due]
-    gap = _known(came[_ENDS], history.time_s, free) - came[_MEDIAN]
-    scores = np.abs(gap) / np.where(gap >= 0, came[_UP], came[_DOWN])
-    known = np.isfinite(scores)
-    of = np.broadcast_to(group_of, due.shape)[due]
-    window_of = np.array([group.window for group in last.groups])[of]
-    inside = scores <= _width(window_of, came[_ADAPTED])
-    adapted = np.isfinite(came[_ADAPTED] + window_of) & known
-    groups = []
-    for index, (group, gain) in enumerate(zip(last.groups, _STEERING_OF_GROUP, strict=True)):
-        new, steering = known & (of == index), group.steering
-        judged = inside[new & adapted]
-        if judged.size:
-            steering += gain * (_INSIDE - float(judged.mean()))
-            steering = min(max(steering, _STEERING_RANGE[0]), _STEERING_RANGE[1])
-        if not new.any() and not group.ages(now):
-            groups.append(replace(group, steering=steering))
-            continue
-        kept = group.scores[now - group.scores[:, 0] <= _WINDOW_S]
-        kept = np.concatenate([kept, np.stack([came[_ENDS, new], scores[new]], axis=1)])
-        width_now = _quantile(kept[:, 1], _INSIDE) if len(kept) >= _LEAST_VALUES else float("nan")
-        groups.append(_Group(steering, width_now, kept))
-    return pending, tuple(groups)
+    fresh = now - scores.time_s <= _WINDOW_S
+    if not due.any() and fresh.all():
+        return last
+    which, lead = np.nonzero(due)
+    median, up, down = issued.raw[which, :, lead].T
+    gap = _known(ends[due], history.time_s, free) - median
+    score = np.abs(gap) / np.where(gap >= 0, up, down)
+    group, at = group_of[lead], last.window[group_of[lead]]
+    adapted = issued.adapted[which, group]
+    inside = score <= _width(at, adapted)
+    judged = np.isfinite(score + adapted + at)
+    steering = last.steering.copy()
+    for index in np.unique(group[judged]):
+        share = float(inside[judged & (group == index)].mean())
+        steering[index] = np.clip(steering[index] + _STEERING_OF_GROUP[index] * (_INSIDE - share), *_STEERING_RANGE)
+    instants, row = np.unique(ends[due], return_inverse=True)
+    new = np.full((instants.size, lead_s.size), np.nan)
+    new[row, lead] = score
+    values = np.concatenate([scores.values[fresh], new])
+    window = np.array([_quantile(values[:, group_of == index], _INSIDE) for index in range(_GROUPS)])
+    return replace(
+        last,
+        issued=issued.kept(np.asarray((ends[:, -1:] > now + 0.5).any(axis=1))),
+        scores=_Scores(np.concatenate([scores.time_s[fresh], instants]), values),
+        steering=steering,
+        window=window,
+    )
 
 
 def _quantile(values: Array, level: float) -> float:
-    """What `np.quantile` returns of finite `values` (k,), in a tenth of its time; it is asked for in every hour."""
-    ordered, place = np.sort(values), level * (values.size - 1)
+    """Quantile of the known `values`, NaN of too few; `np.quantile` takes ten times as long, in every hour."""
+    ordered = np.sort(values[np.isfinite(values)])
+    if ordered.size < _LEAST_VALUES:
+        return float("nan")
+    place = level * (ordered.size - 1)
     below = int(place)
-    return float(ordered[below] + (place - below) * (ordered[min(below + 1, values.size - 1)] - ordered[below]))
+    return float(ordered[below] + (place - below) * (ordered[min(below + 1, ordered.size - 1)] - ordered[below]))
 
 
 def _width(window: Array | float, steering: Array | float) -> Array:
