@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -64,6 +65,24 @@ def test_help_lists_every_command_without_loading_the_heavy_ones():
     assert done.returncode == 0, done.stderr
     for name in ("run", "identify", "inspect", "validate", "controllers", "testcases", "bench"):
         assert name in done.stdout
+
+
+@pytest.mark.parametrize(("given", "taken"), [(None, "1"), ("2", "2")])
+def test_blas_computes_on_one_thread_unless_told_otherwise(given, taken):
+    code = (
+        "import os, sys; sys.argv=['tf-mpc', '--version']\n"
+        "from thermoforce_mpc.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "assert 'numpy' not in sys.modules  # which reads it when it is loaded\n"
+        "print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    call = [sys.executable, "-c", code]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == taken
 
 
 @pytest.mark.parametrize("name", ["run", "resume", "report", "identify", "inspect", "init", "doctor", "control"])
