@@ -146,8 +146,8 @@ def _show_warning(message: Warning | str, category: type[Warning], *place: Any, 
 
 def main() -> None:
     """Entry point: prints an error of this package as one message and exits with its code."""
-    # Read when numpy is loaded. Matrices here are small: more threads gain nothing, and wait for one another's turn on the
-    # processor where the machine is busy.
+    # Read when numpy is loaded. Matrices here are small: more threads gain nothing, and wait for one another where the
+    # machine is busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = _show_warning
     signal.signal(signal.SIGTERM, _terminate)
