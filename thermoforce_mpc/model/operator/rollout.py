@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from numba import njit
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.first_order import first_order
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -44,20 +42,24 @@ def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Ar
 
 def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
     """Return the forced state of every mode for a known m(x)·v: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
-    lead, n, r = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1]), drive.shape[-1], params.order
-    if lead != drive.shape[:-1]:
-        drive = np.broadcast_to(drive, (*lead, n))
-    if lead != F0.shape[:-1]:
-        F0 = np.broadcast_to(F0, (*lead, r))
-    courses = math.prod(lead)
-    states = first_order(
-        np.ascontiguousarray(drive).reshape(courses, n),
-        np.repeat(np.arange(courses), r),
-        np.tile(params.poles, courses),
-        np.tile(params.gains, courses),
-        np.ascontiguousarray(F0).reshape(courses * r),
-    )
-    return np.asarray(np.moveaxis(states[:, 1:].reshape(*lead, r, n), -2, -1))
+    lead, n = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1]), drive.shape[-1]
+    drives = np.ascontiguousarray(np.broadcast_to(drive, (*lead, n))).reshape(-1, n)
+    states = np.ascontiguousarray(np.broadcast_to(F0, (*lead, params.order))).reshape(-1, params.order)
+    return np.asarray(_modes(params.poles, params.gains, states, drives).reshape(*lead, n, params.order))
+
+
+@njit(cache=True)
+def _modes(poles: Array, gains: Array, F0: Array, drives: Array) -> Array:
+    """Forced states (c, n, r) of c candidates: F ← a F + g d from `F0` (c, r), under the drives (c, n)."""
+    (c, n), r = drives.shape, poles.size
+    out = np.empty((c, n, r))
+    for k in range(c):
+        for i in range(r):
+            state = F0[k, i]
+            for t in range(n):
+                state = poles[i] * state + gains[i] * drives[k, t]
+                out[k, t, i] = state
+    return out
 
 
 def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
