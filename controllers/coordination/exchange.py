@@ -24,7 +24,7 @@ from pydantic import Field
 from controllers.coordination.conversation import Conversation
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import Answer, Member
-from controllers.coordination.settling import Agreement, settle
+from controllers.coordination.settling import Agreement, better, settle
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -104,8 +104,7 @@ def coordinate(
         if max(primal, dual) <= tolerance or number % _TRIED_EVERY == 0:
             tried = settle(talk, price, config.price_per_kW, number)
             price = tried.price_per_kW
-            if found is None or tried.cost < found.cost or len(tried.silent) > len(found.silent):
-                found = tried
+            found = better(found, tried)
             tolerance = min(tolerance, max(primal, dual) / 2.0) if max(primal, dual) <= tolerance else tolerance
         if number % _BALANCED_EVERY == 0:
             weight *= min(max((primal / max(dual, 1e-12)) ** 0.5, 1.0 / _FACTOR), _FACTOR)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,8 @@ class Agreement:
     `settled`: plans by name; `silent`: why a building is left out, by name: it keeps its own controller and
     `reserved_kW` (N,), the most it may draw, is set aside for it. `price_per_kW` (N,): price of power in each step,
     currency. `total_kW` (N,): power of all settled plans. `cost`, `bound`: their cost, and what it is at least for
-    these buildings, currency. `messages`: vectors sent either way. `why_over`: '', or why the limit may be exceeded.
+    these buildings, currency, −∞ where that is not known. `messages`: vectors sent either way. `why_over`: '', or why
+    the limit may be exceeded.
     """
 
     settled: Mapping[str, Settled]
@@ -43,8 +44,18 @@ class Agreement:
 
     @property
     def gap(self) -> float:
-        """How much of the cost may at most be saved, relative to its bound."""
+        """How much of the cost may at most be saved, relative to its bound; infinite where there is no bound."""
+        if not np.isfinite(self.bound):  # a building was silent when it was asked for the bound
+            return np.inf
         return (self.cost - self.bound) / max(abs(self.bound), 1e-9)
+
+
+def better(found: Agreement | None, tried: Agreement) -> Agreement:
+    """Of an agreement and a later one the cheaper, with the higher bound of both; the later where more are silent."""
+    if found is None or len(tried.silent) > len(found.silent):
+        return tried
+    best, bound = min(found, tried, key=lambda one: one.cost), max(found, tried, key=lambda one: one.bound)
+    return replace(best, bound=bound.bound, price_per_kW=bound.price_per_kW)
 
 
 def settle(talk: Conversation, price: Array, price_per_kW: float, iterations: int) -> Agreement:

@@ -123,6 +123,23 @@ def test_the_limit_holds_whatever_a_silent_house_draws(after: int, how: str) -> 
         assert "no reply in 5 s" in agreement.silent["house 0"]
 
 
+def test_who_falls_silent_while_the_bound_is_asked_for_ends_no_search() -> None:
+    members = _members(5)
+    limit_kW = np.full(members[0].largest_kW.size, 0.8 * _free_kW(members).max())
+    # Plans are tried at iteration 20; the answer after it is the first of those that make the bound.
+    gone = coordinate([_Silent(members[0], 21, "raises"), *members[1:]], SharedPower(limit_kW))
+    assert set(gone.silent) == {"house 0"}
+    assert (gone.total_kW + members[0].largest_kW <= limit_kW).all()
+    best, _ = solve_jointly(members[1:], SharedPower(limit_kW - members[0].largest_kW), QPConfig(tolerance=1e-6))
+    assert gone.bound <= best * (1 + 1e-4)
+    assert gone.cost == pytest.approx(best, rel=0.01)
+    assert gone.gap <= 0.005
+    stopped = coordinate(
+        [_Silent(members[0], 21, "raises"), *members[1:]], SharedPower(limit_kW), Coordination(most_iterations=20)
+    )
+    assert stopped.gap == np.inf  # there is a plan of each, and no bound
+
+
 def test_a_limit_that_silent_houses_may_exceed_is_said() -> None:
     members = _members(2)
     shared = SharedPower(np.full(members[0].largest_kW.size, 0.1))
