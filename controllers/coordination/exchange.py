@@ -108,7 +108,9 @@ def coordinate(
             tolerance = min(tolerance, max(primal, dual) / 2.0) if max(primal, dual) <= tolerance else tolerance
         if number % _BALANCED_EVERY == 0:
             weight *= min(max((primal / max(dual, 1e-12)) ** 0.5, 1.0 / _FACTOR), _FACTOR)
-    return found or settle(talk, price, config.price_per_kW, number)
+    if found is None or len(talk.silent) > len(found.silent):  # the others have to make room for who fell silent since
+        found = settle(talk, price, config.price_per_kW, number)
+    return found
 
 
 def _near(powers: Mapping[str, Array], away: Array, weight: float) -> Callable[[Member], Answer | None]:

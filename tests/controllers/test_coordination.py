@@ -140,6 +140,18 @@ def test_who_falls_silent_while_the_bound_is_asked_for_ends_no_search() -> None:
     assert stopped.gap == np.inf  # there is a plan of each, and no bound
 
 
+def test_who_falls_silent_after_plans_were_found_has_no_part_in_them() -> None:
+    members = _members(5)
+    limit_kW = np.full(members[0].largest_kW.size, 0.45 * _free_kW(members).max())
+    # All have plans at iteration 20, with a gap that is too large; nobody plans again until the last iteration.
+    house = _Silent(members[0], 27, "raises")
+    agreement = coordinate([house, *members[1:]], SharedPower(limit_kW), Coordination(most_iterations=30))
+    assert set(agreement.silent) == {"house 0"}
+    assert set(agreement.settled) == {f"house {i}" for i in range(1, 5)}
+    assert (agreement.total_kW + members[0].largest_kW <= limit_kW).all()
+    assert agreement.gap < np.inf
+
+
 def test_a_limit_that_silent_houses_may_exceed_is_said() -> None:
     members = _members(2)
     shared = SharedPower(np.full(members[0].largest_kW.size, 0.1))
