@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
+from numbers import Real
 from typing import TypeVar
 
 import numpy as np
@@ -19,6 +21,9 @@ B = TypeVar("B")
 
 # Answers that are kept, of all buildings together: what a linear programme combines in a second.
 _ANSWERS = 1200
+# Powers above so many times the most that a building may draw, or 1 kW, are a mistake, such as W for kW, which would
+# drive the price out of what the others can solve; a cost beyond the second, currency, would drown theirs.
+_TIMES_LARGEST, _MOST_COST = 100.0, 1e9
 
 
 class Conversation:
@@ -98,7 +103,7 @@ class Conversation:
         def asked(member: Member) -> tuple[A | None, str]:
             try:
                 answer = question(member)
-                return answer, "did not answer" if answer is None else self._unfit(answer)
+                return (None, "did not answer") if answer is None else self._fit(answer, member)
             except Exception as error:
                 return None, f"did not answer ({said(error)})"
 
@@ -106,7 +111,7 @@ class Conversation:
         self.messages += len(members)
         for member, (answer, why) in zip(members, list(self._map(asked, members)), strict=True):
             self.messages += answer is not None
-            yield member, None if why else answer, why
+            yield member, answer, why
 
     def plans(self, shares: Mapping[str, Array]) -> Iterator[tuple[Member, Settled | None, str]]:
         """Each building with its plan within its share, kW (N,), and why there is none, or ''."""
@@ -116,10 +121,21 @@ class Conversation:
             else:
                 yield member, plan, why
 
-    def _unfit(self, answer: Answer | Settled) -> str:
-        if not isinstance(answer.power_kW, np.ndarray):
-            return f"answered with powers in a {type(answer.power_kW).__name__}, not an array"
-        if answer.power_kW.shape != self.reserved_kW.shape:
-            return f"answered with powers of shape {answer.power_kW.shape}, not {self.reserved_kW.shape}"
-        finite = np.isfinite(answer.power_kW).all() and np.isfinite(answer.cost)
-        return "" if finite else "answered with numbers that are not finite"
+    def _fit(self, answer: A, member: Member) -> tuple[A | None, str]:
+        """The answer in numbers of its own, or None and why it is none."""
+        power, cost = answer.power_kW, answer.cost
+        if not isinstance(power, np.ndarray):
+            return None, f"answered with powers in a {type(power).__name__}, not an array"
+        if power.shape != self.reserved_kW.shape:
+            return None, f"answered with powers of shape {power.shape}, not {self.reserved_kW.shape}"
+        if power.dtype.kind not in "fiu" or not isinstance(cost, Real):
+            return None, f"answered with powers of type {power.dtype} and a cost in a {type(cost).__name__}"
+        # A copy: the building may write its next answer into the same array; what is masked in it counts.
+        power, cost = np.array(power, dtype=np.float64, subok=False), float(cost)
+        if not (np.isfinite(power).all() and np.isfinite(cost)):
+            return None, "answered with numbers that are not finite"
+        if (power < -LIMIT_TOLERANCE_KW).any():  # the others would get what it claims to give
+            return None, f"answered with a power below 0 kW ({power.min():.4g} kW)"
+        if power.max() > _TIMES_LARGEST * max(float(np.max(member.largest_kW)), 1.0) or abs(cost) > _MOST_COST:
+            return None, f"answered with {power.max():.4g} kW at a cost of {cost:.4g}, which no building like it has"
+        return replace(answer, power_kW=np.maximum(power, 0.0), cost=cost), ""

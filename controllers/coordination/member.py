@@ -45,6 +45,8 @@ class Settled:
 class Member(Protocol):
     """What a coordinator asks of a building; None, an exception, or numbers that make no sense are no answer.
 
+    Such are powers below 0 or a hundred times above `largest_kW` and 1 kW, costs beyond ±10⁹, and what is not real.
+
     `largest_kW` (N,): the most it may draw over each step whatever happens.
     """
 
