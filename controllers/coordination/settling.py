@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controllers.coordination.conversation import Conversation
-from controllers.coordination.member import Settled
+from controllers.coordination.member import LIMIT_TOLERANCE_KW, Settled
 from controllers.coordination.recovery import combined
 from thermoforce_mpc.data import Array
 
-# The shares of the limit stay below it by this, relative: tolerances of as many solvers.
+# The shares of the limit stay below it by this, relative, for rounding, and by the tolerance of each building's plan.
 _BELOW = 1e-6
 # Of the limit this is shared equally: an interior point method needs room above no power at all.
 _EQUALLY = 1e-3
@@ -110,7 +110,7 @@ def _shares(talk: Conversation, price: Array, price_per_kW: float) -> tuple[dict
     limit = left.limit_kW
     if left.peak_price_per_kW:
         limit = np.minimum(limit, max(float(total.max()), left.peak_so_far_kW))  # the peak they agreed on
-    limit = limit * (1.0 - _BELOW)
+    limit = np.maximum(limit * (1.0 - _BELOW) - count * LIMIT_TOLERANCE_KW, 0.0)
     scale = np.minimum(limit / np.maximum(total, 1e-9), 1.0) * (1.0 - _EQUALLY)
     spare = np.where(limit > total, limit - total * scale, _EQUALLY * limit) / count
     return {name: power * scale + spare for name, power in powers.items()}, prices

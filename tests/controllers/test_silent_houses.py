@@ -156,3 +156,17 @@ def test_a_house_that_writes_its_answers_into_one_array_agrees_as_others_do() ->
         found.append(coordinate(houses, SharedPower(np.full(N, 0.6 * _free_kW(houses).max()))))
     assert found[1].cost == found[0].cost
     assert found[1].bound == found[0].bound
+
+
+def test_plans_that_use_the_tolerance_of_a_solver_keep_the_limit() -> None:
+    class Above(House):
+        def settle(self, limit_kW: Array) -> Settled | None:
+            plan = super().settle(limit_kW)
+            return plan and replace(plan, power_kW=plan.power_kW + 0.99e-5)
+
+    rng = np.random.default_rng(4)
+    houses = [Above(f"house {i}", rng, {}) for i in range(8)]
+    limit_kW = np.full(N, 0.5 * _free_kW(houses).max())
+    agreement = coordinate(houses, SharedPower(limit_kW))
+    assert len(agreement.settled) == 8
+    assert (agreement.total_kW <= limit_kW).all()
