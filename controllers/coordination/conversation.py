@@ -75,15 +75,19 @@ class Conversation:
             self.powers[member.name] = answer.power_kW
             self.keep(member, answer)
 
-    def all_at(self, price: Array) -> float:
-        """Least sum of cost and price · power of all, currency; −∞ if one does not answer, which costs only that."""
+    def all_at(self, price: Array, settled: Mapping[str, Settled]) -> float:
+        """Least sum of cost and price · power of all, currency; −∞ if one does not answer, which costs only that.
+
+        Of each building the least that is known, among it its plan: what it answers may not be the least.
+        """
         nothing, total = np.zeros(price.size), 0.0
         for member, answer, _ in self.ask(lambda member: member.answer(price, nothing, 0.0)):
             if answer is None:
                 total = -np.inf
                 continue
-            total += answer.cost + float(price @ answer.power_kW)
             self.keep(member, answer)
+            known: list[Answer | Settled] = [*self.answers[member.name], settled[member.name]]
+            total += min(each.cost + float(price @ each.power_kW) for each in known)
         return total
 
     def keep(self, member: Member, answer: Answer) -> None:

@@ -79,7 +79,7 @@ def settle(talk: Conversation, price: Array, price_per_kW: float, iterations: in
     bounds = []
     for each in prices:
         finite, least = talk.left.least(np.maximum(each, 0.0))
-        bounds.append((talk.all_at(finite) + least, finite))
+        bounds.append((talk.all_at(finite, settled) + least, finite))
     bound, best = max(bounds, key=lambda found: found[0])
     total = sum((plan.power_kW for plan in settled.values()), np.zeros(price.size))
     return Agreement(

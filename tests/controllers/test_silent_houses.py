@@ -170,3 +170,17 @@ def test_plans_that_use_the_tolerance_of_a_solver_keep_the_limit() -> None:
     agreement = coordinate(houses, SharedPower(limit_kW))
     assert len(agreement.settled) == 8
     assert (agreement.total_kW <= limit_kW).all()
+
+
+def test_an_answer_that_is_not_the_least_leaves_no_gap_below_nothing() -> None:
+    class Dear(House):
+        def answer(self, price: Array, wish_kW: Array, weight: float) -> Answer | None:
+            found = super().answer(price, wish_kW, weight)
+            return found if weight or found is None else replace(found, cost=found.cost + 1000.0)
+
+    rng = np.random.default_rng(6)
+    houses = [Dear("dear", rng, {}), *(House(f"house {i}", rng, {}) for i in range(4))]
+    limit_kW = np.full(N, 0.4 * _free_kW(houses).max())
+    agreement = coordinate(houses, SharedPower(limit_kW))
+    assert -1e-6 <= agreement.gap <= 0.005
+    assert agreement.cost == pytest.approx(_best(houses, limit_kW), rel=0.005)
