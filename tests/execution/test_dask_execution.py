@@ -111,6 +111,20 @@ def test_a_worker_of_another_version_is_refused(dask_cluster, engine, monkeypatc
         collect([Task("t", "t", functions.threads, {})], engine)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("threads", "omp"), [(2, "1"), (1, "4")])
+def test_a_worker_of_several_threads_that_comes_later_ends_the_campaign(dask_cluster, engine, tmp_path, threads, omp):
+    late = _dask("worker", dask_cluster, "--nthreads", str(threads), OMP_NUM_THREADS=omp)
+    try:
+        wait_for("the third worker is there", lambda: _workers(dask_cluster) == 3)
+        with pytest.raises(EngineError, match=f"computes on {threads} threads with OMP_NUM_THREADS '{omp}'"):
+            list(execute([task(n, tmp_path, seconds=0.5) for n in range(12)], engine))
+    finally:
+        late.kill()
+        late.wait()
+        wait_for("it is gone", lambda: _workers(dask_cluster) == 2)
+
+
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
     before = _loops()
@@ -163,11 +177,11 @@ def test_a_scheduler_may_restart(tmp_path):
     assert any("is back" in line for line in said)
 
 
-def _dask(*words: str) -> subprocess.Popen[bytes]:
+def _dask(*words: str, **variables: str) -> subprocess.Popen[bytes]:
     more = ["--no-nanny"] if words[0] == "worker" else []
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support")])}
     call = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", *more]
-    return subprocess.Popen(call, env={**env, "OMP_NUM_THREADS": "1"}, stderr=subprocess.DEVNULL)
+    return subprocess.Popen(call, env={**env, "OMP_NUM_THREADS": "1", **variables}, stderr=subprocess.DEVNULL)
 
 
 def _wait_for_worker(address: str, threads: int) -> None:
@@ -176,6 +190,13 @@ def _wait_for_worker(address: str, threads: int) -> None:
 
     with Client(address, timeout=LONG_S, set_as_default=False) as client:
         wait_for("the worker is there", lambda: list(client.nthreads().values()) == [threads])
+
+
+def _workers(address: str) -> int:
+    from distributed import Client
+
+    with Client(address, timeout=LONG_S, set_as_default=False) as client:
+        return len(client.nthreads())
 
 
 def _loops() -> set[threading.Thread]:

@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError
-from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, perform
+from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, more_threads, perform
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
 from thermoforce_mpc.execution.environment import difference, environment
 from thermoforce_mpc.words import counted
@@ -175,11 +175,8 @@ class DaskEngine:
             differs = difference(environment(), there)
             if differs:
                 raise ConfigError(f"worker {worker} has {differs}; start it in the environment of this client")
-            if told != "1" or threads.get(worker, 1) != 1:
-                raise ConfigError(
-                    f"worker {worker} computes on {threads.get(worker)} threads with OMP_NUM_THREADS '{told}', so that "
-                    "results depend on it: start workers with --nthreads 1 and OMP_NUM_THREADS=1 (a nanny sets it)"
-                )
+            if wrong := more_threads(threads.get(worker, 1), told):
+                raise ConfigError(f"worker {worker} {wrong}")
         for worker, error in ((w, f) for w, f in found.items() if isinstance(f, BaseException)):
             raise ConfigError(f"worker {worker} cannot load thermoforce-mpc of this version: {_first_line(error)}")
         return len(found)

@@ -21,7 +21,7 @@ class Order:
 
 
 class WrongWorker(Exception):
-    """The worker has other versions or source code than the client."""
+    """The worker has other versions or source code than the client, or more than one thread."""
 
 
 class _Cancelled(BaseException):
@@ -33,6 +33,16 @@ def look() -> tuple[dict[str, str], str]:
     return environment(), threads()
 
 
+def more_threads(n: int, told: str) -> str:
+    """What is wrong with a worker of `n` threads whose libraries were `told` theirs; empty where each has one."""
+    if n == 1 and told == "1":
+        return ""
+    return (
+        f"computes on {n} threads with OMP_NUM_THREADS '{told}', so that results depend on it: start workers with "
+        "--nthreads 1 and OMP_NUM_THREADS=1 (a nanny sets it)"
+    )
+
+
 def perform(order: Order) -> Answer:
     """Run a task on this worker; raises `WrongWorker`."""
     from distributed import get_worker
@@ -41,6 +51,9 @@ def perform(order: Order) -> Answer:
     differs = difference(order.environment, environment())
     if differs:
         raise WrongWorker(f"worker {worker.address} has {differs}; start it in the environment of the client")
+    # The client has seen only the workers that were there when it came.
+    if wrong := more_threads(worker.state.nthreads, threads()):
+        raise WrongWorker(f"worker {worker.address} {wrong}")
     mine = worker.get_current_task()
 
     def told(share: float) -> None:
