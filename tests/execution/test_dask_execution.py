@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import signal
 import socket
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import executed_tasks as functions
@@ -141,6 +144,40 @@ def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
         open_engine(scheduler=address)
 
 
+def test_a_port_that_accepts_and_stays_silent_is_refused(monkeypatch):
+    """The limit of the connection alone does not end it, and no signal did."""
+    before = _loops()
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    with _silent(0) as port, _within(5.0), pytest.raises(ConfigError, match=r"no Dask scheduler answers .* 0\.5 s"):
+        open_engine(scheduler=f"tcp://127.0.0.1:{port}")
+    monkeypatch.setattr(cluster, "_CONNECT_S", 60.0)
+    ended = signal.signal(signal.SIGALRM, _interrupt)
+    try:
+        with _silent(0) as port, _within(5.0):
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            with pytest.raises(KeyboardInterrupt):
+                open_engine(scheduler=f"tcp://127.0.0.1:{port}")
+    finally:
+        signal.signal(signal.SIGALRM, ended)
+    wait_for("no client's thread is left", lambda: _loops() <= before)
+
+
+@pytest.mark.slow
+def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_end(monkeypatch):
+    port = _free_port()
+    scheduler = _dask("scheduler", "--port", str(port), "--no-dashboard")
+    try:
+        monkeypatch.setattr(cluster, "_CONNECT_S", LONG_S)
+        with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0) as engine:
+            scheduler.kill()
+            scheduler.wait()
+            with _silent(port), _within(10.0), pytest.raises(EngineError, match="did not come back in 2 s"):
+                engine.wait()
+    finally:
+        scheduler.kill()
+        scheduler.wait()
+
+
 @pytest.mark.slow
 def test_a_scheduler_may_restart(tmp_path):
     """Workers without a nanny end with their scheduler; others take over, and nothing that had ended runs again."""
@@ -197,6 +234,32 @@ def _workers(address: str) -> int:
 
     with Client(address, timeout=LONG_S, set_as_default=False) as client:
         return len(client.nthreads())
+
+
+@contextlib.contextmanager
+def _silent(port: int) -> Iterator[int]:
+    """A port that accepts and says nothing for 20 s, and then hangs up, so that who waits without end fails."""
+    with socket.socket() as made:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(("127.0.0.1", port))
+        made.listen()
+        hangs_up = threading.Timer(20.0, made.close)
+        hangs_up.start()
+        try:
+            yield made.getsockname()[1]
+        finally:
+            hangs_up.cancel()
+
+
+@contextlib.contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    began = time.monotonic()
+    yield
+    assert time.monotonic() - began < seconds
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _loops() -> set[threading.Thread]:

@@ -6,22 +6,23 @@ scheduler). Here is what it leaves open: that workers have this code, and that a
 
 from __future__ import annotations
 
-import asyncio
 import queue
 import time
 import uuid
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError
+from thermoforce_mpc.execution.cluster_address import check_scheduler
 from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, more_threads, perform
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
 from thermoforce_mpc.execution.environment import difference, environment
 from thermoforce_mpc.words import counted
 
 _CONNECT_S = 10.0
+# So long an attempt to connect takes at least, and the pause after it.
+_LEAST_S = 1.0
 _LOOK_EVERY_S = 2.0
 _SAID_EVERY_S = 60.0
 # So many more tasks than threads wait at the scheduler that a cluster that grows with its work does grow.
@@ -51,7 +52,7 @@ class DaskEngine:
         self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
         self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
         try:
-            self._client = self._connect()
+            self._client = self._connect(_CONNECT_S)
         except (OSError, ValueError) as error:
             raise ConfigError(
                 f"--scheduler {address}: no Dask scheduler answers there ({_first_line(error)}); start one by "
@@ -60,7 +61,7 @@ class DaskEngine:
         try:
             n = self._check_workers()
         except BaseException:
-            self._client.close()
+            self._close()
             raise
         dashboard = self._client.scheduler_info().get("services", {}).get("dashboard")
         link = f", dashboard {self._client.dashboard_link}" if dashboard else ""
@@ -71,6 +72,9 @@ class DaskEngine:
 
     def __exit__(self, *_: object) -> None:
         self.cancel()
+        self._close()
+
+    def _close(self) -> None:
         with suppress(OSError):
             self._client.close(timeout=_CONNECT_S)
 
@@ -148,13 +152,13 @@ class DaskEngine:
             with suppress(OSError):
                 self._client.cancel(futures, force=True)
 
-    def _connect(self) -> Any:
+    def _connect(self, within_s: float) -> Any:
+        """A client; raises `OSError` where no scheduler answers in time, `ValueError` for what is no address."""
         try:
             from distributed import Client
         except ImportError:
             raise ConfigError("--scheduler needs the extra [fleet]: pip install 'thermoforce-mpc[fleet]'") from None
-        with ThreadPoolExecutor(1) as elsewhere:  # this thread may have an event loop, as in a notebook
-            elsewhere.submit(asyncio.run, _answers(self._address)).result()
+        check_scheduler(self._address, within_s)
         client = Client(self._address, timeout=_CONNECT_S, set_as_default=False)
         client.subscribe_topic(self._topic, self._hear)
         return client
@@ -185,7 +189,7 @@ class DaskEngine:
         """How many threads there are now; tells where there are none for long."""
         self._looked = time.monotonic()
         with suppress(OSError):
-            self._threads = sum(self._client.nthreads().values())
+            self._threads = sum(self._client.nthreads(callback_timeout=_CONNECT_S).values())
         if self._threads:
             self._alone_since = self._looked
         elif self._looked - self._alone_since > _SAID_EVERY_S:
@@ -196,33 +200,24 @@ class DaskEngine:
         """Connect to a scheduler that was restarted, and send again what had not ended."""
         self._say(f"the Dask scheduler at {self._address} is gone; waiting {self._wait_s:.0f} s for it")
         self._futures.clear()
+        until = time.monotonic() + self._wait_s
         with suppress(Exception):  # it may be in any state
             self._client.close(timeout=1.0)
-        until = time.monotonic() + self._wait_s
         while True:
             try:
-                self._client = self._connect()
+                self._client = self._connect(max(min(_CONNECT_S, until - time.monotonic()), _LEAST_S))
                 break
             except OSError as error:
-                if time.monotonic() > until:
+                if time.monotonic() + _LEAST_S > until:
                     raise EngineError(
                         f"the Dask scheduler at {self._address} did not come back in {self._wait_s:.0f} s; results "
                         "until here are kept: start it and repeat the command"
                     ) from error
-                time.sleep(1.0)
+                time.sleep(_LEAST_S)
         self._look()
         self._say(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
         for key in self._orders:
             self._send(key, key)
-
-
-async def _answers(address: str) -> None:
-    """Raise `OSError` if nobody answers at `address`. A `Client` that finds nobody leaves a thread behind."""
-    from distributed import Security
-    from distributed.comm import connect
-
-    comm = await connect(address, timeout=_CONNECT_S, **Security().get_connection_args("client"))
-    await comm.close()
 
 
 def _first_line(error: BaseException) -> str:
