@@ -144,6 +144,17 @@ def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
         open_engine(scheduler=address)
 
 
+def test_the_address_of_a_worker_is_refused(dask_cluster, engine):
+    from distributed import Client
+
+    with Client(dask_cluster, set_as_default=False) as client:
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+    worker, nanny = next((address, of["nanny"]) for address, of in workers.items())
+    for address, kind in ((worker, "worker"), (nanny, "nanny")):
+        with pytest.raises(ConfigError, match=f"{address}: no Dask scheduler answers .* the address of a {kind}"):
+            open_engine(scheduler=address)
+
+
 def test_a_port_that_accepts_and_stays_silent_is_refused(monkeypatch):
     """The limit of the connection alone does not end it, and no signal did."""
     before = _loops()

@@ -31,9 +31,11 @@ def check_scheduler(address: str, within_s: float) -> None:
 async def _check(address: str, within_s: float) -> None:
     try:
         # The time limit of `connect` ends where the other side has accepted: it may be silent from there on.
-        await asyncio.wait_for(_identity(address, within_s), within_s)
+        identity = await asyncio.wait_for(_identity(address, within_s), within_s)
     except TimeoutError:
         raise TimeoutError(f"no answer within {within_s:g} s") from None
+    if "workers" not in identity:
+        raise ConnectionError(f"this is the address of a {str(identity.get('type', 'stranger')).lower()}")
 
 
 async def _identity(address: str, within_s: float) -> dict[str, Any]:
