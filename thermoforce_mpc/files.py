@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from thermoforce_mpc.errors import ArtifactError, StorageError
@@ -59,8 +60,13 @@ def write_whole(path: Path, content: str | bytes) -> None:
         aside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
 
-def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write a folder with `files` by name, which takes the place of what is there; whole or absent.
+def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False) -> None:
+    """Write a folder with `files` by name; whole or absent.
+
+    Args:
+        folder: where to.
+        files: content by name.
+        keep: leave a folder with files that is there, as where another process wrote it meanwhile; else it is replaced.
 
     Raises:
         StorageError: the disk is full, or nothing can be written there.
@@ -69,14 +75,34 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
         folder.parent.mkdir(parents=True, exist_ok=True)
         aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
-            aside.chmod(0o755)
+            made, former = aside / "new", aside / "former"
+            made.mkdir()
+            made.chmod(0o755)
             for name, content in files.items():
-                (aside / name).write_bytes(content)
-            if folder.exists():
-                shutil.rmtree(folder)
-            os.replace(aside, folder)
+                with (made / name).open("wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+            while not _moved(made, folder):
+                if keep:
+                    return
+                # Another process may replace it too: who comes last stays.
+                with suppress(FileNotFoundError):
+                    os.rename(folder, former)
+                shutil.rmtree(former, ignore_errors=True)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
+
+
+def _moved(made: Path, folder: Path) -> bool:
+    """Move the folder `made` to `folder`; False where a folder with files is there."""
+    try:
+        os.rename(made, folder)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            return False
+        raise
+    return True
 
 
 @contextmanager

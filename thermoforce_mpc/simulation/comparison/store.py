@@ -49,11 +49,16 @@ class Identified:
             return None
 
     def write(self, path: Path) -> None:
-        """Write the folder of the model, or in its place a file with the reason; raises `StorageError`."""
+        """Write the folder of the model, or in its place a file with the reason; raises `StorageError`.
+
+        What can be read there stays: another command wrote it meanwhile, from the same inputs.
+        """
+        if Identified.read(path) is not None:
+            return
         if self.refused:
             write_whole(path, self.refused)
         else:
-            write_folder(path, self.files)
+            write_folder(path, self.files, keep=not path.exists())
 
 
 class Store:
