@@ -14,10 +14,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import executed_tasks as functions
 import pytest
+from click.testing import CliRunner
 from waiting import LONG_S, wait_for
 
+from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError, EngineError
 from thermoforce_mpc.execution import DaskEngine, JsonResults, LocalEngine, Task, cluster, collect, execute, open_engine
 
@@ -173,13 +176,36 @@ def test_a_port_that_accepts_and_stays_silent_is_refused(monkeypatch):
     wait_for("no client's thread is left", lambda: _loops() <= before)
 
 
+def test_why_nothing_goes_on_is_told_on_stderr_also_where_all_else_is_silent(monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(cluster, "_LOOK_EVERY_S", 0.05)
+    monkeypatch.setattr(cluster, "_SAID_EVERY_S", 0.1)
+    ended = signal.signal(signal.SIGALRM, _interrupt)
+
+    @click.command
+    @execution_options()
+    def command(engine):
+        with engine(lambda line: None) as where:
+            signal.setitimer(signal.ITIMER_REAL, 1.0)
+            where.wait()
+
+    try:
+        with LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=60) as made:
+            done = CliRunner().invoke(command, ["--scheduler", made.scheduler_address])
+    finally:
+        signal.signal(signal.SIGALRM, ended)
+    assert done.stderr.count(f"no worker is connected to {made.scheduler_address}; waiting for one") > 1
+    assert done.stdout == ""
+
+
 @pytest.mark.slow
 def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_end(monkeypatch):
-    port = _free_port()
+    port, warned = _free_port(), []
     scheduler = _dask("scheduler", "--port", str(port), "--no-dashboard")
     try:
         monkeypatch.setattr(cluster, "_CONNECT_S", LONG_S)
-        with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0) as engine:
+        with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0, warn=warned.append) as engine:
             scheduler.kill()
             scheduler.wait()
             with _silent(port), _within(10.0), pytest.raises(EngineError, match="did not come back in 2 s"):
@@ -187,6 +213,7 @@ def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_e
     finally:
         scheduler.kill()
         scheduler.wait()
+    assert any("is gone; waiting 2 s" in line for line in warned)
 
 
 @pytest.mark.slow

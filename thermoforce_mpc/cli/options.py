@@ -67,6 +67,7 @@ def execution_options(*former: str) -> Callable[[Function], Function]:
     """Add `--jobs` (and its `former` names) and `--scheduler`: where many tasks are run.
 
     The command gets them as `engine`, which opens it: `with engine(say) as where: …`, see `open_engine`.
+    Why nothing goes on is told on stderr, also where `say` is silent.
     """
 
     def add(function: Function) -> Function:
@@ -74,7 +75,8 @@ def execution_options(*former: str) -> Callable[[Function], Function]:
         def command(*args: Any, jobs: int | None, scheduler: str | None, **options: Any) -> Any:
             from thermoforce_mpc.execution import open_engine
 
-            return function(*args, engine=functools.partial(open_engine, jobs, scheduler), **options)
+            warn = functools.partial(click.echo, err=True)
+            return function(*args, engine=functools.partial(open_engine, jobs, scheduler, warn=warn), **options)
 
         at = click.option(
             "--scheduler",

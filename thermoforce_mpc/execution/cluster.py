@@ -37,20 +37,28 @@ class DaskEngine:
     Args:
         address: such as tcp://host:8786.
         wait_s: how long to wait for a scheduler that is gone.
-        say: callback for what a user should know.
+        say: callback for what a user may want to know.
+        warn: callback for why nothing goes on; by default `say`.
 
     Raises:
         ConfigError: the extra is missing, no scheduler answers, or a worker has other versions, other source code or
             more than one thread.
     """
 
-    def __init__(self, address: str, *, wait_s: float = 120.0, say: Callable[[str], None] = lambda line: None) -> None:
-        self._address, self._wait_s, self._say = address, wait_s, say
+    def __init__(
+        self,
+        address: str,
+        *,
+        wait_s: float = 120.0,
+        say: Callable[[str], None] = lambda line: None,
+        warn: Callable[[str], None] | None = None,
+    ) -> None:
+        self._address, self._wait_s, self._say, self._warn = address, wait_s, say, warn or say
         self._topic = f"thermoforce-mpc-{uuid.uuid4().hex}"
         self._orders: dict[str, Order] = {}
         self._futures: dict[str, Any] = {}
         self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
-        self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
+        self._threads, self._looked, self._working = 0, 0.0, time.monotonic()
         try:
             self._client = self._connect(_CONNECT_S)
         except (OSError, ValueError) as error:
@@ -66,6 +74,8 @@ class DaskEngine:
         dashboard = self._client.scheduler_info().get("services", {}).get("dashboard")
         link = f", dashboard {self._client.dashboard_link}" if dashboard else ""
         say(f"Dask scheduler {address}: {counted(n, 'worker')}{link}")
+        if not n:
+            self._warn(self._no_worker())
 
     def __enter__(self) -> DaskEngine:
         return self
@@ -187,18 +197,24 @@ class DaskEngine:
 
     def _look(self) -> None:
         """How many threads there are now; tells where there are none for long."""
-        self._looked = time.monotonic()
-        with suppress(OSError):
+        try:
             self._threads = sum(self._client.nthreads(callback_timeout=_CONNECT_S).values())
-        if self._threads:
-            self._alone_since = self._looked
-        elif self._looked - self._alone_since > _SAID_EVERY_S:
-            self._alone_since = self._looked
-            self._say(f"no worker is connected to {self._address}; waiting for one")
+            problem = "" if self._threads else self._no_worker()
+        except OSError:
+            problem = f"the Dask scheduler at {self._address} does not answer; waiting for it"
+        self._looked = time.monotonic()
+        if not problem:
+            self._working = self._looked
+        elif self._looked - self._working > _SAID_EVERY_S:
+            self._working = self._looked
+            self._warn(problem)
+
+    def _no_worker(self) -> str:
+        return f"no worker is connected to {self._address}; waiting for one"
 
     def _reconnect(self) -> None:
         """Connect to a scheduler that was restarted, and send again what had not ended."""
-        self._say(f"the Dask scheduler at {self._address} is gone; waiting {self._wait_s:.0f} s for it")
+        self._warn(f"the Dask scheduler at {self._address} is gone; waiting {self._wait_s:.0f} s for it")
         self._futures.clear()
         until = time.monotonic() + self._wait_s
         with suppress(Exception):  # it may be in any state
@@ -215,7 +231,7 @@ class DaskEngine:
                     ) from error
                 time.sleep(_LEAST_S)
         self._look()
-        self._say(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
+        self._warn(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
         for key in self._orders:
             self._send(key, key)
 
