@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -80,6 +81,17 @@ def test_a_worker_that_is_killed_costs_no_result(engine, tmp_path):
     assert {o.task.key: o.attempts for o in outcomes}["key2"] == 2
     assert sorted(functions.begun(tmp_path / "log")) == ["0", "1", "2", "2", "3", "4"]
     assert all(o.attempts == 0 for o in execute(tasks(tmp_path, functions.die), engine, dask))
+
+
+def test_a_worker_that_is_lost_is_mentioned_while_others_work(dask_cluster, engine, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "_LOOK_EVERY_S", 0.2)
+    said: list[str] = []
+    with DaskEngine(dask_cluster, say=said.append) as telling:
+        tasks = [task(1, tmp_path, functions.die_at_first, times=1), *(task(n, tmp_path, seconds=0.4) for n in (2, 3))]
+        assert len(list(execute(tasks, telling))) == 3
+    lines = [line for line in said if "gone" in line]
+    assert len(lines) == 1
+    assert re.match(r"1 worker gone \(tcp://[^,]*\), \d workers? left; what was under way there is begun", lines[0])
 
 
 def test_a_poisoned_task_is_left_out_and_the_others_are_done(engine, tmp_path):
@@ -204,10 +216,11 @@ def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_e
     port, warned = _free_port(), []
     scheduler = _dask("scheduler", "--port", str(port), "--no-dashboard")
     try:
-        monkeypatch.setattr(cluster, "_CONNECT_S", LONG_S)
+        monkeypatch.setattr(cluster, "_CONNECT_S", LONG_S)  # until it has started
         with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0, warn=warned.append) as engine:
             scheduler.kill()
             scheduler.wait()
+            monkeypatch.setattr(cluster, "_CONNECT_S", 2.0)
             with _silent(port), _within(10.0), pytest.raises(EngineError, match="did not come back in 2 s"):
                 engine.wait()
     finally:

@@ -25,6 +25,7 @@ _CONNECT_S = 10.0
 _LEAST_S = 1.0
 _LOOK_EVERY_S = 2.0
 _SAID_EVERY_S = 60.0
+_MOST_NAMED = 3
 # So many more tasks than threads wait at the scheduler that a cluster that grows with its work does grow.
 _IN_HAND = 20
 # A task may bring files along, such as an FMU: no reason for a warning.
@@ -58,7 +59,8 @@ class DaskEngine:
         self._orders: dict[str, Order] = {}
         self._futures: dict[str, Any] = {}
         self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
-        self._threads, self._looked, self._working = 0, 0.0, time.monotonic()
+        self._threads: dict[str, int] = {}  # of each worker
+        self._looked, self._working = 0.0, time.monotonic()
         try:
             self._client = self._connect(_CONNECT_S)
         except (OSError, ValueError) as error:
@@ -93,7 +95,7 @@ class DaskEngine:
         """Number of workers, which have one thread each."""
         if time.monotonic() - self._looked > _LOOK_EVERY_S:
             self._look()
-        return self._threads
+        return sum(self._threads.values())
 
     @property
     def room(self) -> int:
@@ -120,12 +122,12 @@ class DaskEngine:
     def wait(self) -> Event:
         """The next event; raises `EngineError` if the scheduler does not come back, or a worker does not fit."""
         while True:
+            if self._client.status == "running" and time.monotonic() - self._looked > _LOOK_EVERY_S:
+                self._look()
             try:
                 event = self._events.get(timeout=_LOOK_EVERY_S)
             except queue.Empty:
-                if self._client.status == "running":
-                    self._look()
-                else:
+                if self._client.status != "running":
                     self._reconnect()
                 continue
             if not isinstance(event, tuple):
@@ -196,9 +198,10 @@ class DaskEngine:
         return len(found)
 
     def _look(self) -> None:
-        """How many threads there are now; tells where there are none for long."""
+        """Which workers there are now; tells which are gone, and where there are none for long."""
         try:
-            self._threads = sum(self._client.nthreads(callback_timeout=_CONNECT_S).values())
+            former, self._threads = self._threads, self._client.nthreads(callback_timeout=_CONNECT_S)
+            self._tell_gone(sorted(former.keys() - self._threads.keys()))
             problem = "" if self._threads else self._no_worker()
         except OSError:
             problem = f"the Dask scheduler at {self._address} does not answer; waiting for it"
@@ -208,6 +211,12 @@ class DaskEngine:
         elif self._looked - self._working > _SAID_EVERY_S:
             self._working = self._looked
             self._warn(problem)
+
+    def _tell_gone(self, workers: list[str]) -> None:
+        if workers:
+            names = ", ".join(workers[:_MOST_NAMED]) + (", …" if len(workers) > _MOST_NAMED else "")
+            gone, left = counted(len(workers), "worker"), counted(len(self._threads), "worker")
+            self._say(f"{gone} gone ({names}), {left} left; what was under way there is begun again")
 
     def _no_worker(self) -> str:
         return f"no worker is connected to {self._address}; waiting for one"
@@ -230,6 +239,7 @@ class DaskEngine:
                         "until here are kept: start it and repeat the command"
                     ) from error
                 time.sleep(_LEAST_S)
+        self._threads = {}  # they ended with their scheduler
         self._look()
         self._warn(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
         for key in self._orders:
