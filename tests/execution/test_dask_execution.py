@@ -89,6 +89,7 @@ def test_a_worker_that_is_lost_is_mentioned_while_others_work(dask_cluster, engi
     with DaskEngine(dask_cluster, say=said.append) as telling:
         tasks = [task(1, tmp_path, functions.die_at_first, times=1), *(task(n, tmp_path, seconds=0.4) for n in (2, 3))]
         assert len(list(execute(tasks, telling))) == 3
+    assert re.fullmatch(rf"Dask scheduler {dask_cluster}: \d workers?, dashboard http://.*/status", said[0])
     lines = [line for line in said if "gone" in line]
     assert len(lines) == 1
     assert re.match(r"1 worker gone \(tcp://[^,]*\), \d workers? left; what was under way there is begun", lines[0])
@@ -213,11 +214,11 @@ def test_why_nothing_goes_on_is_told_on_stderr_also_where_all_else_is_silent(mon
 
 @pytest.mark.slow
 def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_end(monkeypatch):
-    port, warned = _free_port(), []
+    port, said, warned = _free_port(), [], []
     scheduler = _dask("scheduler", "--port", str(port), "--no-dashboard")
     try:
         monkeypatch.setattr(cluster, "_CONNECT_S", LONG_S)  # until it has started
-        with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0, warn=warned.append) as engine:
+        with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0, say=said.append, warn=warned.append) as engine:
             scheduler.kill()
             scheduler.wait()
             monkeypatch.setattr(cluster, "_CONNECT_S", 2.0)
@@ -227,6 +228,7 @@ def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_e
         scheduler.kill()
         scheduler.wait()
     assert any("is gone; waiting 2 s" in line for line in warned)
+    assert said == [f"Dask scheduler tcp://127.0.0.1:{port}: 0 workers"], "no link to a dashboard, for it has none"
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError
-from thermoforce_mpc.execution.cluster_address import check_scheduler
+from thermoforce_mpc.execution.cluster_address import check_scheduler, is_missing
 from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, more_threads, perform
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
 from thermoforce_mpc.execution.environment import difference, environment
@@ -73,9 +73,7 @@ class DaskEngine:
         except BaseException:
             self._close()
             raise
-        dashboard = self._client.scheduler_info().get("services", {}).get("dashboard")
-        link = f", dashboard {self._client.dashboard_link}" if dashboard else ""
-        say(f"Dask scheduler {address}: {counted(n, 'worker')}{link}")
+        say(f"Dask scheduler {address}: {counted(n, 'worker')}{self._dashboard()}")
         if not n:
             self._warn(self._no_worker())
 
@@ -196,6 +194,12 @@ class DaskEngine:
         for worker, error in ((w, f) for w, f in found.items() if isinstance(f, BaseException)):
             raise ConfigError(f"worker {worker} cannot load thermoforce-mpc of this version: {_first_line(error)}")
         return len(found)
+
+    def _dashboard(self) -> str:
+        if not self._client.scheduler_info().get("services", {}).get("dashboard"):
+            return ""
+        link: str = self._client.dashboard_link
+        return "" if is_missing(link) else f", dashboard {link}"
 
     def _look(self) -> None:
         """Which workers there are now; tells which are gone, and where there are none for long."""
