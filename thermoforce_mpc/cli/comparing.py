@@ -201,6 +201,7 @@ def _run(
         TaskProgress(console, quiet=options["quiet"], line=_line) as progress,
         options["engine"](say) as engine,
     ):
+        store.create()  # not before: a cluster that cannot be used leaves no folder
         for outcome in execute(tasks_of(cells), engine, store, progress):
             cell = outcome.task.inputs
             if not isinstance(cell, Cell):

@@ -122,6 +122,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         kept = sum(record["status"] == DONE for record in records.values())
         click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
         raise
+    results.create()
     dataset = write_dataset(
         results.folder,
         [
@@ -168,6 +169,7 @@ def _identify(
     """
     models, failed = dict[str, Path](), dict[str, str]()
     with TaskProgress(console, quiet=quiet) as progress, engine(_sayer(console, quiet)) as where:
+        results.create()  # not before: a cluster that cannot be used leaves no folder
         for outcome in execute(measured.values(), where, results, progress):
             made_of = outcome.task.inputs
             if not isinstance(made_of, Measured):
@@ -195,6 +197,7 @@ def _run(
 ) -> None:
     """Run what is left; every record goes into `records` by key as it comes."""
     with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(_sayer(console, quiet)) as where:
+        results.create()  # not before: a cluster that cannot be used leaves no folder
         for outcome in execute(tasks_of(todo), where, results, progress):
             run = outcome.task.inputs
             if isinstance(run, Run):

@@ -71,6 +71,7 @@ def test_controllers_are_compared_on_a_service(tmp_path):
 def test_only_whole_and_finished_files_count_as_done(tmp_path):
     (cell,) = expand(Scenario(testcase=TESTCASE), {"n": Variant(controller="native")}, ["44"], ["constant"])
     store = Store(tmp_path)
+    store.create()
     assert store.finished(cell) is None
     store.write(cell, failure(cell, "because"))
     assert store.finished(cell) is None

@@ -13,6 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.execution import cluster
 from thermoforce_mpc.simulation.comparison.store import Identified, Store
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of
 
@@ -36,7 +38,7 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
     # A busy machine may take longer than the default of 15 s to start a worker again; then it would not be any more.
     patient = dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
     options = {"threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 60}
-    with patient, LocalCluster(n_workers=2, **options) as cluster, Client(cluster, set_as_default=False) as client:
+    with patient, LocalCluster(n_workers=2, **options) as made, Client(made, set_as_default=False) as client:
         monkeypatch.chdir(tmp_path)
         (tmp_path / "prices.csv").write_text("time,price\n0,0.1\n43200,0.3\n31536000,0.2\n", encoding="utf-8")
         here = CliRunner().invoke(cli, [*CALL, *PRICES, "--jobs", "1", "--out", str(tmp_path / "here")])
@@ -45,7 +47,7 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
 
         def kill_a_busy_worker() -> None:
             while not killed:
-                for nanny in cluster.workers.values():
+                for nanny in made.workers.values():
                     if client.processing().get(nanny.worker_address):
                         killed.append(nanny.pid)
                         os.kill(nanny.pid, signal.SIGKILL)
@@ -54,16 +56,36 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
 
         killing = threading.Thread(target=kill_a_busy_worker, daemon=True)
         killing.start()
-        words = ("--scheduler", cluster.scheduler_address, "--out", str(tmp_path / "there"))
+        words = ("--scheduler", made.scheduler_address, "--out", str(tmp_path / "there"))
         there = CliRunner().invoke(cli, [*CALL, *PRICES, *words])
         killing.join(1.0)
     assert there.exit_code == 0, there.output
     assert killed
-    assert f"Dask scheduler {cluster.scheduler_address}: 2 workers" in there.output
+    assert f"Dask scheduler {made.scheduler_address}: 2 workers" in there.output
     assert records(tmp_path / "there") == records(tmp_path / "here")
     words = ("--scheduler", "tcp://nowhere:1", "--out", str(tmp_path / "there"))
     again = CliRunner().invoke(cli, [*CALL, *PRICES, *words])
     assert again.exit_code == 0, "nothing is left to run, so nobody is asked"
+
+
+def test_a_cluster_that_cannot_be_used_leaves_no_folder_and_a_folder_that_cannot_be_made_no_run(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.3)
+    (tmp_path / "file").touch()
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(
+        "buildings: [{generated: {seed: 5, count: 1}}]\nwindows: [44]\ndays: 0.25\nreference: native\n"
+        "variants: {native: {controller: native}}\n"
+    )
+    for call in (CALL, ("fleet", str(fleet))):
+        for out, options, error in (
+            (tmp_path / "out", ("--scheduler", "tcp://127.0.0.1:1"), ConfigError),
+            (tmp_path / "file" / "out", ("--jobs", "1"), StorageError),
+        ):
+            done = CliRunner().invoke(cli, [*call, *options, "--out", str(out)])
+            assert isinstance(done.exception, error), done.output
+            assert "started" not in done.output
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "fleet.yaml"}
 
 
 def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_path):
@@ -79,6 +101,7 @@ def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_
     assert len(tasks) == 4
     assert len(needs) == 2, "tariffs learn together"
     store, (first, second) = Store(tmp_path), needs.values()
+    store.create()
     for need in (first, second):
         with pytest.raises(KeyError):
             store.get(need)

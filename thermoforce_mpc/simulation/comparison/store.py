@@ -65,13 +65,15 @@ class Store:
     """Stored cells and models of one comparison: the `Results` of its tasks."""
 
     def __init__(self, folder: Path) -> None:
-        """Create the folder; raises `StorageError` if that fails."""
         self.folder = folder
+
+    def create(self) -> None:
+        """Create the folder; raises `StorageError` if that fails."""
         try:
             for sub in ("cells", "models"):
-                (folder / sub).mkdir(parents=True, exist_ok=True)
+                (self.folder / sub).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise StorageError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+            raise StorageError(f"--out {self.folder}: cannot be created ({error.strerror or error})") from error
 
     def cell_path(self, cell: Cell) -> Path:
         """Path of a cell's result."""

@@ -109,12 +109,14 @@ class FleetResults:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Create the folder; raises `StorageError` if that fails."""
         self.folder = folder
+
+    def create(self) -> None:
+        """Create the folder; raises `StorageError` if that fails."""
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise StorageError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+            raise StorageError(f"--out {self.folder}: cannot be created ({error.strerror or error})") from error
 
     def record_path(self, key: str) -> Path:
         """The record of a run."""
