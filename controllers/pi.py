@@ -100,8 +100,10 @@ class PIController:
         """One step of the PI law; native control while the zone temperature or the bounds are missing.
 
         Raises:
-            DataError: `state` is not from a plan of a PI controller, or from a later one.
+            DataError: `state` is not from a plan of a PI controller, or from a later one; or the boundary forecast, whose
+                bounds it holds, does not begin now.
         """
+        observation.check_begin()
         names = self.layout.names
         last = checked_state(state, PIState, names) or PIState((0.0,) * len(names.actuators))
         check_later(last.time_s, observation.time_s)

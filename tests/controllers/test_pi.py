@@ -10,6 +10,7 @@ from controllers.errors import ControllerConfigError
 from controllers.pi import PIConfig, PIController
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Period, PlanStatus, Record
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -94,6 +95,12 @@ def test_a_bound_that_is_not_known_hands_over_to_native_control():
     plan = PIController(PIConfig(lead_h=0.0)).plan(observation(20.0, 0.0, lower_C=[float("nan"), 21.0]))
     assert plan.blocks[0].u == (None,)
     assert "comfort bound missing" in plan.why
+
+
+def test_bounds_of_an_hour_ago_are_refused():
+    now, before = observation(20.0, 3600.0), observation(20.0, 0.0)
+    with pytest.raises(DataError, match="3600 s before now"):
+        PIController(PIConfig()).plan(Observation(now.history, before.boundary))
 
 
 def test_a_step_too_short_for_blocks_is_refused():
