@@ -100,8 +100,8 @@ class PIController:
         """One step of the PI law; native control while the zone temperature or the bounds are missing.
 
         Raises:
-            DataError: `state` is not from a plan of a PI controller, or from a later one; or the boundary forecast, whose
-                bounds it holds, does not begin now.
+            DataError: `state` is not from a plan of a PI controller, or from a later one; or the boundary forecast does
+                not begin now.
         """
         observation.check_begin()
         names = self.layout.names
