@@ -12,6 +12,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Period
 
+NAMES = ("peak_heat_day", "typical_heat_day")
 _QUARTERS = 96
 _HALF_WINDOW_D = 7
 # Days that leave room for the warm-up and first week before, and the second week after.
@@ -43,7 +44,7 @@ def heating_windows(power_W: Array) -> dict[str, Period]:
     median = float(np.median(highest[highest > _HEATING_W])) if (highest > _HEATING_W).any() else 0.0
     not_above = available[highest[available] <= median]
     typical = int(not_above[np.argmax(highest[not_above])])
-    return {name: centred_window(name, day) for name, day in (("peak_heat_day", peak), ("typical_heat_day", typical))}
+    return {name: centred_window(name, day) for name, day in zip(NAMES, (peak, typical), strict=True)}
 
 
 def centred_window(name: str, day: int) -> Period:

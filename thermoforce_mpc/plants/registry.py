@@ -6,7 +6,7 @@ docs/how-to/plugins.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,7 @@ class PlantEntry:
         config: returns the class of its options (scenario key `plant.options`).
         takes: keys of the scenario's `plant` that it heeds, of weather, prices_file and forecast_uncertainty.
         missing: says what has to be installed first, or nothing.
+        windows: names of its windows beside start days; None where only the plant itself knows them.
     """
 
     summary: str
@@ -48,6 +49,7 @@ class PlantEntry:
     config: Callable[[], type[StrictModel]] = lambda: NoOptions
     takes: frozenset[str] = frozenset()
     missing: Callable[[], str] = lambda: ""
+    windows: Callable[[PlantSpec, TestCase], Collection[str] | None] = lambda spec, testcase: None
 
 
 def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
@@ -94,6 +96,16 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
     if missing:
         raise ConfigError(f"test case '{testcase.name}': {missing}")
     return validate(entry.config(), spec.options, f"plant.options of plant '{name}'")
+
+
+def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
+    """Names of the windows that the plant of a scenario has beside start days; None where only the plant knows them.
+
+    Raises:
+        ConfigError: nothing implements the test case, or its FMU cannot be read.
+    """
+    names = REGISTRY.find(plant_name(spec, testcase)).windows(spec, testcase)
+    return None if names is None else tuple(names)
 
 
 def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, testid: str | None = None) -> Plant:
@@ -168,37 +180,79 @@ def _tariff(spec: PlantSpec) -> Tariff | None:
     return tariff_from_file(Path(spec.prices_file)) if spec.prices_file else None
 
 
+def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
+    from thermoforce_mpc.boundary.periods import NAMES
+
+    return NAMES
+
+
+def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
+    from thermoforce_mpc.plants.weeks import NAMES
+
+    return NAMES
+
+
+def _of_zone(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
+    assert testcase.energyplus is not None  # else it is another plant
+    return testcase.energyplus.periods
+
+
+def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
+    from thermoforce_mpc.plants.energyplus.office import PERIODS
+
+    return PERIODS
+
+
+def _of_fmu(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
+    from thermoforce_mpc.plants.fmu.archive import scenario_days
+
+    assert spec.path is not None  # PlantSpec has both or neither
+    return scenario_days(Path(spec.path))
+
+
 def _without_engine() -> str:
     from thermoforce_mpc.plants.energyplus.engine import is_available
 
     return "" if is_available() else "it runs on EnergyPlus: pip install 'thermoforce-mpc[energyplus]'"
 
 
+# Which of them a service's test case has, only the service knows.
+_OF_BOPTEST = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day")
 _ON_ENGINE = frozenset({PRICES, UNCERTAINTY})
 _OWN = {
     "emulator": PlantEntry(
-        "embedded emulator of bestest_hydronic_heat_pump", _emulator, takes=frozenset({WEATHER, PRICES, UNCERTAINTY})
+        "embedded emulator of bestest_hydronic_heat_pump",
+        _emulator,
+        takes=frozenset({WEATHER, PRICES, UNCERTAINTY}),
+        windows=_of_weather,
     ),
-    "rooms": PlantEntry("drawn house of rooms, a valve each, one heat pump (--testcase house:5rooms)", _rooms),
+    "rooms": PlantEntry(
+        "drawn house of rooms, a valve each, one heat pump (--testcase house:5rooms)", _rooms, windows=_weeks
+    ),
     "generated": PlantEntry(
         "generated house of one zone, by seed and number (--testcase generated:2026:0)",
         _generated,
         takes=frozenset({PRICES}),
+        windows=_weeks,
     ),
     "energyplus": PlantEntry(
         "a zone on EnergyPlus (--testcase energyplus:heating_chicago), extra [energyplus]",
         _energyplus,
         takes=_ON_ENGINE,
         missing=_without_engine,
+        windows=_of_zone,
     ),
     "small_office": PlantEntry(
         "an office of five zones on EnergyPlus (--testcase energyplus:small_office), extra [energyplus]",
         _small_office,
         takes=_ON_ENGINE,
         missing=_without_engine,
+        windows=_of_office,
     ),
-    "boptest": PlantEntry("a BOPTEST service (--url)", boptest_plant, takes=frozenset({UNCERTAINTY})),
-    "fmu": PlantEntry("a test case's FMU (--fmu), extra [fmu]", _fmu, takes=frozenset({UNCERTAINTY})),
+    "boptest": PlantEntry(
+        "a BOPTEST service (--url)", boptest_plant, takes=frozenset({UNCERTAINTY}), windows=lambda *_: _OF_BOPTEST
+    ),
+    "fmu": PlantEntry("a test case's FMU (--fmu), extra [fmu]", _fmu, takes=frozenset({UNCERTAINTY}), windows=_of_fmu),
 }
 
 

@@ -9,6 +9,7 @@ from thermoforce_mpc.plants.checks import day_period
 
 WEEKS = ("cold_week", "sunny_week")
 _WEEK_OF = {"peak_heat_day": "cold_week", "typical_heat_day": "sunny_week"}
+NAMES = (*WEEKS, *_WEEK_OF)
 # First days of the weeks a window is chosen from, and least heat load of the sunny week relative to the design load.
 _COLD_DAYS, _SUNNY_DAYS, _LEAST_LOAD = range(17, 53), range(60, 111), 0.12
 

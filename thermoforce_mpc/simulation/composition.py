@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,17 @@ from controllers.registry import find_entry
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.plants.registry import boptest_plant, build_plant
+from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.reading import DoubtfulInput
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 
-__all__ = ["attached_plant", "build_plant", "check_prices", "check_window", "controller_options", "scored_period"]
+__all__ = [
+    "attached_plant", "build_plant", "check_prices", "check_window", "check_windows", "controller_options",
+    "scored_period",
+]  # fmt: skip
 
 # BOPTEST's names and those of plants of our own; the plant knows which of them it has.
 _NAMED_PERIODS = (
@@ -70,14 +74,32 @@ def check_prices(scenario: Scenario, period: Period, ahead_s: float = 0.0) -> No
     tariff(np.append(np.arange(period.start_s, until_s, _PRICE_STEP_S), until_s))
 
 
-def check_window(name: str) -> None:
-    """Refuse a `name` that no plant can know as a window; raises `ConfigError` naming those there are."""
+def check_window(name: str, key: str = "period") -> None:
+    """Refuse a `name` that no plant can know as a window; raises `ConfigError` naming `key` and those there are."""
     try:
         if not 0.0 <= float(name) < 365.0:
-            raise ConfigError(f"period: '{name}': a start day lies between 0 and 365")
+            raise ConfigError(f"{key}: '{name}': a start day lies between 0 and 365")
     except ValueError:
         if name not in _NAMED_PERIODS:
             raise ConfigError(
-                f"period: '{name}' is not a window{suggestion(name, _NAMED_PERIODS)}; "
+                f"{key}: '{name}' is not a window{suggestion(name, _NAMED_PERIODS)}; "
                 f"use {', '.join(_NAMED_PERIODS)}, or the day of the year it starts, such as 44"
             ) from None
+
+
+def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> None:
+    """Refuse windows that the plant of a scenario does not have, as far as that is known without it.
+
+    Raises:
+        ConfigError: names the window and those there are.
+    """
+    for name in names:
+        check_window(name, "windows")
+        if name not in _NAMED_PERIODS:
+            continue  # a start day, which all have
+        has = windows_of(spec, testcase)
+        if has is not None and name not in has:
+            raise ConfigError(
+                f"windows: {testcase.name} has no '{name}'; use {''.join(f'{one}, ' for one in has)}or the day of the "
+                "year it starts, such as 44"
+            )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -191,19 +192,18 @@ def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "w.epw").write_text("no weather")
+    (tmp_path / "few.csv").write_text("name,testcase,weather\nnorth,bestest_hydronic_heat_pump,w.epw\n")
     path = _file(
         tmp_path,
-        buildings=[{"generated": {"seed": 5, "count": 1}}, {"testcase": "bestest_hydronic_heat_pump"}],
-        windows=["cold_week"],
+        buildings=[{"generated": {"seed": 5, "count": 1}}, {"table": "few.csv"}],
+        windows=["peak_heat_day"],
     )
     code, said = _fleet(path)
     assert code == 3
-    assert "FAILED bestest_hydronic_heat_pump, cold_week" in said
+    assert "FAILED north, peak_heat_day" in said
     rows = read_dataset(tmp_path / "out")
-    assert dict(rows.groupby("building")["status"].first()) == {
-        "bestest_hydronic_heat_pump": "failed",
-        "generated:5:0": "done",
-    }
+    assert dict(rows.groupby("building")["status"].first()) == {"north": "failed", "generated:5:0": "done"}
     assert "Failed runs" in (tmp_path / "out" / "index.html").read_text()
 
 
@@ -217,7 +217,23 @@ def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> N
         ({"buildings": [{"testcase": "bestest_hydronic_heatpump"}]}, "bestest_hydronic_heatpump"),
         ({"reference": "pi"}, "'pi' is not among the variants"),
         ({"prices": ["free"]}, "prices"),
-        ({"windows": ["cold_weak"]}, "cold_weak"),
+        ({"windows": ["cold_weak"]}, "few.yaml: building 'generated:5:0': windows: 'cold_weak' is not a window"),
+        (
+            {"buildings": [{"generated": {"seed": 5, "count": 2}}, {"testcase": "bestest_hydronic_heat_pump"}]},
+            "few.yaml: building 'bestest_hydronic_heat_pump': windows: bestest_hydronic_heat_pump has no 'cold_week'; "
+            "use peak_heat_day, typical_heat_day, or the day",
+        ),
+        (
+            {"buildings": [{"testcase": "energyplus:small_office"}], "windows": ["typical_heat_day"]},
+            "has no 'typical_heat_day'; use peak_heat_day, cold_day, mix_day, peak_cool_day, or the day",
+        ),
+        (
+            {
+                "buildings": [{"testcase": "bestest_air"}],
+                "scenario": {"plant": {"kind": "boptest", "url": "http://127.0.0.1:9"}},
+            },
+            "windows: bestest_air has no 'cold_week'; use peak_heat_day",
+        ),
         ({"windows": [400]}, "'400': a start day lies between 0 and 365"),
         ({"windows": ["nan"]}, "'nan': a start day lies between 0 and 365"),
         ({"seeds": [1, 1]}, "twice"),
@@ -233,6 +249,27 @@ def test_a_wrong_file_is_refused_before_anything_is_run(tmp_path: Path, keys: di
     assert code == 2
     assert says in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_window_that_an_fmu_does_not_have_is_refused_before_anything_is_run(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "house.fmu", "w") as archive:
+        archive.writestr("resources/days.json", '{"mix_day": 100}')
+    (tmp_path / "few.csv").write_text("name,testcase,fmu\nnorth,bestest_air,house.fmu\n")
+    code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}]))
+    assert code == 2
+    assert "few.yaml: building 'north': windows: bestest_air has no 'cold_week'; use mix_day, or the day" in said
+
+
+@pytest.mark.slow
+def test_the_first_example_of_the_guide_is_one_that_can_be_run(tmp_path: Path) -> None:
+    guide = (ROOT / "docs" / "how-to" / "fleet.md").read_text(encoding="utf-8")
+    example = (
+        guide.split("```yaml\n")[1].split("```")[0].replace("count: 40", "count: 1").replace("count: 4", "count: 1")
+    )
+    (tmp_path / "fleet.yaml").write_text(example, encoding="utf-8")
+    (tmp_path / "buildings.csv").write_text("name,testcase\nnorth,generated:5:0\n")
+    code, said = _fleet(tmp_path / "fleet.yaml", "--count")
+    assert code == 0, said
 
 
 def test_a_dataset_of_another_schema_is_refused(tmp_path: Path) -> None:

@@ -91,6 +91,11 @@ def read_archive(path: Path) -> FmuArchive:
     )
 
 
+def scenario_days(path: Path) -> dict[str, int]:
+    """Centre day of each scenario period of an FMU; raises `ConfigError` as `read_archive` for what it reads of it."""
+    return _days(path, _json(path, Members(path), "days.json"))
+
+
 def unpack(archive: FmuArchive, folder: Path) -> None:
     """Unpack an FMU below `folder`; raises `ConfigError` if its file is no longer the one that was read."""
     members = Members(archive.path)

@@ -11,11 +11,11 @@ from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
 from thermoforce_mpc.registry import plugin_sources
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.input_files import named_files
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
-from thermoforce_mpc.simulation.composition import controller_options
+from thermoforce_mpc.simulation.composition import check_windows, controller_options
 from thermoforce_mpc.simulation.identifying import IdentificationTask, identification_task
 from thermoforce_mpc.simulation.run_folder import file_sha256
 from thermoforce_mpc.version import VERSION
@@ -70,7 +70,7 @@ def expand(
     uncertainties: Sequence[str] = ("none",),
     inputs: Inputs | None = None,
 ) -> list[Cell]:
-    """All cells, validated; raises `ConfigError` naming the variant and the wrong key.
+    """All cells, validated; raises `ConfigError` naming the variant and the wrong key, or the window.
 
     `inputs`: hashes that several calls share.
     """
@@ -80,6 +80,7 @@ def expand(
             f"controller.options: they are options of '{own.name}', and no variant has this controller; give options "
             "to the variants, or leave these out"
         )
+    check_windows(windows, base.plant, load_testcase(base.testcase))
     inputs = inputs or Inputs()
     cells: list[Cell] = []
     for window in windows:

@@ -20,7 +20,6 @@ from thermoforce_mpc.simulation.comparison.input_files import InputFiles, SentFi
 from thermoforce_mpc.simulation.comparison.store import DONE, Identified
 from thermoforce_mpc.simulation.comparison.tasks import failure, followed, run_record
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of as cell_tasks
-from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.file import FleetFile
 from thermoforce_mpc.simulation.run_folder import trajectory_frame, write_json
@@ -50,20 +49,18 @@ class Ran:
 
 def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[Run]:
     """All runs of a fleet, validated; raises `ConfigError` naming the file, the building and the wrong key."""
-    for window in file.windows:
-        check_window(window)
     runs, inputs = [], Inputs()
     for building in buildings:
         for seed in file.seeds:
             own = {"days": file.days, "seed": seed}
             data = merge(merge(dict(file.scenario), own), dict(building.scenario))
             try:
-                base = validate(Scenario, data, str(path))
+                base = validate(Scenario, data, "scenario")
                 cells = expand(
                     base, file.variants, file.windows, file.prices, [base.plant.forecast_uncertainty], inputs
                 )
             except ConfigError as error:
-                raise ConfigError(f"building '{building.name}': {error}") from error
+                raise ConfigError(f"{path}: building '{building.name}': {error}") from error
             runs += [Run(building, cell, file.trajectories) for cell in cells]
     return runs
 
