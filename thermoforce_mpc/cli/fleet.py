@@ -21,6 +21,7 @@ from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, sour
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE
+from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import (
     check_dataset,
@@ -75,8 +76,8 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
       tf-mpc fleet whole.yaml --reuse runs/north --reuse runs/south
 
     \b
-    Exit codes: 0 all runs have a result, 2 bad input, 3 a run or identification failed (the others are kept), 7 the
-    cluster is gone, 130 interrupted.
+    Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed or measurements gave no model (the others are
+    kept), 7 the cluster is gone, 130 interrupted.
     """
     console = Console(highlight=False, markup=False)
     file, path = load_fleet(fleet)
@@ -87,7 +88,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     measured = tasks_of_records(buildings)
     # Checked before anything is run: those with measurements get their model later.
     runs = runs_of(file, [building for building in buildings if building.runs], path)
-    identifications = len({run.cell.identification_key for run in runs} - {None})
+    identifications = len({run.cell.identification_key for run in runs if run.building.record is None} - {None})
     if measured:
         console.print(f"{counted(len(measured), 'building')} to identify from measurements", soft_wrap=True)
     console.print(f"{_counted(runs)}, {counted(identifications, 'identification')}", soft_wrap=True)
@@ -98,12 +99,12 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     no_model: dict[str, str] = {}
     if measured:
         models, no_model = _identify(measured, results, console, engine, quiet)
-        runs = runs_of(file, with_models(buildings, models), path)
-    records = {run.cell.key: record for run in runs if (record := results.record(run)) is not None}
-    rows_of_others = {
-        run.cell.key: finished[run.cell.key] for run in runs if run.cell.key in finished and run.cell.key not in records
-    }
-    own = [run for run in runs if run.cell.key not in rows_of_others]
+        runs = runs_of(file, with_models(buildings, models, no_model), path)
+    to_run = [run for run in runs if not run.refused]
+    records = {run.cell.key: record for run in to_run if (record := results.record(run)) is not None}
+    keys = {run.cell.key for run in to_run}
+    rows_of_others = {key: finished[key] for key in keys if key in finished and key not in records}
+    own = [run for run in to_run if run.cell.key not in rows_of_others]
     todo = [run for run in own if run.cell.key not in records]
     if not quiet:
         taken = f"{len(rows_of_others)} taken from other datasets, " if reuse else ""
@@ -123,15 +124,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
         raise
     results.create()
-    dataset = write_dataset(
-        results.folder,
-        [
-            reused_row(run, rows_of_others[run.cell.key])
-            if run.cell.key in rows_of_others
-            else row_of(run, records[run.cell.key])
-            for run in runs
-        ],
-    )
+    dataset = write_dataset(results.folder, [_row(run, records, rows_of_others) for run in runs])
     rows = read_dataset(dataset)
     verdicts = write_models(results.folder, results, own, records, measured, no_model)
     page = results.folder / "index.html"
@@ -143,6 +136,15 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
     if no_model or (rows["status"] != DONE).any():
         sys.exit(RUNS_FAILED)
+
+
+def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The row of a run: from its record, from another dataset, or that it could not be run."""
+    if run.refused:
+        return row_of(run, failure(run.cell, run.refused))
+    if run.cell.key in others:
+        return reused_row(run, others[run.cell.key])
+    return row_of(run, records[run.cell.key])
 
 
 def _counted(runs: list[Run]) -> str:
@@ -163,11 +165,8 @@ def _counted(runs: list[Run]) -> str:
 def _identify(
     measured: Mapping[str, Task], results: FleetResults, console: Console, engine: Opening, quiet: bool
 ) -> tuple[dict[str, Path], dict[str, str]]:
-    """Identify from measurements; by name where each building's model is, and why an identification failed.
-
-    A building whose measurements are refused has neither. Those without a model are said.
-    """
-    models, failed = dict[str, Path](), dict[str, str]()
+    """Identify from measurements; by name where each building's model is, and the verdict on those that have none."""
+    models, none = dict[str, Path](), dict[str, str]()
     with TaskProgress(console, quiet=quiet) as progress, engine(_sayer(console, quiet)) as where:
         results.create()  # not before: a cluster that cannot be used leaves no folder
         for outcome in execute(measured.values(), where, results, progress):
@@ -175,12 +174,11 @@ def _identify(
             if not isinstance(made_of, Measured):
                 continue
             if why := outcome.reason or outcome.value.refused:
-                console.print(f"{made_of.building}: no model, it is not run: {why}", soft_wrap=True)
+                none[made_of.building] = f"{'failed' if outcome.reason else 'refused'}: {why}"
+                console.print(f"{made_of.building}: no model from its measurements: {why}", soft_wrap=True)
             else:
                 models[made_of.building] = results.model_path(outcome.task.key)
-            if outcome.reason:
-                failed[made_of.building] = outcome.reason
-    return models, failed
+    return models, none
 
 
 def _sayer(console: Console, quiet: bool) -> Callable[[str], None]:

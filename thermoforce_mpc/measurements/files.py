@@ -75,6 +75,22 @@ def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: Csv
     return raw_table(df, stamps, columns, str(path), line, form.decimal)
 
 
+def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> None:
+    """Refuse a file that lacks a column, by its head alone; raises `DataError` as `read_table`."""
+    if path.suffix not in _PARQUET:
+        _known_header(path, stamps, columns, form)
+        return
+    import pyarrow.parquet as parquet
+    from pyarrow import ArrowException
+
+    try:
+        names = parquet.read_schema(path).names
+    except (ArrowException, OSError, ValueError) as error:
+        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
+    for key in (*([stamps] if stamps else []), *columns):
+        known_column(key, pd.Index(names), str(path))
+
+
 def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> pd.DataFrame:
     """The table with time stamps (or index) and `columns`; None: all of them."""
     import pyarrow.parquet as parquet
@@ -97,12 +113,7 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> p
 
 
 def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
-    separator, names = _header(path, form)
-    wanted = dict.fromkeys([names[0] if stamps is None else stamps, *columns])
-    for key in wanted:
-        known_column(key, pd.Index(names), str(path))
-        if names.count(key) > 1:
-            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
+    separator, names, wanted = _known_header(path, stamps, columns, form)
     places = sorted(names.index(key) for key in wanted)
     try:
         _check_lines(path, form, separator, len(names))
@@ -121,6 +132,19 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
     filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
     return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
+
+
+def _known_header(
+    path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
+) -> tuple[str, list[str], list[str]]:
+    """Separator and names of the columns, and which of them are wanted; raises `DataError` where one is not there."""
+    separator, names = _header(path, form)
+    wanted = list(dict.fromkeys([names[0] if stamps is None else stamps, *columns]))
+    for key in wanted:
+        known_column(key, pd.Index(names), str(path))
+        if names.count(key) > 1:
+            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
+    return separator, names, wanted
 
 
 def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:

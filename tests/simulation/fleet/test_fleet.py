@@ -440,15 +440,59 @@ def _measured(path: Path, *, heated: bool) -> None:
 
 
 def test_an_identification_that_fails_is_listed_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("map.yaml", "good.csv"):
-        (tmp_path / name).write_text("")
+    (tmp_path / "map.yaml").write_text(MAP)
+    (tmp_path / "good.csv").write_text("when,room,out,sun,level,power\n")
     (tmp_path / "few.csv").write_text("name,record,map\nnorth,good.csv,map.yaml\n")
     # A function that a worker finds, and that fails there.
     monkeypatch.setattr(fleet_models, "identified_from", os.abort)
     code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}]))
-    assert (code, "north: no model, it is not run: TypeError" in said) == (3, True)
+    assert (code, "north: no model from its measurements: TypeError" in said) == (3, True)
     (row,) = pd.read_parquet(tmp_path / "out" / "models.parquet").to_dict("records")
     assert (row["building"], row["verdict"].startswith("failed: TypeError")) == ("north", True)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("machines:", "machine:"), "line 8: machine: unknown key, did you mean 'machines'?"),
+        (("column: room", "column: rom"), r"good.csv: no column 'rom', did you mean 'room'?"),
+        (("  zone: {", "  bath: {"), "map.yaml: zones: it has bath, test case 'bestest_hydronic_heat_pump' has zone"),
+        (("{level: level}", "{level: level, mode: cooling}"), "actuators.actuator.mode is cooling"),
+    ],
+    ids=["key", "column", "names", "mode"],
+)
+def test_a_map_that_does_not_fit_is_refused_before_anything_is_run(
+    tmp_path: Path, change: tuple[str, str], says: str
+) -> None:
+    (tmp_path / "map.yaml").write_text(MAP.replace(*change))
+    (tmp_path / "good.csv").write_text("when,room,out,sun,level,power\n")
+    (tmp_path / "few.csv").write_text("name,testcase,record,map\na,bestest_hydronic_heat_pump,good.csv,map.yaml\n")
+    code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}], windows=["44"]), "--count")
+    assert (code, "few.csv: line 2: " in said, says in said) == (2, True, True), said
+
+
+@pytest.mark.slow
+def test_a_building_without_a_model_runs_what_needs_none_and_says_why_of_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "map.yaml").write_text(MAP)
+    (tmp_path / "off.csv").write_text("when,room,out,sun,level,power\n")
+    (tmp_path / "few.csv").write_text("name,testcase,record,map\nnorth,generated:5:0,off.csv,map.yaml\n")
+    variants = {"native": RULES["native"], "ours": {"controller": "rc_mpc"}}
+    path = _file(tmp_path, buildings=[{"table": "few.csv"}], windows=["44"], variants=variants, reference="native")
+    code, said = _fleet(path)
+    assert code == 3, said
+    assert "1 building to identify from measurements\n2 controllers: 2 runs, 0 identifications" in said
+    assert "north: no model from its measurements: " in said
+    out = tmp_path / "out"
+    rows = read_dataset(out).set_index("variant")
+    assert rows["status"].to_dict() == {"native": "done", "ours": "failed"}
+    assert rows.loc["ours", "reason"].startswith("no model from its measurements: refused: ")
+    assert "off.csv: the table has no rows" in rows.loc["ours", "reason"]
+    assert rows.loc["ours", "reason"].split(": ", 1)[1] in (out / "index.html").read_text()
+    assert pd.read_parquet(out / "models.parquet")["verdict"].str.startswith("refused: ").tolist() == [True]
+    code, said = _fleet(path)
+    assert (code, "1 run done, 0 left" in said) == (3, True)
 
 
 @pytest.mark.slow
@@ -469,14 +513,15 @@ def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_
         variants={"thermoforce_mpc": {"controller": "thermoforce_mpc"}, **RULES},
     )
     code, said = _fleet(path)
-    assert code == 0, said
+    assert code == 3, said
     assert "3 buildings to identify from measurements" in said
-    assert "never heated: no model, it is not run: " in said
+    assert "never heated: no model from its measurements: " in said
     rows = read_dataset(tmp_path / "out")
-    assert rows["building"].tolist() == ["good"] * 3
-    assert rows.set_index("variant").loc["thermoforce_mpc", "plans_solved"] > 0
+    assert rows["building"].tolist() == ["good"] * 3 + ["never heated"] * 3
+    assert rows["status"].tolist() == ["done"] * 3 + ["failed", "done", "done"]
+    assert rows.set_index("variant")["plans_solved"]["thermoforce_mpc"].iloc[0] > 0
     models = pd.read_parquet(tmp_path / "out" / "models.parquet").set_index("building")
     assert models.loc["good", "competent"]
     assert models.loc["only known", "effect_K"] == models.loc["good", "effect_K"]
     assert models.loc["never heated", "verdict"].startswith("refused")
-    assert "3 runs done, 0 left" in _fleet(path)[1]
+    assert "5 runs done, 0 left" in _fleet(path)[1]

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.plants.generated import draw_house
 from thermoforce_mpc.reading import read_bounded
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.simulation.fleet.file import FleetFile, Rooms, Source
+from thermoforce_mpc.simulation.measured_model import check_measurements
 
 _COLUMNS = ("name", "testcase", "model", "record", "map", "weather", "url", "fmu")
 _MOST_BYTES = 50_000_000
@@ -25,7 +26,8 @@ class Building:
     """A building of a fleet: `name`, once in it, and what of its scenario is its own.
 
     `source`: kind of source. `emitter`, `machine`, `mass`: what it is, '' where that is not known. `record`: files of
-    its measurements and of their map, from which its model is identified. Without a test case it is not run.
+    its measurements and of their map, from which its model is identified; `no_model`: why that gave none. Without a
+    test case it is not run.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Building:
     area_m2: float = field(default=float("nan"))
     description: str = ""
     record: tuple[str, str] | None = None
+    no_model: str = ""
 
     @property
     def runs(self) -> bool:
@@ -123,7 +126,7 @@ def _of_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
             raise ConfigError(f"{where}: needs a name, a test case or record, and no more values than columns")
         try:
             yield _of_row(given, table.parent)
-        except ConfigError as error:
+        except (ConfigError, DataError) as error:
             raise ConfigError(f"{where}: {error}") from error
     if empty:
         raise ConfigError(f"{table}: has no buildings")
@@ -138,18 +141,23 @@ def _of_row(given: Mapping[str, str], folder: Path) -> Building:
         for file in record:
             if not Path(file).is_file():
                 raise ConfigError(f"{file}: not a file")
+    if record is not None:
+        named = given.get("testcase")
+        check_measurements(*record, load_testcase(_testcase(named, folder)) if named else None)
     if not given.get("testcase"):
         return Building(given["name"], "record", {}, record=record)
     return replace(_of_testcase(given["name"], "table", _scenario(given, folder)), record=record)
+
+
+def _testcase(name: str, folder: Path) -> str:
+    return str(folder / Path(name).expanduser()) if name.endswith((".yaml", ".yml")) else name
 
 
 def _scenario(given: Mapping[str, str], folder: Path) -> dict[str, Any]:
     def path(text: str) -> str:
         return str(folder / Path(text).expanduser())
 
-    scenario: dict[str, Any] = {"testcase": given["testcase"]}
-    if given["testcase"].endswith((".yaml", ".yml")):
-        scenario["testcase"] = path(given["testcase"])
+    scenario: dict[str, Any] = {"testcase": _testcase(given["testcase"], folder)}
     if given.get("model"):
         scenario["identification"] = {"model": path(given["model"])}
     plant: dict[str, Any] = {}

@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.thermal_model import load_model
@@ -63,18 +63,24 @@ def tasks_of_records(buildings: Iterable[Building]) -> dict[str, Task]:
 
 
 def identified_from(measured: Measured, files: SentFiles = NO_FILES) -> Identified:
-    """The model of measurements; where they cannot be used or fitted, the reason takes its place."""
+    """The model of measurements; where they cannot be used or fitted, the reason takes its place.
+
+    Raises:
+        ConfigError: the map is wrong.
+    """
     try:
         with files.at_hand() as where:
             paths = [where.get(path, path) for path in (measured.record, measured.map)]
             model, _ = model_of_measurements([paths[0]], paths[1])
-    except (ConfigError, DataError) as error:
+    except DataError as error:
         return Identified(refused=str(error))
     return Identified.of(model)
 
 
-def with_models(buildings: Iterable[Building], models: Mapping[str, Path]) -> list[Building]:
-    """The buildings that can be run: those with measurements act on their model, if there is one in `models`."""
+def with_models(
+    buildings: Iterable[Building], models: Mapping[str, Path], no_model: Mapping[str, str]
+) -> list[Building]:
+    """The buildings that can be run: those with measurements act on their model, or have none and say why."""
     found = []
     for building in buildings:
         if building.record is None:
@@ -82,6 +88,8 @@ def with_models(buildings: Iterable[Building], models: Mapping[str, Path]) -> li
         elif building.runs and building.name in models:
             model = {"identification": {"model": str(models[building.name])}}
             found.append(replace(building, scenario=merge(dict(building.scenario), model)))
+        elif building.runs:
+            found.append(replace(building, no_model=no_model[building.name]))
     return found
 
 
@@ -91,7 +99,7 @@ def write_models(
     runs: Sequence[Run],
     records: Mapping[str, Mapping[str, Any]],
     measured: Mapping[str, Task],
-    failed: Mapping[str, str],
+    no_model: Mapping[str, str],
 ) -> Path:
     """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`.
 
@@ -101,13 +109,13 @@ def write_models(
         runs: runs that were made here, now or before.
         records: their records by key; they name the model that a run had.
         measured: identifications from measurements by building.
-        failed: why one of them failed, by building.
+        no_model: verdict where one of them gave no model, by building.
     """
     rows, seen = [], set[str]()
     for name, task in measured.items():
         of = {"building": name, "window": "", "from": "record", "key": task.key}
-        if name in failed:
-            rows.append({**of, "actuator": "", "competent": False, "verdict": f"failed: {failed[name]}"})
+        if name in no_model:
+            rows.append({**of, "actuator": "", "competent": False, "verdict": no_model[name]})
         else:
             rows += _rows(results.model_path(task.key), of)
     for run in runs:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from controllers.registry import find_entry
 from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import storage_errors, write_whole
@@ -27,11 +28,15 @@ from thermoforce_mpc.simulation.run_folder import trajectory_frame, write_json
 
 @dataclass(frozen=True)
 class Run:
-    """One run of a fleet: a cell of a comparison on one building; `trajectory`: whether its course is kept."""
+    """One run of a fleet: a cell of a comparison on one building; `trajectory`: whether its course is kept.
+
+    `refused`: why it cannot be run; such a run has no key.
+    """
 
     building: Building
     cell: Cell
     trajectory: bool
+    refused: str = ""
 
     @property
     def title(self) -> str:
@@ -61,8 +66,16 @@ def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[
                 )
             except ConfigError as error:
                 raise ConfigError(f"{path}: building '{building.name}': {error}") from error
-            runs += [Run(building, cell, file.trajectories) for cell in cells]
+            runs += [_run(building, cell, file.trajectories) for cell in cells]
     return runs
+
+
+def _run(building: Building, cell: Cell, trajectory: bool) -> Run:
+    if not (building.no_model and find_entry(cell.scenario.controller.name).needs_model):
+        return Run(building, cell, trajectory)
+    # As a cell without a model it would be probed; its key may be that of another building's run.
+    without = replace(cell, key="", task=None, identification_key=None)
+    return Run(building, without, trajectory, f"no model from its measurements: {building.no_model}")
 
 
 def tasks_of(runs: Sequence[Run]) -> list[Task]:
