@@ -34,7 +34,7 @@ from thermoforce_mpc.simulation.fleet.dataset import (
 from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
-from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
+from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, models_again, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
 from thermoforce_mpc.simulation.whole_tables import print_whole
 from thermoforce_mpc.words import counted
@@ -106,9 +106,12 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     rows_of_others = {key: finished[key] for key in keys if key in finished and key not in records}
     own = [run for run in to_run if run.cell.key not in rows_of_others]
     todo = [run for run in own if run.cell.key not in records]
+    again = models_again(own, records, results)
     if not quiet:
         taken = f"{len(rows_of_others)} taken from other datasets, " if reuse else ""
         console.print(f"{counted(len(records), 'run')} done, {taken}{len(todo)} left; {results.folder}", soft_wrap=True)
+        if again:
+            console.print(f"{counted(len(again), 'model')} missing or damaged, to be identified again", soft_wrap=True)
         made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
         if stale := sum(source != source_fingerprint() for source in made_by):
             console.print(
@@ -117,8 +120,8 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
                 soft_wrap=True,
             )
     try:
-        if todo:
-            _run(todo, results, records, console, engine, quiet)
+        if todo or again:
+            _run([*again, *tasks_of(todo)], results, records, console, engine, quiet)
     except KeyboardInterrupt:
         kept = sum(record["status"] == DONE for record in records.values())
         click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
@@ -186,17 +189,17 @@ def _sayer(console: Console, quiet: bool) -> Callable[[str], None]:
 
 
 def _run(
-    todo: list[Run],
+    todo: list[Task],
     results: FleetResults,
     records: dict[str, dict[str, Any]],
     console: Console,
     engine: Opening,
     quiet: bool,
 ) -> None:
-    """Run what is left; every record goes into `records` by key as it comes."""
+    """Do what is left; every record of a run goes into `records` by key as it comes."""
     with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(_sayer(console, quiet)) as where:
         results.create()  # not before: a cluster that cannot be used leaves no folder
-        for outcome in execute(tasks_of(todo), where, results, progress):
+        for outcome in execute(todo, where, results, progress):
             run = outcome.task.inputs
             if isinstance(run, Run):
                 failed = outcome.reason and results.put_failure(run, outcome.reason)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from simple_house import simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, StorageError
@@ -105,7 +106,7 @@ def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_
     for need in (first, second):
         with pytest.raises(KeyError):
             store.get(need)
-    model = Identified({"model.json": b"{}", "arrays.safetensors": b"\0"})
+    model = Identified.of(simple_model())
     store.put(first, model)
     store.put(second, Identified(refused="too short"))
     assert store.get(first) == model
@@ -113,3 +114,12 @@ def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_
     store.put(second, Identified(refused="too short"))
     store.put(first, model)
     assert sorted(path.name for path in (tmp_path / "models").iterdir()) == sorted(needs)
+    # What is damaged does not count, and is replaced, be it by what is of the other kind.
+    (store.model_path(first.key) / "model.json").write_bytes(b"")
+    store.model_path(second.key).write_bytes(b"")
+    for need in (first, second):
+        with pytest.raises(KeyError):
+            store.get(need)
+    store.put(first, Identified(refused="too short"))
+    store.put(second, model)
+    assert (store.get(first), store.get(second)) == (Identified(refused="too short"), model)

@@ -15,7 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from click.testing import CliRunner
+from executed_tasks import identified_at_once
 from pages import ROOT
+from simple_house import simple_model
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
@@ -28,6 +30,7 @@ from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison import cells
+from thermoforce_mpc.simulation.comparison import tasks as comparison_tasks
 from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet import models as fleet_models
@@ -167,6 +170,29 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
     assert "Note: 2 of them made by other source code of this version" in said
     assert (models.read_bytes(), rows.read_bytes()) == before
     assert pd.read_parquet(models)["verdict"].tolist() == ["refused: too few steps"] * 2
+
+
+@pytest.mark.slow
+def test_a_damaged_model_of_finished_runs_is_identified_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ours = {"ours": {"controller": "rc_mpc"}}
+    path = _file(tmp_path, variants=ours, reference="ours", buildings=[{"generated": {"seed": 5, "count": 1}}])
+    file, results = load_fleet(str(path))[0], FleetResults(tmp_path / "out")
+    done = {"status": "done", "kpis": {"cost_tot": 1.0, "tdis_tot": 0.0, "ener_tot": 1.0}}
+    model = Identified.of(simple_model())
+    for task in tasks_of(runs_of(file, buildings_of(file, path), path)):
+        results.put(task, Ran(failure(task.inputs.cell, "") | done))
+        for need in task.needs:
+            results.put(need, model)
+    assert _fleet(path)[0] == 0
+    folders = sorted((tmp_path / "out" / "models").glob("*/*"))
+    (folders[0] / "model.json").write_bytes(b"")
+    monkeypatch.setattr(comparison_tasks, "identified", identified_at_once)
+    code, said = _fleet(path)
+    assert code == 0, said
+    assert "2 runs done, 0 left" in said
+    assert "1 model missing or damaged, to be identified again" in said
+    assert Identified.read(folders[0]) == model
+    assert pd.read_parquet(tmp_path / "out" / "models.parquet")["verdict"].tolist() == ["not judged"] * 2
 
 
 def test_what_cannot_be_reused_is_refused_before_anything_is_run(tmp_path: Path) -> None:

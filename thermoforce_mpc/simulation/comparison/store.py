@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.errors import StorageError
+from thermoforce_mpc.errors import ArtifactError, StorageError
 from thermoforce_mpc.execution import Task
-from thermoforce_mpc.files import write_folder, write_whole
+from thermoforce_mpc.files import storage_errors, write_folder, write_whole
+from thermoforce_mpc.model.model_file import read_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles
@@ -40,12 +42,14 @@ class Identified:
 
     @classmethod
     def read(cls, path: Path) -> Identified | None:
-        """What `write` wrote; None where there is nothing."""
+        """What `write` wrote; None where there is nothing, or what is no whole model."""
         try:
             if path.is_file():
-                return cls(refused=path.read_text(encoding="utf-8"))
+                why = path.read_text(encoding="utf-8")
+                return cls(refused=why) if why else None
+            read_model_file(path)
             return cls({file.name: file.read_bytes() for file in sorted(path.iterdir())})
-        except OSError:
+        except (OSError, ArtifactError, UnicodeDecodeError):
             return None
 
     def write(self, path: Path) -> None:
@@ -55,6 +59,12 @@ class Identified:
         """
         if Identified.read(path) is not None:
             return
+        # What is there may be damaged and of the other kind.
+        with storage_errors(path):
+            if self.refused and path.is_dir():
+                shutil.rmtree(path)
+            elif not self.refused and path.is_file():
+                path.unlink()
         if self.refused:
             write_whole(path, self.refused)
         else:

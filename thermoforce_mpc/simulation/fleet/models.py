@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.thermal_model import load_model
@@ -136,11 +136,17 @@ def write_models(
 
 
 def _rows(path: Path, of: Mapping[str, Any]) -> list[dict[str, Any]]:
-    if path.is_file():
-        return [{**of, "actuator": "", "competent": False, "verdict": f"refused: {path.read_text(encoding='utf-8')}"}]
-    if not path.is_dir():
-        return [{**of, "actuator": "", "competent": False, "verdict": "failed"}]
-    model, rows = load_model(path), []
+    none = {**of, "actuator": "", "competent": False}
+    try:
+        if path.is_file():
+            return [{**none, "verdict": f"refused: {path.read_text(encoding='utf-8')}"}]
+        if not path.is_dir():
+            return [{**none, "verdict": "failed"}]
+        model = load_model(path)
+    except (OSError, UnicodeDecodeError, ArtifactError) as error:
+        # Of other source code, or it would have been identified again.
+        return [{**none, "verdict": f"cannot be read: {error}"}]
+    rows = []
     for actuator, card in zip(model.names.actuators, model.cards, strict=True):
         found = card.competence
         row = {**of, "actuator": actuator, "competent": None, "verdict": "not judged"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -94,6 +94,20 @@ def tasks_of(runs: Sequence[Run]) -> list[Task]:
         )
         tasks.append(replace(task, title=run.title, function=follow, inputs=run, needs=needs))
     return tasks
+
+
+def models_again(runs: Iterable[Run], records: Mapping[str, Mapping[str, Any]], results: FleetResults) -> list[Task]:
+    """Identifications that finished runs were made with, and whose model is not there or cannot be read.
+
+    Not those of other source code, which gave another model. Raises as `tasks_of`.
+    """
+    lost = {}
+    for run in runs:
+        key = run.cell.identification_key
+        made = records.get(run.cell.key, {}).get("model") == key
+        if key is not None and made and key not in lost and Identified.read(results.model_path(key)) is None:
+            lost[key] = run
+    return [need for task in tasks_of(list(lost.values())) for need in task.needs if need.key in lost]
 
 
 def follow(run: Run, *needs: SentFiles | Identified) -> Ran:
