@@ -108,8 +108,10 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     todo = [run for run in own if run.cell.key not in records]
     again = models_again(own, records, results)
     if not quiet:
-        taken = f"{len(rows_of_others)} taken from other datasets, " if reuse else ""
-        console.print(f"{counted(len(records), 'run')} done, {taken}{len(todo)} left; {results.folder}", soft_wrap=True)
+        taken = f"{len(to_run) - len(own)} taken from other datasets, " if reuse else ""
+        console.print(
+            f"{counted(len(own) - len(todo), 'run')} done, {taken}{len(todo)} left; {results.folder}", soft_wrap=True
+        )
         if again:
             console.print(f"{counted(len(again), 'model')} missing or damaged, to be identified again", soft_wrap=True)
         made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
@@ -123,11 +125,13 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         if todo or again:
             _run([*again, *tasks_of(todo)], results, records, console, engine, quiet)
     except KeyboardInterrupt:
-        kept = sum(record["status"] == DONE for record in records.values())
+        kept = sum(records.get(run.cell.key, {}).get("status") == DONE for run in own)
         click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
         raise
     results.create()
     dataset = write_dataset(results.folder, [_row(run, records, rows_of_others) for run in runs])
+    if file.trajectories:
+        results.place_trajectories(to_run)
     rows = read_dataset(dataset)
     verdicts = write_models(results.folder, results, own, records, measured, no_model)
     page = results.folder / "index.html"

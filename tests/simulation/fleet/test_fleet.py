@@ -137,6 +137,24 @@ def test_rows_in_the_repository_are_those_of_the_fleet_that_ships() -> None:
     assert {run.cell.key for run in runs} == set(kept.key[kept.building.isin({run.building.name for run in runs})])
 
 
+@pytest.mark.slow
+def test_trajectories_of_the_same_inputs_are_there_under_every_name(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text("name,testcase\nnorth/1,generated:5:0\nsouth,generated:5:0\n")
+    rules = {"native": RULES["native"], "again": RULES["native"]}
+    keys: dict[str, Any] = {"buildings": [{"table": "two.csv"}], "windows": ["cold_week"], "trajectories": True}
+    assert _fleet(_file(tmp_path, variants=rules, reference="native", **keys))[0] == 0
+    courses = pd.read_parquet(tmp_path / "out" / "trajectories").astype({"building": str, "variant": str})
+    runs = [part.drop(columns=["building", "variant"]) for _, part in courses.groupby(["building", "variant"])]
+    assert len(runs) == 4
+    for run in runs[1:]:
+        pd.testing.assert_frame_equal(run.reset_index(drop=True), runs[0].reset_index(drop=True))
+    # Another name is no reason to run it again, and the former one is gone.
+    code, said = _fleet(_file(tmp_path, variants={"own": RULES["native"]}, reference="own", **keys))
+    assert (code, "2 runs done, 0 left" in said) == (0, True)
+    courses = pd.read_parquet(tmp_path / "out" / "trajectories").astype(str)
+    assert set(zip(courses["building"], courses["variant"], strict=True)) == {("north/1", "own"), ("south", "own")}
+
+
 def test_reused_runs_of_the_same_inputs_keep_their_own_names(tmp_path: Path) -> None:
     (tmp_path / "two.csv").write_text("name,testcase\nnorth,generated:5:0\nsouth,generated:5:0\n")
     path = _file(tmp_path, buildings=[{"table": "two.csv"}], variants=RULES | {"again": RULES["thermostat"]})
@@ -544,7 +562,7 @@ def test_buildings_of_a_table_are_identified_from_their_measurements_and_run_on_
     assert "never heated: no model from its measurements: " in said
     rows = read_dataset(tmp_path / "out")
     assert rows["building"].tolist() == ["good"] * 3 + ["never heated"] * 3
-    assert rows["status"].tolist() == ["done"] * 3 + ["failed", "done", "done"]
+    assert rows["status"].tolist() == ["done"] * 4 + ["failed", "done"]
     assert rows.set_index("variant")["plans_solved"]["thermoforce_mpc"].iloc[0] > 0
     models = pd.read_parquet(tmp_path / "out" / "models.parquet").set_index("building")
     assert models.loc["good", "competent"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -117,17 +119,16 @@ def follow(run: Run, *needs: SentFiles | Identified) -> Ran:
     if not run.trajectory:
         return Ran(record)
     frame = trajectory_frame(result.steps)
-    for place, (name, value) in enumerate(
-        (("window", run.cell.window), ("price", run.cell.price), ("variant", run.cell.variant), ("key", run.cell.key))
-    ):
-        frame.insert(place, name, value)
+    # No names of this run: another of the same inputs, called otherwise, has the same course.
+    for place, name in enumerate(("window", "price", "key")):
+        frame.insert(place, name, getattr(run.cell, name))
     written = io.BytesIO()
     frame.to_parquet(written, index=False)
     return Ran(record, written.getvalue())
 
 
 class FleetResults:
-    """The folder of a fleet: a JSON file for each run, a folder for each model, and trajectories by building.
+    """The folder of a fleet: a file for each run and its trajectory, a folder for each model.
 
     Found by key, in subfolders of its first two digits, so that a folder of 100,000 runs stays quick.
     """
@@ -150,11 +151,30 @@ class FleetResults:
         """The model of an identification, or a file with the reason why there is none."""
         return self.folder / "models" / key[:2] / key
 
-    def trajectory_path(self, run: Run) -> Path:
-        """The trajectory of a run, in a partition of its building."""
-        return (
-            self.folder / "trajectories" / f"building={quote(run.building.name, safe='')}" / f"{run.cell.key}.parquet"
-        )
+    def trajectory_path(self, key: str) -> Path:
+        """The trajectory of a run."""
+        return self.folder / "runs" / key[:2] / f"{key}.parquet"
+
+    def place_trajectories(self, runs: Iterable[Run]) -> None:
+        """Make `trajectories` anew: those of `runs` as one Parquet dataset, in partitions of buildings and variants.
+
+        Links where the disk has them, else copies. Raises `StorageError`.
+        """
+        top = self.folder / "trajectories"
+        with storage_errors(top):
+            for old in top.glob("building=*"):
+                shutil.rmtree(old)
+            for run in runs:
+                kept = self.trajectory_path(run.cell.key)
+                if not kept.is_file():
+                    continue
+                place = top / f"building={quote(run.building.name, safe='')}"
+                place /= f"variant={quote(run.cell.variant, safe='')}"
+                place.mkdir(parents=True, exist_ok=True)
+                try:
+                    os.link(kept, place / kept.name)
+                except OSError:
+                    shutil.copyfile(kept, place / kept.name)
 
     def record(self, run: Run) -> dict[str, Any] | None:
         """The record of a finished run; None if it failed, was not run or cannot be read."""
@@ -165,7 +185,7 @@ class FleetResults:
         expected = {"format": FORMAT, "key": run.cell.key, "status": DONE}
         if not isinstance(record, dict) or {name: record.get(name) for name in expected} != expected:
             return None
-        if run.trajectory and not self.trajectory_path(run).is_file():
+        if run.trajectory and not self.trajectory_path(run.cell.key).is_file():
             return None
         return record | {"variant": run.cell.variant}
 
@@ -190,7 +210,7 @@ class FleetResults:
         """Keep it; raises `StorageError`."""
         if isinstance(task.inputs, Run):
             if value.trajectory:
-                write_whole(_in_folder(self.trajectory_path(task.inputs)), value.trajectory)
+                write_whole(_in_folder(self.trajectory_path(task.key)), value.trajectory)
             write_json(_in_folder(self.record_path(task.key)), value.record)
         else:
             value.write(_in_folder(self.model_path(task.key)))
