@@ -8,7 +8,9 @@ import pytest
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.input_files import input_files, moved_scenario, paths_of
+from thermoforce_mpc.simulation.comparison.variants import Variant
 
 
 @pytest.fixture
@@ -23,7 +25,7 @@ def scenario(tmp_path, monkeypatch) -> Scenario:
         testcase="mine.yaml",
         plant={"weather": "Brussels.mos"},
         identification={"model": "model"},
-        controller={"name": "x", "options": {"free_response": {"options": {"backbone": "model"}}, "horizon_h": 3}},
+        controller={"name": "rc_mpc", "options": {"free_response": {"options": {"backbone": "model"}}, "horizon_h": 3}},
     )
 
 
@@ -43,6 +45,25 @@ def test_all_files_are_sent_and_found_under_their_names(scenario, tmp_path, monk
         assert moved.controller.options["free_response"]["options"]["backbone"] == moved.identification.model
         assert moved.controller.options["horizon_h"] == 3
     assert not Path(moved.plant.weather).exists()
+
+
+def test_what_is_chosen_by_name_is_no_file(tmp_path, monkeypatch):
+    options = {
+        "free_response": {"name": "residual", "options": {"backbone": "shipped", "resolutions": "one"}},
+        "actuation": {"mode": "duty"},
+        "actuations": {"actuator": {"mode": "modulating"}},
+    }
+    base = Scenario(testcase="bestest_hydronic_heat_pump", days=1, controller={"name": "rc_mpc", "options": options})
+    variants = {name: Variant(controller=name) for name in ("rc_mpc", "native", "pi", "dpc")}
+    monkeypatch.chdir(tmp_path)
+    before = [cell.key for cell in expand(base, variants, ["44"], ["constant"])]
+    names = ("residual", "shipped", "one", "several", "duty", "modulating", "auto", "native", "heating", "piqp", "rule")
+    for name in (*names, base.testcase):
+        Path(name).mkdir()
+        Path(name, "file").write_text(name, encoding="utf-8")
+    assert [cell.key for cell in expand(base, variants, ["44"], ["constant"])] == before
+    assert paths_of(base) == []
+    assert moved_scenario(base, {name: f"copy of {name}" for name in (*names, base.testcase)}) == base
 
 
 def test_the_same_file_is_used_where_it_is(scenario):

@@ -108,6 +108,21 @@ def needs_identified(name: str) -> bool:
     return "rc" in inspect.signature(REGISTRY.find(name)).parameters
 
 
+def may_be_file(name: str, key: str, value: object) -> bool:
+    """Whether the option `key` of a free response may name a file or folder by `value`.
+
+    Of ours a backbone that has no registered name, of a plugin's every text but the default.
+
+    Raises:
+        ConfigError: unknown name.
+    """
+    from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
+
+    if not isinstance(value, str) or value in BACKBONES:
+        return False
+    return key == "backbone" if name in REGISTRY.own else value != options_of(REGISTRY.find(name)).get(key)
+
+
 def check_free_response(name: str, options: dict[str, Any]) -> None:
     """Check a name and its options without loading weights; raises `ConfigError` naming what is allowed."""
     allowed = options_of(REGISTRY.find(name))

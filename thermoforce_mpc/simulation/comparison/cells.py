@@ -146,7 +146,7 @@ def _cell(name: str, scenario: Scenario, made: Mapping[str, Any], hash_of: Calla
             model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of)}
             identification_key = digest({**made, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
-    files = {path: hash_of(path) for path in named_files(options)}
+    files = {path: hash_of(path) for path in named_files(controller, options)}
     decides = scenario.model_dump(mode="json") | {
         "testcase": testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),

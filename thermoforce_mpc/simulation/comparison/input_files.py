@@ -13,6 +13,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.simulation.comparison.option_files import with_files
 from thermoforce_mpc.simulation.run_folder import file_sha256
 
 
@@ -81,18 +82,27 @@ def task_of(files: InputFiles) -> Task:
 
 def paths_of(scenario: Scenario) -> list[str]:
     """Paths that a run of `scenario` reads."""
-    named = [scenario.testcase] if Path(scenario.testcase).suffix in (".yaml", ".yml") else []
+    named = [scenario.testcase] if _is_file(scenario.testcase) else []
     saved = [scenario.identification.model] if scenario.identification.model else []
-    return [*named, *scenario.plant.files().values(), *saved, *named_files(scenario.controller.options)]
+    of_options = named_files(scenario.controller.name, scenario.controller.options)
+    return [*named, *scenario.plant.files().values(), *saved, *of_options]
 
 
-def named_files(options: Any) -> list[str]:
-    """Files and folders named in options, such as a forecaster's checkpoint."""
-    if isinstance(options, Mapping | list):
-        parts = options.values() if isinstance(options, Mapping) else options
-        return [path for part in parts for path in named_files(part)]
-    there = isinstance(options, str) and options and Path(options).expanduser().exists()
-    return [options] if there else []
+def named_files(controller: str, options: Mapping[str, Any]) -> list[str]:
+    """Files and folders named in options of a controller, such as a forecaster's checkpoint."""
+    found = []
+
+    def look(text: str) -> str:
+        if text and Path(text).expanduser().exists():
+            found.append(text)
+        return text
+
+    with_files(controller, options, look)
+    return found
+
+
+def _is_file(testcase: str) -> bool:
+    return Path(testcase).suffix in (".yaml", ".yml")
 
 
 def moved_plant(spec: PlantSpec, where: Mapping[str, str]) -> PlantSpec:
@@ -103,21 +113,16 @@ def moved_plant(spec: PlantSpec, where: Mapping[str, str]) -> PlantSpec:
 def moved_scenario(scenario: Scenario, where: Mapping[str, str]) -> Scenario:
     """`scenario` with the files of `where`."""
     model = scenario.identification.model
+    controller = scenario.controller
+    options = with_files(controller.name, controller.options, lambda path: where.get(path, path))
+    testcase = scenario.testcase
     update = {
-        "testcase": where.get(scenario.testcase, scenario.testcase),
+        "testcase": where.get(testcase, testcase) if _is_file(testcase) else testcase,
         "plant": moved_plant(scenario.plant, where),
         "identification": scenario.identification.model_copy(update={"model": where.get(model or "", model)}),
-        "controller": scenario.controller.model_copy(update={"options": _moved(scenario.controller.options, where)}),
+        "controller": controller.model_copy(update={"options": options}),
     }
     return scenario.model_copy(update=update)
-
-
-def _moved(options: Any, where: Mapping[str, str]) -> Any:
-    if isinstance(options, Mapping):
-        return {key: _moved(value, where) for key, value in options.items()}
-    if isinstance(options, list):
-        return [_moved(value, where) for value in options]
-    return where.get(options, options) if isinstance(options, str) else options
 
 
 def _at(path: str, name: str) -> Path:
