@@ -248,8 +248,9 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
             console.print(f"{counted(n, 'run')} {cause}", soft_wrap=True)
     failed = rows[rows["status"] != DONE]
     for row in failed.head(_SHOWN_FAILURES).to_dict("records"):
+        seed = f", seed {row['seed']}" if rows["seed"].nunique() > 1 else ""
         console.print(
-            f"FAILED {row['building']}, {row['window']}, {row['price']}, {row['variant']}: {row['reason']}",
+            f"FAILED {row['building']}, {row['window']}, {row['price']}, {row['variant']}{seed}: {row['reason']}",
             soft_wrap=True,
         )
     if len(failed) > _SHOWN_FAILURES:

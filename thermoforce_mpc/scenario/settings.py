@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -76,7 +76,7 @@ def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
     try:
         return model.model_validate(dict(data))
     except ValidationError as error:
-        items = error.errors()
+        items = _without_consequences(error.errors())
         lines = [_line(data, item) + _explain(model, data, item) for item in items[:_MOST_LISTED]]
         if len(items) > _MOST_LISTED:
             lines.append(f"and {len(items) - _MOST_LISTED} more")
@@ -126,6 +126,17 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
             nested = {part: nested}
         out = merge(out, nested)
     return out
+
+
+def _without_consequences(items: Sequence[Any]) -> list[Any]:
+    """The errors of pydantic but those of lists that are too short because their wrong entries do not count."""
+
+    places = [item["loc"] for item in items]
+
+    def follows(loc: tuple[Any, ...]) -> bool:
+        return any(len(place) > len(loc) and place[: len(loc)] == loc for place in places)
+
+    return [item for item in items if item["type"] != "too_short" or not follows(item["loc"])]
 
 
 def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:

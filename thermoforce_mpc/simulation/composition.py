@@ -91,12 +91,15 @@ def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> 
     """Refuse windows that the plant of a scenario does not have, as far as that is known without it.
 
     Raises:
-        ConfigError: names the window and those there are.
+        ConfigError: names the window and those there are; also for a start day written in two ways.
     """
+    days: dict[float, str] = {}
     for name in names:
         check_window(name, "windows")
-        if name not in _NAMED_PERIODS:
-            continue  # a start day, which all have
+        if name not in _NAMED_PERIODS:  # a start day, which all have
+            if (same := days.setdefault(float(name), name)) != name:
+                raise ConfigError(f"windows: '{same}' and '{name}' are the same start day; leave one out")
+            continue
         has = windows_of(spec, testcase)
         if has is not None and name not in has:
             raise ConfigError(

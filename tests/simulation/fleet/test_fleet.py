@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import zipfile
 from pathlib import Path
@@ -281,6 +282,9 @@ def test_a_run_that_fails_is_listed_and_the_others_are_kept(tmp_path: Path) -> N
         ({"windows": [400]}, "'400': a start day lies between 0 and 365"),
         ({"windows": ["nan"]}, "'nan': a start day lies between 0 and 365"),
         ({"seeds": [1, 1]}, "twice"),
+        ({"seeds": [-1]}, "few.yaml:\n  line 7: seeds.0: Input should be greater than or equal to 0"),
+        ({"buildings": [{"testcase": "nope"}]}, "few.yaml: buildings.0.testcase: unknown testcase 'nope'"),
+        ({"windows": ["44", "44.0"]}, "windows: '44' and '44.0' are the same start day"),
         ({"scenario": {"perid": 3}}, "perid"),
         ({"scenario": {"price": "dynamic"}}, "price: has a key of its own in a fleet, which would replace it: prices"),
         ({"variants": {"ours": {"controller": "thermoforce"}}, "reference": "ours"}, "thermoforce"),
@@ -292,6 +296,7 @@ def test_a_wrong_file_is_refused_before_anything_is_run(tmp_path: Path, keys: di
     code, said = _fleet(_file(tmp_path, **keys))
     assert code == 2
     assert says in said
+    assert "at least 1 item" not in said
     assert not (tmp_path / "out").exists()
 
 
@@ -407,6 +412,18 @@ def test_where_the_reference_earns_or_costs_nothing_there_is_no_share_and_the_lo
     page = fleet_page(rows, "rule", "Fleet", "tf-mpc fleet x", {key: Scenario(testcase="x") for key in "abcdef"})
     assert "No run has a saving" in page
     assert "A point is a run" not in page
+
+
+def test_a_page_without_finished_runs_has_no_links_to_them_and_tells_failed_runs_apart() -> None:
+    rows = _rows(
+        building=["a", "a"], variant=["mpc", "mpc"], status=["failed"] * 2, reason=["no weather"] * 2, seed=[1, 2]
+    )
+    page = fleet_page(rows, "rule", "Fleet", "tf-mpc fleet x", {})
+    anchors, places = re.findall(r'href="#([^"]+)"', page), re.findall(r'id="([^"]+)"', page)
+    assert "failed" in anchors
+    assert set(anchors) <= set(places)
+    assert "a, w, p, mpc, seed 1: no weather" in page
+    assert "a, w, p, mpc, seed 2: no weather" in page
 
 
 def test_a_rule_has_no_model_though_a_step_was_refused() -> None:

@@ -55,14 +55,14 @@ def buildings_of(file: FleetFile, path: Path) -> list[Building]:
     """
     found: dict[str, Building] = {}
     for number, source in enumerate(file.buildings):
-        for building in _of(source, path):
+        for building in _of(source, path, f"{path}: buildings.{number}"):
             if building.name in found:
                 raise ConfigError(f"{path}: buildings.{number}: '{building.name}' is in the fleet twice")
             found[building.name] = building
     return list(found.values())
 
 
-def _of(source: Source, path: Path) -> Iterator[Building]:
+def _of(source: Source, path: Path, where: str) -> Iterator[Building]:
     if source.generated is not None:
         for index in range(source.generated.first, source.generated.first + source.generated.count):
             house = draw_house(source.generated.seed, index)
@@ -79,7 +79,10 @@ def _of(source: Source, path: Path) -> Iterator[Building]:
     elif source.rooms is not None:
         yield from _rooms(source.rooms)
     elif source.testcase is not None:
-        yield _of_testcase(source.testcase, "testcase", {"testcase": source.testcase})
+        try:
+            yield _of_testcase(source.testcase, "testcase", {"testcase": source.testcase})
+        except ConfigError as error:
+            raise ConfigError(f"{where}.testcase: {error}") from error
     elif source.table is not None:
         yield from _of_table(path.parent / Path(source.table).expanduser())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
@@ -73,7 +73,9 @@ class FleetFile(StrictModel):
         description="controllers with options; by default ours, an on/off thermostat of 5 min, and the building's own",
     )
     reference: str = Field("thermostat", description="variant that savings are counted against")
-    seeds: tuple[int, ...] = Field((1,), min_length=1, description="seeds of probing, training and forecast errors")
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+        (1,), min_length=1, description="seeds of probing, training and forecast errors"
+    )
     days: float = Field(7.0, gt=0, le=120, description="scored days of a window")
     trajectories: bool = Field(False, description="keep every run's trajectory too, as Parquet")
     scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all runs")

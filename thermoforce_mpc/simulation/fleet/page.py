@@ -51,6 +51,7 @@ def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str, sce
         origin=f"Results of simulated buildings ({plants or 'none finished'}), not of real ones.",
         reference=reference,
         parts=[part for part in parts if part],
+        several_seeds=runs["seed"].nunique() > 1,
         failed=failed.head(_SHOWN).to_dict("records"),
         more_failed=max(len(failed) - _SHOWN, 0),
         least=f"{LEAST_HEATING_KWH_M2:g}",
