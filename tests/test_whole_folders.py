@@ -7,6 +7,8 @@ import stat
 import threading
 from pathlib import Path
 
+from simple_house import simple_model
+
 from thermoforce_mpc import files
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.files import write_folder
@@ -41,7 +43,7 @@ def test_two_commands_may_replace_one_folder(tmp_path, monkeypatch):
 
 
 def test_a_model_that_another_command_wrote_meanwhile_stays(tmp_path, monkeypatch):
-    other = Identified({"model.json": b"other"})
+    other = Identified.of(simple_model())
 
     def meanwhile(file: int) -> None:
         monkeypatch.undo()
@@ -53,7 +55,7 @@ def test_a_model_that_another_command_wrote_meanwhile_stays(tmp_path, monkeypatc
 
 
 def test_a_model_that_is_there_stays_and_one_that_cannot_be_read_is_replaced(tmp_path):
-    first = Identified({"model.json": b"first"})
+    first = Identified.of(simple_model())
     first.write(tmp_path / "model")
     Identified(FILES).write(tmp_path / "model")
     Identified(refused="too short").write(tmp_path / "model")
