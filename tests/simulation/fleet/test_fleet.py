@@ -156,6 +156,7 @@ def test_trajectories_of_the_same_inputs_are_there_under_every_name(tmp_path: Pa
     assert set(zip(courses["building"], courses["variant"], strict=True)) == {("north/1", "own"), ("south", "own")}
 
 
+@pytest.mark.slow
 def test_reused_runs_of_the_same_inputs_keep_their_own_names(tmp_path: Path) -> None:
     (tmp_path / "two.csv").write_text("name,testcase\nnorth,generated:5:0\nsouth,generated:5:0\n")
     path = _file(tmp_path, buildings=[{"table": "two.csv"}], variants=RULES | {"again": RULES["thermostat"]})
@@ -500,6 +501,7 @@ def _measured(path: Path, *, heated: bool) -> None:
     pd.DataFrame(columns | ends, index=at).to_csv(path)
 
 
+@pytest.mark.slow
 def test_an_identification_that_fails_is_listed_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "map.yaml").write_text(MAP)
     (tmp_path / "good.csv").write_text("when,room,out,sun,level,power\n")
