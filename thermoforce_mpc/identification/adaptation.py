@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -32,6 +31,7 @@ from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import driven_rollout
 from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -328,8 +328,8 @@ def _scaled(operator: OperatorParameters, log_gain: float, log_tau: float) -> Op
 
 def _response(operator: OperatorParameters, drive: Array) -> Array:
     """Return the forced response (n + 1,) K of the linear modes to a drive (n,), starting from 0."""
-    modes = [lfilter([g], [1.0, -a], drive) for a, g in zip(operator.poles, operator.gains, strict=True)]
-    return np.concatenate([[0.0], np.sum(modes, axis=0)])
+    modes = driven_rollout(operator, np.zeros(operator.order), drive)
+    return np.concatenate([[0.0], modes.sum(axis=-1)])
 
 
 def _held(values: Array) -> Array:
