@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from controllers.errors import ControllerConfigError
-from thermoforce_mpc.data import Block, Record
+from thermoforce_mpc.data import Array, Block
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Shares below this mean off; also the tolerance on measured mean levels.
@@ -137,31 +137,31 @@ class Actuation:
                 f" {step_s:g} s; use shorter blocks or mode: modulating"
             )
 
-    def now(self, state: ActuationState | None, history: Record) -> ActuationState:
+    def now(self, state: ActuationState | None, u: Array, step_s: float) -> ActuationState:
         """State of the machine at the start of the next step.
 
         It is `state`, except after native control (in the last step, or before the run: `state` None), where it is
-        estimated from the measured levels in `history`.
+        estimated from the measured levels `u` (n,) of the steps of `step_s` seconds until now.
         """
         if state is not None and not state.native:
             return state
-        if not (history.n_steps and np.isfinite(history.u[0, -1])):
+        if not (u.size and np.isfinite(u[-1])):
             return ActuationState() if state is None else _UNKNOWN
-        return self._seen(history)
+        return self._seen(u, step_s)
 
-    def _seen(self, history: Record) -> ActuationState:
+    def _seen(self, u: Array, step_s: float) -> ActuationState:
         """State estimated from the mean levels of past steps; where ambiguous, the one with the longer wait."""
-        u, level = history.u[0], self.config.level
+        level = self.config.level
         off, full = u <= _OFF, u >= level - _OFF
         between = np.isfinite(u) & ~off & ~full
         if off[-1]:
-            return ActuationState(on=False, held_s=_last_run(off) * history.step_s)
+            return ActuationState(on=False, held_s=_last_run(off) * step_s)
         if full[-1]:
-            return ActuationState(on=True, held_s=_last_run(full) * history.step_s)
+            return ActuationState(on=True, held_s=_last_run(full) * step_s)
         if u.size > 1 and off[-2]:  # on since the last step, at least for its mean share
-            return ActuationState(on=True, held_s=float(u[-1]) / level * history.step_s)
+            return ActuationState(on=True, held_s=float(u[-1]) / level * step_s)
         if u.size > 1 and between[-2]:  # part load for several steps: native modulation
-            return ActuationState(on=True, held_s=_last_run(between) * history.step_s)
+            return ActuationState(on=True, held_s=_last_run(between) * step_s)
         return _UNKNOWN  # full before, or unknown: may have switched off in the last step
 
     def realise(

@@ -74,11 +74,9 @@ class Actuators:
         """
         if states is not None and (until_s is None or abs(until_s - history.time_s[-1]) > CLOCK_TOLERANCE_S):
             states = (ActuationState(native=True),) * len(self.each)
-        known = states or (None,) * len(self.each)
         return tuple(
-            # Of a state that is known nothing is asked of the record, which costs more than all else here.
-            state if state and not state.native else actuation.now(state, history.part(self.layout.home[a], [a]))
-            for a, (actuation, state) in enumerate(zip(self.each, known, strict=True))
+            actuation.now(None if states is None else states[a], history.u[a], history.step_s)
+            for a, actuation in enumerate(self.each)
         )
 
     def realise(self, demands: Sequence[Demand], step_s: float, states: Sequence[ActuationState]) -> Acted:

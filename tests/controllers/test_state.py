@@ -17,7 +17,7 @@ from controllers.pi import PIConfig, PIController
 from controllers.problem import Solution
 from controllers.standing_back import StandingBack
 from controllers.thermostat import Thermostat, ThermostatState
-from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
@@ -155,10 +155,9 @@ def test_minimum_times_hold_whatever_acts(follow_steps):
         assert not short
 
 
-def after(u: list[float]) -> Record:
-    n = len(u)
-    line = np.ones(n + 1)
-    return Record(900.0 * np.arange(n + 1), 20 * line, 0 * line, 0 * line, u, line[1:], line[1:])
+def after(u: list[float]) -> tuple[np.ndarray, float]:
+    """Levels of steps of a quarter of an hour."""
+    return np.array(u), 900.0
 
 
 @pytest.mark.parametrize(
@@ -176,7 +175,7 @@ def after(u: list[float]) -> Record:
 )
 @pytest.mark.parametrize("state", [None, ActuationState(native=True)], ids=["a run begins", "after native control"])
 def test_what_native_control_did_is_seen_in_the_history(u, on, held_s, state):
-    assert Actuation(ActuationConfig()).now(state, after(u)) == ActuationState(on, held_s)
+    assert Actuation(ActuationConfig()).now(state, *after(u)) == ActuationState(on, held_s)
 
 
 LONG = {"mode": "duty", "min_on_s": 7200.0, "min_off_s": 7200.0}
@@ -215,13 +214,13 @@ def test_minimum_times_hold_after_steps_without_a_plan(kind, missed):
 
 def test_what_was_told_counts_where_nobody_else_acted():
     told = ActuationState(on=True, held_s=300.0, owed_s=60.0)
-    assert Actuation(ActuationConfig()).now(told, after([0.0])) == told
+    assert Actuation(ActuationConfig()).now(told, *after([0.0])) == told
 
 
 def test_a_machine_that_was_not_seen_may_just_have_switched_off():
     actuation = Actuation(ActuationConfig())
-    assert actuation.now(ActuationState(native=True), after([np.nan])) == ActuationState(on=False, held_s=0.0)
-    blocks, _ = actuation.realise(1.0, 900.0, actuation.now(ActuationState(native=True), after([1.0, 0.5])))
+    assert actuation.now(ActuationState(native=True), *after([np.nan])) == ActuationState(on=False, held_s=0.0)
+    blocks, _ = actuation.realise(1.0, 900.0, actuation.now(ActuationState(native=True), *after([1.0, 0.5])))
     assert [(block.u[0], block.duration_s) for block in blocks] == [(0.0, 600.0), (1.0, 300.0)]
 
 
