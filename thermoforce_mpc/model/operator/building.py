@@ -188,7 +188,7 @@ class BuildingOperator:
     @property
     def constant_modulation(self) -> bool:
         """Whether no modulation depends on the features."""
-        return not any(self.of_actuator(a).output_weight.any() for a in range(len(self.actuators)))
+        return all(self.of_actuator(a).constant_modulation is not None for a in range(len(self.actuators)))
 
     def resampled(self, step_s: float) -> BuildingOperator:
         """The operator at another step, pair by pair."""

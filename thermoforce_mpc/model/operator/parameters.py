@@ -177,14 +177,14 @@ class OperatorParameters:
         return np.asarray(self.sign * np.maximum(self.sign * response, 0.0))
 
     @cached_property
-    def _constant(self) -> float | None:
+    def constant_modulation(self) -> float | None:
         """The modulation where no feature enters it, since the network was not kept; None where features do."""
         return None if self.output_weight.any() else float(1.0 + self.gamma * np.tanh(self.output_bias))
 
     def modulation(self, features: Array) -> Array:
         """Return m(x) of eq:mod for `features` (..., 4) in physical units; shape (...), in [1 − γ, 1 + γ]."""
-        if self._constant is not None:
-            return np.full(np.shape(features)[:-1], self._constant)
+        if self.constant_modulation is not None:
+            return np.full(np.shape(features)[:-1], self.constant_modulation)
         x = (np.asarray(features, dtype=np.float64) - self.feature_mean) / self.feature_scale
         hidden = np.tanh(x @ self.hidden_weight.T + self.hidden_bias)
         return np.asarray(1.0 + self.gamma * np.tanh(hidden @ self.output_weight + self.output_bias))
