@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,7 @@ def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> 
     Raises:
         ConfigError: names the window and those there are; also for a start day written in two ways.
     """
+    known = cache(partial(windows_of, spec, testcase))  # may open an FMU
     days: dict[float, str] = {}
     for name in names:
         check_window(name, "windows")
@@ -100,7 +102,7 @@ def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> 
             if (same := days.setdefault(float(name), name)) != name:
                 raise ConfigError(f"windows: '{same}' and '{name}' are the same start day; leave one out")
             continue
-        has = windows_of(spec, testcase)
+        has = known()
         if has is not None and name not in has:
             raise ConfigError(
                 f"windows: {testcase.name} has no '{name}'; use {''.join(f'{one}, ' for one in has)}or the day of the "
