@@ -7,8 +7,8 @@ from typing import Protocol, TypeVar
 
 from controllers.actuation import Actuation, ActuationState
 from controllers.actuators import Acted, Actuators
+from controllers.checks import check_later, check_observation, checked_state
 from controllers.fallback import FallbackConfig, FallbackPolicy
-from controllers.inputs import check_later, check_observation, checked_state
 from thermoforce_mpc.data import Layout, Observation
 
 

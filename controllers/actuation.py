@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import Array, Block
 from thermoforce_mpc.scenario.settings import StrictModel
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.iterate import checked_iterate
 from controllers.machinery import Machinery
 from controllers.problem import (

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import Array
 
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from controllers.bounded import BoundedCalls
-from controllers.errors import ControllerConfigError, said
-from controllers.inputs import check_later, checked_state
+from controllers.checks import ControllerConfigError, check_later, checked_state, said
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.planner import MPCState

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pydantic import Field
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Record
 from thermoforce_mpc.scenario.settings import StrictModel
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import sparse
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
 from controllers.programme import Programme
 from controllers.qp_backends import Piqp, QPConfig, QPData

@@ -12,11 +12,10 @@ from controllers.actuation import ActuationState
 from controllers.actuation_choice import choose_actuation
 from controllers.assembly import Assembly
 from controllers.bounded import BoundedCalls, Overdue
-from controllers.errors import ControllerConfigError, said
+from controllers.checks import ControllerConfigError, check_names, said
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
-from controllers.inputs import check_names
 from controllers.meters import Meters
 from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
 from controllers.mpc_config import FreeResponseConfig, MPCConfig

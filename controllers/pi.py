@@ -17,8 +17,7 @@ from pydantic import Field
 
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.actuators import Actuators
-from controllers.errors import ControllerConfigError
-from controllers.inputs import check_later, checked_state
+from controllers.checks import ControllerConfigError, check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 

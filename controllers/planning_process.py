@@ -21,8 +21,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import IO
 
+from controllers.checks import PackedState
 from controllers.many import Known, Planned, Together, Wanted
-from controllers.packed_state import PackedState
 from controllers.parcels import Parcel, received, sent
 from thermoforce_mpc.execution.local import Remembering, one_thread_each
 

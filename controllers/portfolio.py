@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 
-from controllers.errors import ControllerConfigError, said
+from controllers.checks import ControllerConfigError, said
 from controllers.many import AT_A_TIME, Planned, Together, Wanted, known_of
 from controllers.mpc_config import MPCConfig
 from controllers.planning_process import Answer, PlanningProcess, Plans

@@ -31,7 +31,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.machinery import Machinery
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError

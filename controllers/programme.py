@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape
 from controllers.qp_backends import QPData
 from controllers.responses import groups_of

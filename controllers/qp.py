@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.iterate import checked_iterate
 from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
 from controllers.programme import Drive, Programme

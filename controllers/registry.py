@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.native import NativeConfig, NativeController
 from controllers.pi import PIConfig, PIController, check_layout
 from controllers.thermostat import Thermostat, ThermostatConfig

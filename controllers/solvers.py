@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.ipopt import IpoptSolver
 from controllers.machinery import Machinery
 from controllers.milp import MilpSolver

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from controllers.acting import Acting
 from controllers.actuation import Actuation, ActuationState
-from controllers.inputs import check_names
+from controllers.checks import check_names
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from controllers.inputs import check_names, checked_state
+from controllers.checks import check_names, checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from controllers.errors import said
+from controllers.checks import said
 from controllers.own_record import own_context, own_records
 from controllers.planner import MPCState, Planner
 from controllers.reason import with_news

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, Entry, build_controller
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES

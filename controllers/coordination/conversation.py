@@ -11,9 +11,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from controllers.checks import said
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import LIMIT_TOLERANCE_KW, Answer, Member, Settled
-from controllers.errors import said
 from thermoforce_mpc.data import Array
 
 A = TypeVar("A", Answer, Settled)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
+from controllers.checks import ControllerConfigError
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember, diagonal
-from controllers.errors import ControllerConfigError
 from controllers.qp_backends import Clarabel, QPConfig, QPData
 from thermoforce_mpc.data import Array
 

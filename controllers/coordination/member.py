@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
 from controllers.programme import Programme
 from controllers.qp_backends import Clarabel, Piqp, QPConfig, QPData

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.scenario.settings import StrictModel
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
-from controllers.errors import ControllerConfigError
 from controllers.mpc import ThermoForceMPC
 from controllers.problem import MPCProblem, Solution, checked_solution, failed
 from thermoforce_mpc.data import Array

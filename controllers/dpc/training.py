@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from controllers.actuation import Actuation
+from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import (
     MOST,
@@ -23,7 +24,6 @@ from controllers.dpc.policy import (
     scales_K,
 )
 from controllers.dpc.situations import Drawer, Situations
-from controllers.errors import ControllerConfigError
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.features import feature_matrix

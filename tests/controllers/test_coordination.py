@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 
+from controllers.checks import ControllerConfigError
 from controllers.coordination import Coordination, QPMember, SharedPower, coordinate, solve_jointly
 from controllers.coordination.member import Answer, Settled
-from controllers.errors import ControllerConfigError
 from controllers.problem import Cooling, ProblemShape, blocked_moves, every_step
 from controllers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array

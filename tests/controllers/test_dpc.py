@@ -14,10 +14,10 @@ from click.testing import CliRunner
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
+from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, load_policy
 from controllers.dpc.solver import DPC
-from controllers.errors import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from controllers.registry import build_controller
 from controllers.thermostat import Thermostat

@@ -9,7 +9,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.model.operator import certificate
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -9,7 +9,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.native import NativeController
 from controllers.registry import REGISTRY, build_controller, controller_config
 from thermoforce_mpc.model.competence import Competence

@@ -10,7 +10,7 @@ from simple_house import SimpleHouse, simple_model
 from two_houses import SHARED, TWO
 
 from controllers import ThermoForceMPC
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.meters import MeterConfig, Meters
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Period, PlanStatus, Record

@@ -20,7 +20,7 @@ from mpc_problems import (
 )
 from scipy.optimize import linprog
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.machinery import Machinery
 from controllers.milp import ChoiceResult, Highs, MilpConfig, MilpSolver, held_level
 from controllers.mpc_config import MPCConfig

@@ -13,7 +13,7 @@ from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse,
 from waiting import wait_for
 
 from controllers import ThermoForceMPC
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from controllers.problem import Solution
 from controllers.registry import build_controller

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.pi import PIConfig, PIController
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Period, PlanStatus, Record

@@ -16,8 +16,7 @@ from waiting import LONG_S
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation import ActuationConfig
-from controllers.errors import ControllerConfigError
-from controllers.packed_state import PackedState
+from controllers.checks import ControllerConfigError, PackedState
 from controllers.parcels import received, sent
 from controllers.portfolio import Portfolio, plan_many
 from controllers.qp_backends import Clarabel

@@ -10,7 +10,7 @@ import pytest
 from mpc_problems import N, linear_programme_optimum, random_operator, random_problem
 from scipy.signal import lfilter
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.machinery import Machinery
 from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step

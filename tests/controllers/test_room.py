@@ -11,7 +11,7 @@ from light_office import LightOffice
 from mpc_problems import N, random_operator, random_problem, unit_responses
 from scipy.optimize import linprog
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.machinery import Machinery
 from controllers.missed import Missed

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from controllers.native import NativeController
 from controllers.standing_back import StandingBack

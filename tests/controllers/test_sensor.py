@@ -10,7 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, outdoor_C, simple_model
 from two_houses import TWO, TwoHouses, two_model
 
 from controllers import ThermoForceMPC
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, FreeForecast, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError

@@ -10,7 +10,7 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 
 from controllers.actuation import Actuation, ActuationConfig, ActuationState
 from controllers.actuators import Actuators
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.problem import Cooling, PowerCap, ProblemShape, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig

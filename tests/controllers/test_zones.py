@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem, random_operator, random_problem
 
-from controllers.errors import ControllerConfigError
+from controllers.checks import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.machinery import Machinery
 from controllers.problem import Cooling, PowerCap, ProblemShape, Weights, blocked_moves, checked_solution, every_step

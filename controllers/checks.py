@@ -4,16 +4,45 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from controllers.errors import ControllerConfigError
-from controllers.packed_state import PackedState
 from thermoforce_mpc.data import Names, Observation
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
+
+
+@dataclass(frozen=True, eq=False)
+class PackedState:
+    """A controller's state in bytes. It may be pickled, as any state.
+
+    Attributes:
+        name: of no other state; the process that packed it still knows it by this name for a while.
+        packed: the state, pickled.
+    """
+
+    name: str
+    packed: bytes | memoryview
+
+    def unpacked(self) -> object:
+        """The state itself."""
+        return pickle.loads(self.packed)
+
+    def __reduce__(self) -> tuple[type[PackedState], tuple[str, bytes]]:
+        return PackedState, (self.name, bytes(self.packed))
+
+
+class ControllerConfigError(ConfigError):
+    """The options or the model do not fit the controller."""
+
+
+def said(error: Exception) -> str:
+    """Message of an error, with the class name if it is not an exception of this package."""
+    return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
 
 
 class _Rows(Protocol):
