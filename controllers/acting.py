@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from controllers.actuation import Actuation, ActuationState
-from controllers.actuators import Acted, Actuators
+from controllers.actuation.actuator import Actuation, ActuationState
+from controllers.actuation.actuators import Acted, Actuators
 from controllers.checks import check_later, check_observation, checked_state
 from controllers.fallback import FallbackConfig, FallbackPolicy
 from thermoforce_mpc.data import Layout, Observation

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.actuators import Actuators
+from controllers.actuation.actuators import Actuators
 from controllers.backoff import backoff_K
 from controllers.kept_capacity import learned_share
 from controllers.machinery import Machinery

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from controllers.acting import Acting
-from controllers.actuation import Actuation, ActuationState
-from controllers.actuators import Demand
+from controllers.actuation.actuator import Actuation, ActuationState
+from controllers.actuation.actuators import Demand
 from controllers.fallback import FallbackConfig
 from controllers.guard import GuardConfig, guard_level
 from controllers.planner import MPCState

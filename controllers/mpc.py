@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from controllers.actuation import ActuationState
-from controllers.actuation_choice import choose_actuation
+from controllers.actuation.actuator import ActuationState
+from controllers.actuation.choice import choose_actuation
+from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.assembly import Assembly
 from controllers.bounded import BoundedCalls, Overdue
 from controllers.checks import ControllerConfigError, check_names, said
@@ -24,7 +25,6 @@ from controllers.planner import MPCState
 from controllers.planners import Planners
 from controllers.problem import MPCProblem, Solution
 from controllers.reason import reason_of, with_news
-from controllers.room import room_blocks, within_C
 from controllers.sensing import Sensing, Zones
 from controllers.sensor import Sensor
 from controllers.sensor_state import SensorState

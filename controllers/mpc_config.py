@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from controllers.actuation import ActuationConfig
+from controllers.actuation.actuator import ActuationConfig
 from controllers.fallback import FallbackConfig
 from controllers.gate import GateConfig
 from controllers.guard import GuardConfig

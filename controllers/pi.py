@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from controllers.actuation import Actuation, ActuationConfig, ActuationState
-from controllers.actuators import Actuators
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError, check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 from thermoforce_mpc.scenario.settings import StrictModel

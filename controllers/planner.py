@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from controllers.actuation import ActuationState
+from controllers.actuation.actuator import ActuationState
 from controllers.fallback import GoodPlan
 from controllers.meters import MeterState
 from controllers.missed import Missed

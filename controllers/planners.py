@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from controllers.actuators import Actuators
+from controllers.actuation.actuators import Actuators
 from controllers.planner import Planner
 from controllers.solvers import Solver
 from thermoforce_mpc.identification.adaptation import AdaptationState

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from controllers.actuation import Actuation
+from controllers.actuation.actuator import Actuation
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import OperatorParameters

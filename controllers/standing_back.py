@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from controllers.acting import Acting
-from controllers.actuation import Actuation, ActuationState
+from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.checks import check_names
 from controllers.mpc_config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus

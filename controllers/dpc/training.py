@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from controllers.actuation import Actuation
+from controllers.actuation.actuator import Actuation
 from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import (

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 
 HOUR = 3600.0
 

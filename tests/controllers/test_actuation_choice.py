@@ -11,8 +11,8 @@ from houses import House, record
 from simple_house import SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.actuation import ActuationConfig
-from controllers.actuation_choice import choose_actuation
+from controllers.actuation.actuator import ActuationConfig
+from controllers.actuation.choice import choose_actuation
 from controllers.qp import QPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.actuation import Actuation, ActuationConfig, ActuationState
-from controllers.actuators import Actuators, merged
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuators import Actuators, merged
 from thermoforce_mpc.data import Block, Layout, Names
 
 STEP_S = 900.0

@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_model
 
-from controllers.actuation import Actuation, ActuationConfig, ActuationState
-from controllers.actuators import Actuators
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuators import Actuators
 from controllers.mpc import ThermoForceMPC
 from controllers.pi import PIController
 from controllers.problem import Solution

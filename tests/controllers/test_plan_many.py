@@ -15,7 +15,7 @@ from simple_house import SimpleHouse, simple_model
 from waiting import LONG_S
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.actuation import ActuationConfig
+from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
 from controllers.parcels import received, sent
 from controllers.portfolio import Portfolio, plan_many

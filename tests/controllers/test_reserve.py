@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.actuation import Actuation, ActuationConfig
+from controllers.actuation.actuator import Actuation, ActuationConfig
 from controllers.reserve import is_fast, reserve_K
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence, HorizonScore

@@ -11,6 +11,7 @@ from light_office import LightOffice
 from mpc_problems import N, random_operator, random_problem, unit_responses
 from scipy.optimize import linprog
 
+from controllers.actuation.room_setpoints import room_blocks
 from controllers.checks import ControllerConfigError
 from controllers.ipopt import IpoptConfig, IpoptSolver
 from controllers.machinery import Machinery
@@ -21,7 +22,6 @@ from controllers.problem import Cooling, ProblemShape, Weights, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.registry import controller_config
-from controllers.room import room_blocks
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.pipeline import identify

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
-from controllers.actuation import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.mpc import ThermoForceMPC
 from controllers.mpc_config import MPCConfig
 from controllers.native import NativeController

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 
-from controllers.actuation import Actuation, ActuationConfig, ActuationState
-from controllers.actuators import Actuators
+from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
 from controllers.problem import Cooling, PowerCap, ProblemShape, every_step
 from controllers.qp import QPSolver

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from houses import House, record
 
-from controllers.actuation import ActuationConfig
-from controllers.actuation_choice import choose_actuation
+from controllers.actuation.actuator import ActuationConfig
+from controllers.actuation.choice import choose_actuation
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.level_shape import PART_LOAD, Shape, radiator
 from thermoforce_mpc.model.machine.load import MachineLoad

@@ -130,7 +130,7 @@ def test_a_test_case_holds_what_a_building_can_have(key, value, message):
     [{"min_on_s": 1e308}, {"min_on_s": float("inf")}, {"min_off_s": True}],
 )
 def test_options_of_controllers_are_held_to_the_same(options):
-    from controllers.actuation import ActuationConfig
+    from controllers.actuation.actuator import ActuationConfig
 
     with pytest.raises(ConfigError, match="min_o"):
         validate(ActuationConfig, options, "options")

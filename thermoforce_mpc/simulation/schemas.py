@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, models_json_schema
 
-from controllers.actuation import ActuationConfig
+from controllers.actuation.actuator import ActuationConfig
 from controllers.registry import REGISTRY
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.identification.config import IdentificationConfig

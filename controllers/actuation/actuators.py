@@ -18,7 +18,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 
-from controllers.actuation import Actuation, ActuationState
+from controllers.actuation.actuator import Actuation, ActuationState
 from thermoforce_mpc.data import Block, Layout, Record
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 

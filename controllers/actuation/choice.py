@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from controllers.actuation import Actuation, ActuationConfig
+from controllers.actuation.actuator import Actuation, ActuationConfig
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad, part_load
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
