@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from controllers.coordination.exchange import Coordination, coordinate
-from controllers.coordination.joint import solve_jointly
+from controllers.coordination.admm import Coordination, coordinate
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import Answer, Member, QPMember, Settled
 from controllers.coordination.planning import SharedPlans, plan_shared
@@ -20,5 +19,4 @@ __all__ = [
     "SharedPower",
     "coordinate",
     "plan_shared",
-    "solve_jointly",
 ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from controllers.coordination.exchange import Coordination, coordinate
+from controllers.coordination.admm import Coordination, coordinate
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement

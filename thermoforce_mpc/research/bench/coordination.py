@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controllers.coordination import Answer, Member, QPMember, Settled, SharedPower, coordinate, solve_jointly
+from controllers.coordination import Answer, Member, QPMember, Settled, SharedPower, coordinate
 from controllers.problem import ProblemShape, blocked_moves
 from controllers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.research.bench.joint_optimum import solve_jointly
 from thermoforce_mpc.research.bench.zone_scaling import building_operator, building_problem
 
 _STEP_S, _FREE_H, _HOLD_H = 900.0, 12.0, 1.0
