@@ -64,7 +64,7 @@ def _dpc_config() -> type[StrictModel]:
 
 
 def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
-    from controllers.dpc.solver import DPC
+    from controllers.dpc.controller import DPC
 
     return _on_model(DPC, name, config, testcase, model)
 

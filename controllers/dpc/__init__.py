@@ -1,1 +1,1 @@
-"""Differentiable predictive control: a policy trained offline through the thermal model (Drgoňa et al. 2022)."""
+"""Differentiable predictive control: a policy trained through the model takes the place of the solver."""

@@ -16,8 +16,8 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_mode
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
+from controllers.dpc.controller import DPC
 from controllers.dpc.policy import Policy, drive_parts, load_policy
-from controllers.dpc.solver import DPC
 from controllers.mpc_config import MPCConfig
 from controllers.registry import build_controller
 from controllers.thermostat import Thermostat

@@ -34,8 +34,8 @@ def command(model: Path, testcase: str, out: Path, force: bool, settings: tuple[
         --set controller.options.policy=my_policy
     """
     from controllers.dpc.config import DPCConfig
+    from controllers.dpc.controller import DPC
     from controllers.dpc.policy import check_target
-    from controllers.dpc.solver import DPC
     from controllers.registry import controller_config
     from thermoforce_mpc.model.thermal_model import load_model
     from thermoforce_mpc.scenario.scenario import load_testcase

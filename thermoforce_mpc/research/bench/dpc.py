@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from controllers.dpc.config import DPCConfig
-from controllers.dpc.solver import DPC
+from controllers.dpc.controller import DPC
 from controllers.registry import build_controller, controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
