@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from thermoforce_mpc.version import VERSION as __version__
 
 if TYPE_CHECKING:
+    from controllers.many.portfolio import Portfolio, plan_many
     from controllers.mpc import ThermoForceMPC
     from controllers.mpc_config import MPCConfig
-    from controllers.portfolio import Portfolio, plan_many
     from thermoforce_mpc.data import Boundary, Observation, Plan, Record
     from thermoforce_mpc.errors import ThermoForceError
     from thermoforce_mpc.identification.config import IdentificationConfig
@@ -53,7 +53,7 @@ _HOME = {
     "MPCConfig": "controllers.mpc_config",
     "Observation": "thermoforce_mpc.data",
     "Plan": "thermoforce_mpc.data",
-    "Portfolio": "controllers.portfolio",
+    "Portfolio": "controllers.many.portfolio",
     "Record": "thermoforce_mpc.data",
     "ThermalModel": "thermoforce_mpc.model.thermal_model",
     "ThermoForceError": "thermoforce_mpc.errors",
@@ -61,7 +61,7 @@ _HOME = {
     "counterfactual": "thermoforce_mpc.whatif.counterfactual",
     "identify": "thermoforce_mpc.identification.pipeline",
     "load_model": "thermoforce_mpc.model.thermal_model",
-    "plan_many": "controllers.portfolio",
+    "plan_many": "controllers.many.portfolio",
     "read_forecast": "thermoforce_mpc.measurements.forecast",
     "read_measurements": "thermoforce_mpc.measurements.load",
     "run": "thermoforce_mpc.simulation.run",

@@ -12,7 +12,7 @@ from controllers.coordination.admm import Coordination, coordinate
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement
-from controllers.many import Planned, Together, known_of
+from controllers.many.batch import Planned, Together, known_of
 from controllers.mpc_config import MPCConfig
 from controllers.problem import failed
 from controllers.qp import QPSolver

@@ -17,8 +17,8 @@ from waiting import LONG_S
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
-from controllers.parcels import received, sent
-from controllers.portfolio import Portfolio, plan_many
+from controllers.many.portfolio import Portfolio, plan_many
+from controllers.many.worker import received, sent
 from controllers.qp_backends import Clarabel
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
@@ -329,7 +329,7 @@ def test_a_process_that_does_not_answer_costs_its_buildings_their_plan():
 
 @pytest.mark.slow
 def test_a_deadline_holds_for_all_that_wait_behind_and_while_processes_start(monkeypatch):
-    monkeypatch.setattr("controllers.portfolio.AT_A_TIME", 1)  # as with hundreds of houses a process
+    monkeypatch.setattr("controllers.many.portfolio.AT_A_TIME", 1)  # as with hundreds of houses a process
     with Portfolio(models(8), WEATHER_MODEL, workers=2) as portfolio:
         portfolio.plan(houses(8))
         portfolio._deadline_s = LATE_S

@@ -11,7 +11,7 @@ from simple_house import SimpleHouse, simple_model
 from controllers import MPCConfig
 from controllers.coordination import SharedPower
 from controllers.coordination.planning import plan_shared
-from controllers.portfolio import plan_many
+from controllers.many.portfolio import plan_many
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence

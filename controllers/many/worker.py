@@ -7,6 +7,8 @@ process keeps the last one of each building: where that is the one given, its na
 from __future__ import annotations
 
 import gc
+import io
+import mmap
 import multiprocessing
 import os
 import pickle
@@ -15,16 +17,50 @@ import signal
 import tempfile
 import threading
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from typing import IO
+from typing import IO, NamedTuple
 
 from controllers.checks import PackedState
-from controllers.many import Known, Planned, Together, Wanted
-from controllers.parcels import Parcel, received, sent
+from controllers.many.batch import Known, Planned, Together, Wanted
 from thermoforce_mpc.execution.local import Remembering, one_thread_each
+
+
+class Parcel(NamedTuple):
+    """What was written: in the file `path`, or, where there was no room for it, `data`."""
+
+    path: str
+    data: bytes = b""
+
+
+def sent(write: Callable[[IO[bytes]], None], folder: str) -> Parcel:
+    """What `write` writes to a file it is given; `write` is called again where `folder` has no room."""
+    try:
+        handle, path = tempfile.mkstemp(dir=folder)
+        try:
+            with open(handle, "wb") as file:
+                write(file)
+        except BaseException:
+            os.unlink(path)
+            raise
+        return Parcel(path)
+    except OSError:
+        memory = io.BytesIO()
+        write(memory)
+        return Parcel("", memory.getvalue())
+
+
+def received(parcel: Parcel) -> memoryview:
+    """The content; its file is gone then. Raises `FileNotFoundError` where it was already."""
+    if not parcel.path:
+        return memoryview(parcel.data)
+    with open(parcel.path, "rb") as file:
+        view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    os.unlink(parcel.path)
+    return view
+
 
 Plans = list[tuple[str, Planned]]
 Answer = tuple[Parcel, int]

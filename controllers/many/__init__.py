@@ -1,0 +1,1 @@
+"""Plans of many buildings together: batches, portfolios, and the processes that make their plans."""
