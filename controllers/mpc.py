@@ -17,21 +17,21 @@ from controllers.checks import ControllerConfigError, check_names, said
 from controllers.fallback import FallbackPolicy, GoodPlan
 from controllers.falling_back import FallingBack, Held
 from controllers.gate import shut
-from controllers.meters import Meters
 from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
+from controllers.monitoring.meters import Meters
+from controllers.monitoring.single_actuator import own_records
+from controllers.monitoring.sun_on_sensors import Sunlit
+from controllers.monitoring.watch import Watch
+from controllers.monitoring.watch_state import WatchState
+from controllers.monitoring.zone_sensor import Sensor
+from controllers.monitoring.zone_sensor_state import SensorState
+from controllers.monitoring.zone_sensors import Sensing, Zones
 from controllers.mpc_config import FreeResponseConfig, MPCConfig
-from controllers.own_record import own_records
 from controllers.planner import MPCState
 from controllers.planners import Planners
 from controllers.problem import MPCProblem, Solution
 from controllers.reason import reason_of, with_news
-from controllers.sensing import Sensing, Zones
-from controllers.sensor import Sensor
-from controllers.sensor_state import SensorState
 from controllers.solvers import Solve, Solver, build_solver
-from controllers.sunlit import Sunlit
-from controllers.watch import Watch
-from controllers.watch_state import WatchState
 from controllers.watched import WatchedPredictions
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record

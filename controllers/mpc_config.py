@@ -11,12 +11,12 @@ from controllers.fallback import FallbackConfig
 from controllers.gate import GateConfig
 from controllers.guard import GuardConfig
 from controllers.ipopt import IpoptConfig
-from controllers.meters import MeterConfig
 from controllers.milp import MilpConfig
+from controllers.monitoring.meters import MeterConfig
+from controllers.monitoring.watch_state import WatchConfig
+from controllers.monitoring.zone_sensor_state import SensorConfig
 from controllers.qp_backends import QPConfig
 from controllers.search import SearchConfig
-from controllers.sensor_state import SensorConfig
-from controllers.watch_state import WatchConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.adaptation import AdaptationConfig

@@ -8,12 +8,12 @@ import numpy as np
 
 from controllers.actuation.actuator import ActuationState
 from controllers.fallback import GoodPlan
-from controllers.meters import MeterState
 from controllers.missed import Missed
-from controllers.sensor_state import SensorState
+from controllers.monitoring.meters import MeterState
+from controllers.monitoring.sun_on_sensors import SunState
+from controllers.monitoring.watch_state import WatchState
+from controllers.monitoring.zone_sensor_state import SensorState
 from controllers.solvers import Solver
-from controllers.sunlit import SunState
-from controllers.watch_state import WatchState
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.identification.adaptation import AdaptationState
 from thermoforce_mpc.model.operator.building import BuildingOperator

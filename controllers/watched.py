@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import TypeVar
 
 from controllers.checks import said
-from controllers.own_record import own_context, own_records
+from controllers.monitoring.single_actuator import own_context, own_records
+from controllers.monitoring.watch import Watch
+from controllers.monitoring.watch_state import Track, WatchState
 from controllers.planner import MPCState, Planner
 from controllers.reason import with_news
-from controllers.watch import Watch
-from controllers.watch_state import Track, WatchState
 from thermoforce_mpc.asking import Asking, together
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState

@@ -10,8 +10,8 @@ from enum import Enum
 import numpy as np
 import pytest
 
+from controllers.monitoring.watch_state import Judged, Track, WatchState
 from controllers.planner import MPCState
-from controllers.watch_state import Judged, Track, WatchState
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.state_file import read_state, write_state

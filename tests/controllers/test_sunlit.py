@@ -9,7 +9,7 @@ import pytest
 from simple_house import OutdoorResponse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.sunlit import SunState
+from controllers.monitoring.sun_on_sensors import SunState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
@@ -104,7 +104,7 @@ def test_a_look_that_fails_costs_no_plan(sunlit, monkeypatch):
     def broken(*_: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("controllers.sunlit.sun_on_sensor", broken)
+    monkeypatch.setattr("controllers.monitoring.sun_on_sensors.sun_on_sensor", broken)
     night = _planned(controller, sunlit, state)
     assert night.status is PlanStatus.SOLVED
     assert "sun on the sensors could not be looked for (LinAlgError: Singular matrix)" in night.news

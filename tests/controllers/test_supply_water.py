@@ -11,11 +11,11 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
+from controllers.monitoring.watch_tests import level_fault
 from controllers.problem import Cooling, PowerCap, ProblemShape, every_step
 from controllers.qp import QPSolver
 from controllers.qp_backends import QPConfig
 from controllers.registry import controller_config
-from controllers.watch_checks import level_fault
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.scenario import load_testcase

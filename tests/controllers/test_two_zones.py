@@ -10,14 +10,14 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.own_record import own_records
+from controllers.monitoring.single_actuator import own_records
+from controllers.monitoring.watch_state import WatchState
+from controllers.monitoring.watch_tests import applied_levels
 from controllers.pi import PIController
 from controllers.planner import MPCState
 from controllers.problem import Solution
 from controllers.standing_back import StandingBack
 from controllers.thermostat import Thermostat
-from controllers.watch_checks import applied_levels
-from controllers.watch_state import WatchState
 from controllers.watched import _later
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError

@@ -11,12 +11,12 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, outdoor_C, 
 
 from controllers import ThermoForceMPC
 from controllers.fallback import FallbackConfig, FallbackPolicy, GoodPlan
+from controllers.monitoring.watch import Watch, e_value
+from controllers.monitoring.watch_effect import effect_fault, missing_effect
+from controllers.monitoring.watch_state import Judged, Track, WatchConfig, WatchState
+from controllers.monitoring.watch_tests import applied_levels, level_fault, machine_ratio
 from controllers.mpc_config import MPCConfig
 from controllers.registry import controller_config
-from controllers.watch import Watch, e_value
-from controllers.watch_checks import applied_levels, level_fault, machine_ratio
-from controllers.watch_effect import effect_fault, missing_effect
-from controllers.watch_state import Judged, Track, WatchConfig, WatchState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from controllers.monitoring.watch import LEADS_H
+from controllers.monitoring.watch_state import Judged
 from controllers.planner import MPCState
 from controllers.registry import build_controller
-from controllers.watch import LEADS_H
-from controllers.watch_state import Judged
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus
 from thermoforce_mpc.model.thermal_model import ThermalModel

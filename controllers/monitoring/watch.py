@@ -27,10 +27,10 @@ from functools import cache, partial
 
 import numpy as np
 
-from controllers import watch_effect
-from controllers.own_record import OwnContext
-from controllers.watch_checks import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
-from controllers.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
+from controllers.monitoring import watch_effect
+from controllers.monitoring.single_actuator import OwnContext
+from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
+from controllers.monitoring.watch_tests import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from controllers.sensor_state import Anchor, Sensed, SensorConfig, SensorState
+from controllers.monitoring.zone_sensor_state import Anchor, Sensed, SensorConfig, SensorState
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.screening import implausible_zone
