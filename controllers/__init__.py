@@ -7,10 +7,10 @@ from typing import Any
 __all__ = ["MPCConfig", "NativeController", "ThermoForceMPC", "Thermostat", "build_controller"]
 
 _WHERE = {
-    "MPCConfig": "controllers.mpc_config",
-    "ThermoForceMPC": "controllers.mpc",
-    "NativeController": "controllers.native",
-    "Thermostat": "controllers.thermostat",
+    "MPCConfig": "controllers.mpc.config",
+    "ThermoForceMPC": "controllers.mpc.controller",
+    "NativeController": "controllers.rules.native",
+    "Thermostat": "controllers.rules.thermostat",
     "build_controller": "controllers.registry",
 }
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from controllers.checks import ControllerConfigError
-from controllers.native import NativeConfig, NativeController
-from controllers.pi import PIConfig, PIController, check_layout
-from controllers.thermostat import Thermostat, ThermostatConfig
+from controllers.rules.native import NativeConfig, NativeController
+from controllers.rules.pi import PIConfig, PIController, check_layout
+from controllers.rules.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
@@ -46,13 +46,13 @@ class Entry:
 
 
 def _mpc_config() -> type[StrictModel]:
-    from controllers.mpc_config import MPCConfig
+    from controllers.mpc.config import MPCConfig
 
     return MPCConfig
 
 
 def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
-    from controllers.mpc import ThermoForceMPC
+    from controllers.mpc.controller import ThermoForceMPC
 
     return _on_model(ThermoForceMPC, name, config, testcase, model)
 
@@ -76,7 +76,7 @@ def _on_model(
     if model is None:
         raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
     if isinstance(model, str):
-        from controllers.standing_back import StandingBack
+        from controllers.mpc.no_model import StandingBack
 
         return StandingBack(model, config, testcase.layout, testcase.step_s, name=name)
     if model.names != testcase.layout.names:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from controllers.mpc import ThermoForceMPC
+from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule

@@ -23,8 +23,8 @@ from simple_house import simple_model
 from simulated_building import RULES, START, SimulatedBuilding
 from waiting import LONG_S, wait_for
 
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from controllers.monitoring.watch_state import Judged, Track, WatchState
-from controllers.planner import MPCState
+from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.state_file import read_state, write_state
@@ -67,8 +67,8 @@ def stored(path, structure):
     [
         {"is": "subprocess:Popen", "of": {"args": ["touch", "harm"]}},
         {"is": "thermoforce_mpc.files:write_whole", "of": {"path": "harm", "content": ""}},
-        {"is": "controllers.mpc:ThermoForceMPC", "of": {}},
-        {"is": "controllers.planner:MPCState", "of": {"first_s": 0.0, "of_another_version": 1}},
+        {"is": "controllers.mpc.controller:ThermoForceMPC", "of": {}},
+        {"is": "controllers.mpc.state:MPCState", "of": {"first_s": 0.0, "of_another_version": 1}},
         {"enum": "thermoforce_mpc.data.plan:PlanStatus", "member": "BETTER"},
         {"array": 0},
         {"unknown": 0},

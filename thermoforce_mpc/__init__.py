@@ -12,8 +12,8 @@ from thermoforce_mpc.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from controllers.many.portfolio import Portfolio, plan_many
-    from controllers.mpc import ThermoForceMPC
-    from controllers.mpc_config import MPCConfig
+    from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.data import Boundary, Observation, Plan, Record
     from thermoforce_mpc.errors import ThermoForceError
     from thermoforce_mpc.identification.config import IdentificationConfig
@@ -50,14 +50,14 @@ __all__ = [
 _HOME = {
     "Boundary": "thermoforce_mpc.data",
     "IdentificationConfig": "thermoforce_mpc.identification.config",
-    "MPCConfig": "controllers.mpc_config",
+    "MPCConfig": "controllers.mpc.config",
     "Observation": "thermoforce_mpc.data",
     "Plan": "thermoforce_mpc.data",
     "Portfolio": "controllers.many.portfolio",
     "Record": "thermoforce_mpc.data",
     "ThermalModel": "thermoforce_mpc.model.thermal_model",
     "ThermoForceError": "thermoforce_mpc.errors",
-    "ThermoForceMPC": "controllers.mpc",
+    "ThermoForceMPC": "controllers.mpc.controller",
     "counterfactual": "thermoforce_mpc.whatif.counterfactual",
     "identify": "thermoforce_mpc.identification.pipeline",
     "load_model": "thermoforce_mpc.model.thermal_model",

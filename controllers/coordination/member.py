@@ -9,9 +9,10 @@ import numpy as np
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape, Solution, checked_solution
-from controllers.programme import Programme
-from controllers.qp_backends import Clarabel, Piqp, QPConfig, QPData
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape
+from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, QPData
+from controllers.optimisation.solution import Solution, checked_solution
+from controllers.optimisation.sparse_qp import Programme
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 

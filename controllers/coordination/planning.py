@@ -13,10 +13,9 @@ from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement
 from controllers.many.batch import Planned, Together, known_of
-from controllers.mpc_config import MPCConfig
-from controllers.problem import failed
-from controllers.qp import QPSolver
-from controllers.solvers import Solve
+from controllers.mpc.config import MPCConfig
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.solution import Solve, failed
 from thermoforce_mpc.asking import Answerer, Ask, Asking, Outcome, Result, altered, answered, together
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError

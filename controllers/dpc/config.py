@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from controllers.checks import ControllerConfigError
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.scenario.settings import StrictModel
 
 

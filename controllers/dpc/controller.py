@@ -11,8 +11,9 @@ import numpy as np
 from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
-from controllers.mpc import ThermoForceMPC
-from controllers.problem import MPCProblem, Solution, checked_solution, failed
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 
-from controllers.bounded import BoundedCalls
 from controllers.checks import ControllerConfigError, check_later, checked_state, said
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.planner import MPCState
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.state import MPCState
+from controllers.safety.deadline import BoundedCalls
 from thermoforce_mpc.asking import Answering, Asking, answered, timed, together
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError

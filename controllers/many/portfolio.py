@@ -16,7 +16,7 @@ from types import TracebackType
 from controllers.checks import ControllerConfigError, said
 from controllers.many.batch import AT_A_TIME, Planned, Together, Wanted, known_of
 from controllers.many.worker import Answer, PlanningProcess, Plans
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.thermal_model import ThermalModel

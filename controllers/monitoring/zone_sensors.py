@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controllers.falling_back import Held
 from controllers.monitoring.zone_sensor import Sensor
 from controllers.monitoring.zone_sensor_state import Sensed, SensorState
+from controllers.safety.fallback_policy import Held
 from thermoforce_mpc.data import Array, Layout, Observation, Record
 from thermoforce_mpc.model.predictor import PredictionContext
 

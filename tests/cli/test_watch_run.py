@@ -16,7 +16,7 @@ from two_houses import TwoHouses, two_model
 from waiting import LONG_S
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.watch import shown
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period

@@ -13,7 +13,7 @@ from simple_house import SimpleHouse, simple_model
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.actuation.choice import choose_actuation
-from controllers.qp import QPSolver
+from controllers.optimisation.qp import QPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.identification import identify

@@ -10,8 +10,8 @@ from simple_house import FIXED_W, GAIN_K, PER_U_W, POLE, SimpleHouse, simple_mod
 from two_houses import TwoHouses, two_model
 
 from controllers import ThermoForceMPC
-from controllers.alternatives import Alternatives, Planned, alternatives
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.alternatives import Alternatives, Planned, alternatives
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, Observation, Plan
 
 N = 12

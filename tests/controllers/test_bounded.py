@@ -8,7 +8,7 @@ import threading
 import pytest
 from waiting import LONG_S, wait_for
 
-from controllers.bounded import BoundedCalls, Crashed, Overdue
+from controllers.safety.deadline import BoundedCalls, Crashed, Overdue
 from thermoforce_mpc.asking import Answering, Ask
 
 SOON_S = 0.05

@@ -12,8 +12,8 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 from controllers.checks import ControllerConfigError
 from controllers.coordination import Coordination, QPMember, SharedPower, coordinate
 from controllers.coordination.member import Answer, Settled
-from controllers.problem import Cooling, ProblemShape, blocked_moves, every_step
-from controllers.qp_backends import QPConfig
+from controllers.optimisation.problem import Cooling, ProblemShape, blocked_moves, every_step
+from controllers.optimisation.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.research.bench.joint_optimum import solve_jointly

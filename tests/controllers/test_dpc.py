@@ -18,9 +18,9 @@ from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.controller import DPC
 from controllers.dpc.policy import Policy, drive_parts, load_policy
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from controllers.registry import build_controller
-from controllers.thermostat import Thermostat
+from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import ArtifactError

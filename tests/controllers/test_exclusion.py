@@ -12,12 +12,12 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_mode
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.actuation.actuators import Actuators
-from controllers.mpc import ThermoForceMPC
-from controllers.pi import PIController
-from controllers.problem import Solution
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.no_model import StandingBack
+from controllers.optimisation.solution import Solution
 from controllers.registry import build_controller
-from controllers.standing_back import StandingBack
-from controllers.thermostat import Thermostat
+from controllers.rules.pi import PIController
+from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Layout, Measurement, Names, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe

@@ -12,9 +12,9 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.planner import MPCState
-from controllers.problem import Solution
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.state import MPCState
+from controllers.optimisation.solution import Solution
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

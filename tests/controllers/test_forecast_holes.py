@@ -9,7 +9,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Boundary, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 

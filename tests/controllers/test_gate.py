@@ -10,8 +10,8 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
-from controllers.native import NativeController
 from controllers.registry import REGISTRY, build_controller, controller_config
+from controllers.rules.native import NativeController
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop

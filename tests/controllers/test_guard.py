@@ -9,8 +9,8 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, bounds_C, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.guard import GuardConfig
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
+from controllers.safety.overrides import GuardConfig
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 
@@ -77,7 +77,7 @@ def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
 
 
 def test_cooling_is_guarded_the_other_way_round():
-    from controllers.guard import guard_level
+    from controllers.safety.overrides import guard_level
 
     house = SimpleHouse(T_start_C=26.0)
     house.reset(10 * 86400.0, 0.0)

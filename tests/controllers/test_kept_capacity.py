@@ -11,10 +11,10 @@ from simple_house import OutdoorResponse
 from two_houses import TwoHouses, two_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.kept_capacity import learned_share
-from controllers.problem import ProblemShape, every_step
-from controllers.qp import QPConfig, QPSolver
+from controllers.mpc.margins import learned_share
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.problem import ProblemShape, every_step
+from controllers.optimisation.qp import QPConfig, QPSolver
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad

@@ -12,7 +12,7 @@ from two_houses import SHARED, TWO
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.monitoring.meters import MeterConfig, Meters
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Period, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

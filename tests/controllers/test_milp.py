@@ -21,13 +21,13 @@ from mpc_problems import (
 from scipy.optimize import linprog
 
 from controllers.checks import ControllerConfigError
-from controllers.machinery import Machinery
-from controllers.milp import ChoiceResult, Highs, MilpConfig, MilpSolver, held_level
-from controllers.mpc_config import MPCConfig
-from controllers.problem import MPCProblem, PowerCap, ProblemShape, Weights, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import QPConfig
-from controllers.solvers import build_solver
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.planner import build_solver
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.milp import ChoiceResult, Highs, MilpConfig, MilpSolver, held_level
+from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -230,7 +230,7 @@ def test_heat_that_does_not_grow_with_the_level_is_had_at_the_lowest():
 
 def test_the_solver_prints_nothing():
     """Its version was printed into the output of commands, by the first solver of a process."""
-    code = "from controllers.milp import silent_highs; silent_highs().run()"
+    code = "from controllers.optimisation.milp import silent_highs; silent_highs().run()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout == done.stderr == ""
 

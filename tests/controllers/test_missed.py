@@ -10,8 +10,8 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
-from controllers.mpc import MPCState
+from controllers.mpc.controller import MPCState
+from controllers.mpc.margins import OF_LOOPS, Missed, learned_K, of_plans
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

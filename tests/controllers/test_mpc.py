@@ -14,10 +14,10 @@ from waiting import wait_for
 
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
-from controllers.mpc_config import MPCConfig
-from controllers.problem import Solution
+from controllers.mpc.config import MPCConfig
+from controllers.optimisation.solution import Solution
 from controllers.registry import build_controller
-from controllers.thermostat import Thermostat
+from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.return_water import ReturnWater

@@ -9,7 +9,7 @@ import pytest
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc import MPCState
+from controllers.mpc.controller import MPCState
 from thermoforce_mpc.data import HOUR_S, Boundary, Observation, Record
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -7,8 +7,8 @@ import pytest
 from simple_house import SimpleHouse
 
 from controllers.checks import ControllerConfigError
-from controllers.pi import PIConfig, PIController
 from controllers.registry import controller_config
+from controllers.rules.pi import PIConfig, PIController
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase

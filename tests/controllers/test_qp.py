@@ -11,12 +11,13 @@ from mpc_problems import N, linear_programme_optimum, random_operator, random_pr
 from scipy.signal import lfilter
 
 from controllers.checks import ControllerConfigError
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.machinery import Machinery
-from controllers.problem import ProblemShape, Weights, blocked_moves, checked_solution, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
-from controllers.responses import transfer_function
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
+from controllers.optimisation.qp_terms import transfer_function
+from controllers.optimisation.solution import checked_solution
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput

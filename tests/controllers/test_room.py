@@ -13,14 +13,14 @@ from scipy.optimize import linprog
 
 from controllers.actuation.room_setpoints import room_blocks
 from controllers.checks import ControllerConfigError
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.machinery import Machinery
-from controllers.missed import Missed
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.problem import Cooling, ProblemShape, Weights, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import QPConfig
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.margins import Missed
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import Cooling, ProblemShape, Weights, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError

@@ -5,10 +5,10 @@ import pytest
 from simple_house import SimpleHouse
 
 from controllers.checks import ControllerConfigError
-from controllers.mpc_config import MPCConfig
-from controllers.native import NativeController
-from controllers.standing_back import StandingBack
-from controllers.thermostat import Setback, Thermostat, ThermostatConfig
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.no_model import StandingBack
+from controllers.rules.native import NativeController
+from controllers.rules.thermostat import Setback, Thermostat, ThermostatConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Names, Observation, Record
 
 

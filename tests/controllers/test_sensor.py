@@ -11,7 +11,7 @@ from two_houses import TWO, TwoHouses, two_model
 
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, FreeForecast, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop

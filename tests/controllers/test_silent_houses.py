@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from controllers.coordination import Answer, Coordination, Settled, SharedPower, coordinate
-from controllers.problem import Solution
+from controllers.optimisation.solution import Solution
 from thermoforce_mpc.data import Array
 
 N = 6

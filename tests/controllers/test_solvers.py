@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from mpc_problems import N, linear_programme_optimum, multi_start_optimum, random_operator, random_problem
 
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.machinery import Machinery
-from controllers.problem import MPCProblem, ProblemShape, every_step
-from controllers.search import CandidateSearch, SearchConfig
+from controllers.optimisation.candidate_search import CandidateSearch, SearchConfig
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
 from thermoforce_mpc.model.operator.building import single
 
 

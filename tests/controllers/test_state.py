@@ -10,13 +10,13 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.native import NativeController
-from controllers.pi import PIConfig, PIController
-from controllers.problem import Solution
-from controllers.standing_back import StandingBack
-from controllers.thermostat import Thermostat, ThermostatState
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.no_model import StandingBack
+from controllers.optimisation.solution import Solution
+from controllers.rules.native import NativeController
+from controllers.rules.pi import PIConfig, PIController
+from controllers.rules.thermostat import Thermostat, ThermostatState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse

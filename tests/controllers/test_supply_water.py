@@ -12,9 +12,9 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
 from controllers.monitoring.watch_tests import level_fault
-from controllers.problem import Cooling, PowerCap, ProblemShape, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import QPConfig
+from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError

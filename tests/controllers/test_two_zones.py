@@ -13,12 +13,12 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.monitoring.single_actuator import own_records
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.watch_tests import applied_levels
-from controllers.pi import PIController
-from controllers.planner import MPCState
-from controllers.problem import Solution
-from controllers.standing_back import StandingBack
-from controllers.thermostat import Thermostat
-from controllers.watched import _later
+from controllers.mpc.model_watch import _later
+from controllers.mpc.no_model import StandingBack
+from controllers.mpc.state import MPCState
+from controllers.optimisation.solution import Solution
+from controllers.rules.pi import PIController
+from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence

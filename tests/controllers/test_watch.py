@@ -10,13 +10,13 @@ import pytest
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, outdoor_C, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.fallback import FallbackConfig, FallbackPolicy, GoodPlan
 from controllers.monitoring.watch import Watch, e_value
 from controllers.monitoring.watch_effect import effect_fault, missing_effect
 from controllers.monitoring.watch_state import Judged, Track, WatchConfig, WatchState
 from controllers.monitoring.watch_tests import applied_levels, level_fault, machine_ratio
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
+from controllers.safety.fallback_policy import FallbackConfig, FallbackPolicy, GoodPlan
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel

@@ -10,12 +10,13 @@ import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem, random_operator, random_problem
 
 from controllers.checks import ControllerConfigError
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.machinery import Machinery
-from controllers.problem import Cooling, PowerCap, ProblemShape, Weights, blocked_moves, checked_solution, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import QPConfig
-from controllers.search import CandidateSearch, SearchConfig
+from controllers.optimisation.candidate_search import CandidateSearch, SearchConfig
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, Weights, blocked_moves, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solution import checked_solution
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -10,7 +10,7 @@ import pytest
 from boptest_server import running_service
 from click.testing import CliRunner
 
-from controllers.qp import QPSolver
+from controllers.optimisation.qp import QPSolver
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation import doctor

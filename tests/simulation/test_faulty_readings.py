@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Levels, Measurement, Period
 from thermoforce_mpc.identification.config import IdentificationConfig

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import NoForecast

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linprog, minimize
 
-from controllers.machinery import Machinery
-from controllers.problem import MPCProblem, Weights
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput

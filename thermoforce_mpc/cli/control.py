@@ -61,8 +61,8 @@ def command(
       tf-mpc control --model my_house --map map.yaml --dry-run
       tf-mpc control --model my_house --map map.yaml --set connection.measurements=logs/*.csv
     """
-    from controllers.mpc import ThermoForceMPC
-    from controllers.mpc_config import MPCConfig
+    from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection
     from thermoforce_mpc.execution.keys import canonical, digest

@@ -20,7 +20,7 @@ from thermoforce_mpc.simulation.run_folder import write_json
 from thermoforce_mpc.simulation.whole_tables import print_whole
 
 if TYPE_CHECKING:
-    from controllers.alternatives import Alternatives
+    from controllers.mpc.alternatives import Alternatives
 
 _RUNGS = {
     "solved": "the plan of the solver, checked",

@@ -59,8 +59,8 @@ def command(
     Example:
       tf-mpc plan --model my_house --data recent.csv --map map.yaml --forecast tomorrow.csv --out plan.csv
     """
-    from controllers.mpc import ThermoForceMPC
-    from controllers.mpc_config import MPCConfig
+    from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import read_measurements
     from thermoforce_mpc.model.thermal_model import load_model

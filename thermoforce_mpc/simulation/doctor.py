@@ -155,7 +155,7 @@ def _plant() -> Finding:
 def _solver(name: str) -> Finding:
     """A cold house of the solver's kind: it must plan to heat."""
     from controllers import ThermoForceMPC
-    from controllers.mpc_config import MPCConfig
+    from controllers.mpc.config import MPCConfig
     from thermoforce_mpc.model.machine.load import MachineLoad
     from thermoforce_mpc.model.machine.power import PowerModel
     from thermoforce_mpc.model.operator.parameters import linear_operator

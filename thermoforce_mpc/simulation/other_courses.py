@@ -17,7 +17,7 @@ from thermoforce_mpc.simulation.explaining import Decision
 from thermoforce_mpc.simulation.journal import NAME, making_sense, read_run
 
 if TYPE_CHECKING:  # CasADi is loaded only where there is a model
-    from controllers.alternatives import Alternatives
+    from controllers.mpc.alternatives import Alternatives
 
 # What a plan would have been made on does not matter here, so no weights are loaded.
 _FREE_RESPONSE = {"name": "linear_weather", "options": {}}
@@ -42,8 +42,8 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     told: Mapping[str, Any] = models.get(name, {})
     if not told.get("folder"):
         return f"there is no model: {told.get('refused') or 'the run was given one that it did not keep'}"
-    from controllers.alternatives import Planned, alternatives
-    from controllers.mpc import ThermoForceMPC
+    from controllers.mpc.alternatives import Planned, alternatives
+    from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.model.thermal_model import load_model
 
     scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")

@@ -392,7 +392,7 @@ def test_checking_names_and_naive_forecasts_load_no_torch() -> None:
         "from thermoforce_mpc.model.free_response.registry import build_free_response, check_free_response\n"
         "check_free_response('chronos', {'backbone': 'shipped'})\n"
         "build_free_response('linear_weather')\n"
-        "import controllers.mpc_config\n"
+        "import controllers.mpc.config\n"
         "assert not {'torch', 'chronos', 'transformers'} & set(sys.modules), 'loaded'\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from controllers.mpc_config import FreeResponseConfig
+from controllers.mpc.config import FreeResponseConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse

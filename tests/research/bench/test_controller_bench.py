@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mpc_problems import N, random_operator, random_problem
 
-from controllers.ipopt import IpoptConfig, IpoptSolver
-from controllers.problem import ProblemShape, Weights, every_step
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.problem import ProblemShape, Weights, every_step
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.research.bench.controller import _solver_row

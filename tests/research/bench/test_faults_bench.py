@@ -8,7 +8,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.research.bench.faults import _Recorded, _targets
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop

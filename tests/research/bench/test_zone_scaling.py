@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.problem import MPCProblem, PowerCap, ProblemShape, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import QPConfig
+from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.research.bench.do_mpc_building import DoMpcBuilding
 from thermoforce_mpc.research.bench.zone_scaling import building_operator, building_problem, exponent, solve_times

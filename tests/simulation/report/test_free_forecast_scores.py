@@ -7,7 +7,7 @@ import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import FreeForecast
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.forecast_check import free_forecast_scores
@@ -40,7 +40,7 @@ def test_errors_and_coverage_are_those_of_the_free_forecast_alone(error_K, cover
 
 
 def test_rules_have_no_forecasts_to_score():
-    from controllers.thermostat import Thermostat
+    from controllers.rules.thermostat import Thermostat
 
     house = SimpleHouse()
     assert free_forecast_scores(run_closed_loop(house, Thermostat(), house.period("x"))) == []

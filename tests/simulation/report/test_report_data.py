@@ -13,7 +13,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import TWO
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Names, Period, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.courses import course_of
@@ -78,7 +78,7 @@ def test_the_page_holds_what_was_measured_and_planned(result, tmp_path):
 
 
 def test_cost_and_discomfort_so_far_are_sums_over_the_blocks():
-    from controllers.thermostat import Thermostat
+    from controllers.rules.thermostat import Thermostat
 
     house = SimpleHouse()
     run = run_closed_loop(house, Thermostat(), house.period("x"))
@@ -92,7 +92,7 @@ def test_cost_and_discomfort_so_far_are_sums_over_the_blocks():
 
 
 def test_the_page_says_where_cost_so_far_does_not_end_at_the_kpi(tmp_path):
-    from controllers.thermostat import Thermostat
+    from controllers.rules.thermostat import Thermostat
 
     house = SimpleHouse()
     run = run_closed_loop(house, Thermostat(), house.period("x"))
@@ -285,7 +285,7 @@ def test_other_levels_are_not_asked_about_where_a_level_was_not_measured():
 
 
 def test_rules_have_no_plans_to_show(tmp_path):
-    from controllers.thermostat import Thermostat
+    from controllers.rules.thermostat import Thermostat
 
     house = SimpleHouse()
     page = report_of(run_closed_loop(house, Thermostat(), house.period("x")), {}, tmp_path, Layout.single())

@@ -11,8 +11,8 @@ from report_runs import HOSTILE_NAMES, N, layout_of, planned, report_of
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.thermostat import Thermostat
+from controllers.mpc.config import MPCConfig
+from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import HOUR_S, Block, Layout, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from controllers.ipopt import IpoptSolver
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.problem import MPCProblem, ProblemShape, Solution, blocked_moves, every_step
-from controllers.qp import QPSolver
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.optimisation.ipopt import IpoptSolver
+from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.solution import Solution
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Array

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controllers.coordination import Answer, Member, QPMember, Settled, SharedPower, coordinate
-from controllers.problem import ProblemShape, blocked_moves
-from controllers.qp_backends import QPConfig
+from controllers.optimisation.problem import ProblemShape, blocked_moves
+from controllers.optimisation.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.research.bench.joint_optimum import solve_jointly
 from thermoforce_mpc.research.bench.zone_scaling import building_operator, building_problem

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from controllers.problem import POWER_UNIT_W, MPCProblem
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -17,8 +17,9 @@ from thermoforce_mpc.research.bench.do_mpc_peer import load_do_mpc, quiet_do_mpc
 class DoMpcBuilding:
     """Solves `MPCProblem`s of one operator, horizon, machinery and set of weights through do-mpc's own interface.
 
-    As `DoMpcPeer` with the gain worked out beforehand. The modes of every pair are states, as in `controllers.problem`;
-    levels, slacks, the machine's share of running and the power above the cap are inputs.
+    As `DoMpcPeer` with the gain worked out beforehand. The modes of every pair are states, as in
+    `controllers.optimisation.problem`; levels, slacks, the machine's share of running and the power above the cap are
+    inputs.
 
     Args:
         operator: the forced response.

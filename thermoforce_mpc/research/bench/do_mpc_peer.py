@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from controllers.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.operator.casadi_export import step_function

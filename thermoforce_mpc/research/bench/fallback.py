@@ -14,10 +14,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from controllers import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
-from controllers.native import NativeController
-from controllers.problem import MPCProblem, Solution
+from controllers.mpc.config import MPCConfig
+from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.solution import Solution
 from controllers.registry import controller_config
+from controllers.rules.native import NativeController
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.model.free_response.following import follow

@@ -18,7 +18,7 @@ import numpy as np
 
 from controllers.monitoring.watch import LEADS_H
 from controllers.monitoring.watch_state import Judged
-from controllers.planner import MPCState
+from controllers.mpc.state import MPCState
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus

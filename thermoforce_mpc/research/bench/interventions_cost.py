@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.mpc import ThermoForceMPC
+from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, PlanStatus

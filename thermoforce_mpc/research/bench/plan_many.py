@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from controllers.many.portfolio import Portfolio
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Observation, Plan
 from thermoforce_mpc.model.operator.building import BuildingOperator

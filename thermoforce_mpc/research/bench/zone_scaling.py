@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controllers.machinery import Machinery
-from controllers.problem import MPCProblem, PowerCap, ProblemShape, Weights, blocked_moves, every_step
-from controllers.qp import QPSolver
-from controllers.qp_backends import QPConfig
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, blocked_moves, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError

@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from controllers import ThermoForceMPC
-from controllers.problem import MPCProblem, Solution
+from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
-from controllers.solvers import Solver
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Plan, Record
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.free_response.registry import build_free_response

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from controllers.mpc import ThermoForceMPC
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.data import Bands, Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator

@@ -40,7 +40,7 @@ def _of_field(model: type[BaseModel], key: str, values: Mapping[str, Any], chang
 
 
 def _is_free_response(model: type[BaseModel]) -> bool:
-    from controllers.mpc_config import FreeResponseConfig  # with what plans need
+    from controllers.mpc.config import FreeResponseConfig  # with what plans need
 
     return issubclass(model, FreeResponseConfig)
 

@@ -20,9 +20,10 @@ from pydantic import Field
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
-from controllers.programme import Programme
-from controllers.qp_backends import Piqp, QPConfig, QPData
+from controllers.optimisation.problem import MPCProblem, ProblemShape
+from controllers.optimisation.qp_backends import Piqp, QPConfig, QPData
+from controllers.optimisation.solution import Solution, checked_solution, failed
+from controllers.optimisation.sparse_qp import Programme
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import OUTDOOR

@@ -1,4 +1,4 @@
-"""State that an MPC passes from step to step, and the planner of one thermal model."""
+"""State that an MPC passes from step to step."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from controllers.actuation.actuator import ActuationState
-from controllers.fallback import GoodPlan
-from controllers.missed import Missed
 from controllers.monitoring.meters import MeterState
 from controllers.monitoring.sun_on_sensors import SunState
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensor_state import SensorState
-from controllers.solvers import Solver
+from controllers.mpc.margins import Missed
+from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.identification.adaptation import AdaptationState
-from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.predictor import Predictor, PredictorState
-from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.model.predictor import PredictorState
 
 
 @dataclass(frozen=True)
@@ -55,13 +52,3 @@ class MPCState:
     def rows(self) -> dict[str, int]:
         """How many zones, actuators and machines it is of."""
         return {"zones": len(self.sensors), "actuators": len(self.actuation), "machines": self.kept.size}
-
-
-@dataclass(frozen=True)
-class Planner:
-    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation."""
-
-    model: ThermalModel
-    predictor: Predictor
-    operator: BuildingOperator
-    solver: Solver

@@ -12,17 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from controllers.checks import ControllerConfigError
-from controllers.iterate import checked_iterate
-from controllers.machinery import Machinery
-from controllers.problem import (
-    POWER_UNIT_W,
-    MPCProblem,
-    ProblemShape,
-    Solution,
-    checked_solution,
-    failed,
-    straightened,
-)
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape, straightened
+from controllers.optimisation.solution import Solution, checked_iterate, checked_solution, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import step_function

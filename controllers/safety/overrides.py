@@ -1,4 +1,4 @@
-"""Comfort guard: full level or off when the zone is far outside the comfort band, whatever the plan says."""
+"""What overrules a plan: the competence gate before it (docs/how-it-works/competence.md), the comfort guard after it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from pydantic import Field
 
 from thermoforce_mpc.data import Observation
+from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
@@ -43,3 +44,16 @@ def guard_level(
         return None
     side = f"{below:.2f} K below" if below > above else f"{above:.2f} K above"
     return level, f"guard: {T:.2f} °C is {side} the comfort band at a planned level of {u:.2f}: {level:.2f} instead"
+
+
+class GateConfig(StrictModel):
+    """Options of the competence gate."""
+
+    enabled: bool = Field(True, description="do not act on a model whose held-out data condemn it")
+
+
+def shut(config: GateConfig, competence: Competence | None) -> str | None:
+    """Return why a controller must not act on a model of this verdict; None where it may, or was not judged."""
+    if not config.enabled or competence is None or competence.competent:
+        return None
+    return f"gate: the model is {competence.in_words()}"

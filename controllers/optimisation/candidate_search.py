@@ -9,7 +9,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from controllers.problem import MPCProblem, Solution, checked_solution, failed
+from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel

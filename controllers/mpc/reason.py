@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from controllers.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan
 
 # A bound nearer than this is reported as binding, K.

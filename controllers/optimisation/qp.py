@@ -10,10 +10,10 @@ from collections.abc import Callable
 import numpy as np
 
 from controllers.checks import ControllerConfigError
-from controllers.iterate import checked_iterate
-from controllers.problem import MPCProblem, ProblemShape, Solution, checked_solution, failed
-from controllers.programme import Drive, Programme
-from controllers.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
+from controllers.optimisation.problem import MPCProblem, ProblemShape
+from controllers.optimisation.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
+from controllers.optimisation.solution import Solution, checked_iterate, checked_solution, failed
+from controllers.optimisation.sparse_qp import Drive, Programme
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 

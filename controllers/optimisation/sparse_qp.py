@@ -23,10 +23,9 @@ import numpy as np
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.problem import POWER_UNIT_W, MPCProblem, ProblemShape
-from controllers.qp_backends import QPData
-from controllers.responses import groups_of
-from controllers.sparse_entries import Entries, Index, SparsePattern, entries, joined, nothing
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape
+from controllers.optimisation.qp_backends import QPData
+from controllers.optimisation.qp_terms import Entries, Index, SparsePattern, entries, groups_of, joined, nothing
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 

@@ -9,14 +9,14 @@ keeps the state of the machines, so that minimum on and off times hold from one 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from controllers.acting import Acting
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.actuation.actuators import Demand
-from controllers.fallback import FallbackConfig
-from controllers.guard import GuardConfig, guard_level
-from controllers.planner import MPCState
+from controllers.mpc.state import MPCState
+from controllers.safety.base import Acting
+from controllers.safety.fallback_policy import FallbackConfig, Held
+from controllers.safety.overrides import GuardConfig, guard_level
 from thermoforce_mpc.data import Array, Layout, Observation, Plan, PlanStatus
 
 # From the first rung to the last: of several actuators the plan is named after the lowest.
@@ -28,14 +28,6 @@ _LADDER = (
     PlanStatus.THERMOSTAT,
     PlanStatus.NATIVE,
 )
-
-
-@dataclass(frozen=True)
-class Held:
-    """Why an actuator is not left to the plan; `status` None: that of what acts instead."""
-
-    status: PlanStatus | None
-    why: str
 
 
 class FallingBack(Acting):

@@ -24,7 +24,6 @@ capacity asks. With one actuator on_m is that actuator's share.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -32,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.checks import ControllerConfigError
-from controllers.machinery import Machinery
+from controllers.optimisation.machines import Machinery
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.running import running_share
@@ -404,61 +403,5 @@ def straightened(problem: MPCProblem) -> MPCProblem:
     return replace(problem, held_steps=0)
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
-
-    `optimal` is False for levels that passed them without being the solver's optimum (`iterate`).
-
-    `u` (A, N): levels, empty when not ok; `status`: the solver's own status; `problem`: reason of a failure; `gap`:
-    how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
-    convex.
-    """
-
-    ok: bool
-    u: Array
-    status: str
-    iterations: int
-    problem: str = ""
-    gap: float = 0.0
-    optimal: bool = True
-
-
-def failed(status: str, iterations: int, why: str) -> Solution:
-    """A solution that is none."""
-    return Solution(False, np.empty((0, 0)), status, iterations, why)
-
-
 # Largest violation of u_min ≤ u ≤ u_max accepted as a solver's bound relaxation.
 _BOUND_TOLERANCE = 1e-6
-# Relative tolerance between a solver's objective and the recomputed one: they differ if the solver accepted violated
-# constraints.
-_CLAIM_TOLERANCE = 1e-4
-
-
-def checked_solution(
-    problem: MPCProblem,
-    modes_of: Callable[[Array], Array],
-    u: Array,
-    claimed: float,
-    status: str,
-    iterations: int,
-) -> Solution:
-    """Check the result of a solver that reports success.
-
-    The solution is refused unless it is finite, within bounds, capacities and exclusion, and its objective, recomputed
-    by rollout, agrees with `claimed`. All other inequalities are soft, so such levels are feasible; a different
-    objective shows that another problem was solved. `modes_of` maps levels (A, N) to forced states (Z, A, N, r), K.
-    """
-    m = problem.machinery
-    if u.shape != (len(m.actuators), problem.n_steps) or not np.isfinite(u).all() or not np.isfinite(claimed):
-        return failed(status, iterations, f"{status} was reported, but the solution is not finite")
-    outside = problem.outside(u)
-    if outside:
-        return failed(status, iterations, f"{status} was reported, but {outside}")
-    u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
-    cost = float(problem.cost_under(u, modes_of(u)))
-    if not abs(cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(cost)):
-        what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {cost:.6g}"
-        return failed(status, iterations, what)
-    return Solution(True, u, status, iterations)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controllers.mpc import ThermoForceMPC
-from controllers.problem import MPCProblem
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE, feature_matrix

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.actuation.actuators import Acted, Actuators
 from controllers.checks import check_later, check_observation, checked_state
-from controllers.fallback import FallbackConfig, FallbackPolicy
+from controllers.safety.fallback_policy import FallbackConfig, FallbackPolicy
 from thermoforce_mpc.data import Layout, Observation
 
 

@@ -1,19 +1,58 @@
-"""The planners of a building's models: as identified, and as adapted to the behaviour of its actuators."""
+"""The planners of a building's models, as identified and as adapted to the behaviour of its actuators, and their solvers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from controllers.actuation.actuators import Actuators
-from controllers.planner import Planner
-from controllers.solvers import Solver
+from controllers.checks import ControllerConfigError
+from controllers.mpc.config import MPCConfig
+from controllers.optimisation.candidate_search import CandidateSearch
+from controllers.optimisation.ipopt import IpoptSolver
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.milp import MilpSolver
+from controllers.optimisation.problem import ProblemShape, blocked_moves
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.solution import Solver
 from thermoforce_mpc.identification.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
+
+
+def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: Machinery) -> Solver:
+    """The solver named in `config`, or for `auto` the fastest one that fits the problem, over the horizon of `config`.
+
+    Raises:
+        ControllerConfigError: the solver named does not fit the problem.
+    """
+    n_steps, step_s = config.n_steps(operator.step_s), operator.step_s
+    if config.solver == "search":
+        if machinery.signed.size:
+            raise ControllerConfigError(
+                "controller.options.solver: search does not plan heating and cooling together; use auto or qp"
+            )
+        return CandidateSearch(operator, n_steps, config.search)
+    shape = ProblemShape(
+        blocked_moves(n_steps, step_s, config.move_blocking.free_h, config.move_blocking.hold_h),
+        machinery,
+        peak=config.objective.peak_price_per_kW > 0,
+        capped=config.objective.power_cap_kW is not None,
+        held_steps=config.milp.held_steps(step_s),
+    )
+    chosen = config.solver
+    if chosen == "auto":
+        chosen = "ipopt" if operator.of_actuator(0).feedback_active else "milp"
+        chosen = "qp" if shape.convex(operator) else chosen
+    if chosen == "qp":
+        return QPSolver(operator, shape, config.qp)
+    if chosen == "milp":
+        return MilpSolver(operator, shape, config.milp, config.qp)
+    return IpoptSolver(operator, shape, config.ipopt)
+
 
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _KEPT = 4
@@ -77,3 +116,13 @@ class Planners:
         estimator = ForcedStateEstimator(model.operator, config=self._estimator)
         predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
         return Planner(model, predictor, operator, self._solver(operator))
+
+
+@dataclass(frozen=True)
+class Planner:
+    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation."""
+
+    model: ThermalModel
+    predictor: Predictor
+    operator: BuildingOperator
+    solver: Solver

@@ -13,8 +13,9 @@ from controllers.checks import said
 from controllers.monitoring.single_actuator import own_context, own_records
 from controllers.monitoring.watch import Watch
 from controllers.monitoring.watch_state import Track, WatchState
-from controllers.planner import MPCState, Planner
-from controllers.reason import with_news
+from controllers.mpc.planner import Planner
+from controllers.mpc.reason import with_news
+from controllers.mpc.state import MPCState
 from thermoforce_mpc.asking import Asking, together
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState

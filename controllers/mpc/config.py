@@ -7,16 +7,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from controllers.actuation.actuator import ActuationConfig
-from controllers.fallback import FallbackConfig
-from controllers.gate import GateConfig
-from controllers.guard import GuardConfig
-from controllers.ipopt import IpoptConfig
-from controllers.milp import MilpConfig
 from controllers.monitoring.meters import MeterConfig
 from controllers.monitoring.watch_state import WatchConfig
 from controllers.monitoring.zone_sensor_state import SensorConfig
-from controllers.qp_backends import QPConfig
-from controllers.search import SearchConfig
+from controllers.optimisation.candidate_search import SearchConfig
+from controllers.optimisation.ipopt import IpoptConfig
+from controllers.optimisation.milp import MilpConfig
+from controllers.optimisation.qp_backends import QPConfig
+from controllers.safety.fallback_policy import FallbackConfig
+from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.adaptation import AdaptationConfig

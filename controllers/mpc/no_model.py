@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from controllers.acting import Acting
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.checks import check_names
-from controllers.mpc_config import MPCConfig
+from controllers.mpc.config import MPCConfig
+from controllers.safety.base import Acting
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 
 

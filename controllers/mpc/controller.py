@@ -11,13 +11,7 @@ import numpy as np
 from controllers.actuation.actuator import ActuationState
 from controllers.actuation.choice import choose_actuation
 from controllers.actuation.room_setpoints import room_blocks, within_C
-from controllers.assembly import Assembly
-from controllers.bounded import BoundedCalls, Overdue
 from controllers.checks import ControllerConfigError, check_names, said
-from controllers.fallback import FallbackPolicy, GoodPlan
-from controllers.falling_back import FallingBack, Held
-from controllers.gate import shut
-from controllers.missed import OF_LOOPS, Missed, learned_K, of_plans
 from controllers.monitoring.meters import Meters
 from controllers.monitoring.single_actuator import own_records
 from controllers.monitoring.sun_on_sensors import Sunlit
@@ -26,13 +20,19 @@ from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensor import Sensor
 from controllers.monitoring.zone_sensor_state import SensorState
 from controllers.monitoring.zone_sensors import Sensing, Zones
-from controllers.mpc_config import FreeResponseConfig, MPCConfig
-from controllers.planner import MPCState
-from controllers.planners import Planners
-from controllers.problem import MPCProblem, Solution
-from controllers.reason import reason_of, with_news
-from controllers.solvers import Solve, Solver, build_solver
-from controllers.watched import WatchedPredictions
+from controllers.mpc.config import FreeResponseConfig, MPCConfig
+from controllers.mpc.fallback import FallingBack
+from controllers.mpc.formulation import Assembly
+from controllers.mpc.margins import OF_LOOPS, Missed, learned_K, of_plans
+from controllers.mpc.model_watch import WatchedPredictions
+from controllers.mpc.planner import Planners, build_solver
+from controllers.mpc.reason import reason_of, with_news
+from controllers.mpc.state import MPCState
+from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.solution import Solution, Solve, Solver
+from controllers.safety.deadline import BoundedCalls, Overdue
+from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan, Held
+from controllers.safety.overrides import shut
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators
-from controllers.backoff import backoff_K
-from controllers.kept_capacity import learned_share
-from controllers.machinery import Machinery
-from controllers.missed import Missed
-from controllers.mpc_config import MPCConfig
-from controllers.problem import Cooling, MPCProblem, PowerCap, Weights
-from controllers.reserve import is_fast, reserve_K
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.margins import Missed, backoff_K, is_fast, learned_share, reserve_K
+from controllers.optimisation.machines import Machinery
+from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator

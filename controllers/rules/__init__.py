@@ -1,0 +1,1 @@
+"""Controllers without a model: thermostat, PI, and the plant's own control."""
