@@ -13,9 +13,9 @@ from controllers.checks import said
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.couplings import other_actuator, others_of
-from thermoforce_mpc.identification.records import prepared_runs, resolution_K
-from thermoforce_mpc.identification.sunlit_sensor import sun_on_sensor
+from thermoforce_mpc.identification.effects.couplings import other_actuator, others_of
+from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
+from thermoforce_mpc.identification.estimation.records import prepared_runs, resolution_K
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -32,7 +32,7 @@ from controllers.monitoring.single_actuator import OwnContext
 from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
 from controllers.monitoring.watch_tests import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.identification.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.adaptation import AdaptationState
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.scenario.settings import StrictModel

@@ -18,7 +18,7 @@ from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.identification.adaptation import AdaptationConfig
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.settings import StrictModel

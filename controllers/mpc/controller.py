@@ -35,7 +35,7 @@ from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan, Held
 from controllers.safety.overrides import shut
 from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
-from thermoforce_mpc.identification.adaptation import AdaptationState, OnlineAdaptation
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.free_response.rc import RcParameters

@@ -1,4 +1,4 @@
-"""The planners of a building's models, as identified and as adapted to the behaviour of its actuators, and their solvers."""
+"""Planners of the models of a building, as identified and as adapted to how its actuators behave, and their solvers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from controllers.optimisation.milp import MilpSolver
 from controllers.optimisation.problem import ProblemShape, blocked_moves
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solver
-from thermoforce_mpc.identification.adaptation import AdaptationState
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import Predictor

@@ -14,7 +14,7 @@ from controllers.monitoring.zone_sensor_state import SensorState
 from controllers.mpc.margins import Missed
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Array, Boundary
-from thermoforce_mpc.identification.adaptation import AdaptationState
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictorState
 
 

@@ -1,4 +1,4 @@
-"""What overrules a plan: the competence gate before it (docs/how-it-works/competence.md), the comfort guard after it."""
+"""What overrules a plan: the competence gate (docs/how-it-works/competence.md) before, the comfort guard after it."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from houses import House, random_levels, record
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig, OnlineAdaptation
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator import BuildingOperator, HeatInput, certificate, linear_operator

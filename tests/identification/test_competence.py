@@ -11,17 +11,17 @@ from houses import House, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.cases import Case, held_out
-from thermoforce_mpc.identification.competence import (
+from thermoforce_mpc.identification.estimation.modes import mode_priors
+from thermoforce_mpc.identification.estimation.regression import run_regression
+from thermoforce_mpc.identification.validation.competence import (
     MOST_ERROR_K,
     MOST_RELATIVE_SD,
     _Errors,
     _missed,
     is_well_known,
 )
-from thermoforce_mpc.identification.modes import mode_priors
-from thermoforce_mpc.identification.order import earlier_fold
-from thermoforce_mpc.identification.regression_data import run_regression
+from thermoforce_mpc.identification.validation.held_out import Case, held_out
+from thermoforce_mpc.identification.validation.order import earlier_fold
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model

@@ -12,13 +12,13 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares, FreeFirst
-from thermoforce_mpc.identification.columns import forced_columns, free_columns, other_columns
-from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.likelihood import residuals
-from thermoforce_mpc.identification.modes import mode_priors
-from thermoforce_mpc.identification.regression_data import pair_regression, run_regression, scaled
-from thermoforce_mpc.identification.system import System
+from thermoforce_mpc.identification.estimation.columns import forced_columns, free_columns, other_columns
+from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.likelihood import residuals
+from thermoforce_mpc.identification.estimation.modes import mode_priors
+from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares, FreeFirst
+from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, scaled
+from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 CONFIG = IdentificationConfig()

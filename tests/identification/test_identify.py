@@ -12,7 +12,7 @@ from houses import House, effect_rmse, random_levels, record
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.identification.order import Fitted, choose_order
+from thermoforce_mpc.identification.validation.order import Fitted, choose_order
 from thermoforce_mpc.model.operator import certificate
 from thermoforce_mpc.scenario.settings import validate
 
@@ -331,7 +331,7 @@ def replace_config(config: IdentificationConfig, **changes) -> IdentificationCon
 
 def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
     """Training does not usually end there, so the network is swapped for one that does."""
-    from thermoforce_mpc.identification import train as training
+    from thermoforce_mpc.identification.modulation import training
 
     trained = training.train
 

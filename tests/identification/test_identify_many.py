@@ -10,10 +10,10 @@ from houses import House, record
 
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.many import BuildingRecords, identify_many
-from thermoforce_mpc.identification.modes import mode_priors
-from thermoforce_mpc.identification.regression_data import run_regression
-from thermoforce_mpc.identification.system import System
+from thermoforce_mpc.identification.estimation.modes import mode_priors
+from thermoforce_mpc.identification.estimation.regression import run_regression
+from thermoforce_mpc.identification.estimation.system import System
+from thermoforce_mpc.identification.pipeline import BuildingRecords, identify_many
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.research.bench.identify_many import plain_fit
 
@@ -83,7 +83,7 @@ def test_buildings_are_taken_one_at_a_time(buildings):
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_joint_estimation_is_that_of_the_plain_formulation(order):
-    from thermoforce_mpc.identification.joint import fit_modes
+    from thermoforce_mpc.identification.estimation.joint import fit_modes
 
     config = IdentificationConfig()
     priors = mode_priors(order, config, IDENTITY, None)

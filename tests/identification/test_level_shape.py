@@ -12,7 +12,7 @@ from houses import House, record
 from controllers.actuation.actuator import ActuationConfig
 from controllers.actuation.choice import choose_actuation
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.level_shape import PART_LOAD, Shape, radiator
+from thermoforce_mpc.identification.effects.part_load import PART_LOAD, Shape, radiator
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.machine.power import PowerModel

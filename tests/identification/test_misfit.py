@@ -10,10 +10,10 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
-from thermoforce_mpc.identification.likelihood import Split, residuals
-from thermoforce_mpc.identification.misfit import Misfit, TrainingData
-from thermoforce_mpc.identification.modes import mode_priors, to_operator
-from thermoforce_mpc.identification.regression_data import pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.likelihood import Split, residuals
+from thermoforce_mpc.identification.estimation.modes import mode_priors, to_operator
+from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
+from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator

@@ -12,8 +12,8 @@ from houses import weather
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.operating import findings, telling_part, tellings
-from thermoforce_mpc.identification.probing.schedule import as_changes, probe_schedule
+from thermoforce_mpc.identification.probing.by_hand import as_changes, probe_schedule
+from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 HEATING = Layout.single("heating")

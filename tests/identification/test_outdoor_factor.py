@@ -11,8 +11,8 @@ from houses import House, effect_rmse, random_levels, record, weather
 from thermoforce_mpc.data import HOUR_S, Layout, Names
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.confounding import confounding, shared_sd
-from thermoforce_mpc.identification.outdoor_factor import levels_only, outdoor_factor
+from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
+from thermoforce_mpc.identification.effects.outdoor_factor import levels_only, outdoor_factor
 from thermoforce_mpc.model.operator.casadi_export import step_function
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput

@@ -9,10 +9,11 @@ from simple_house import SimpleHouse, outdoor_C
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification import IdentificationConfig, competence
-from thermoforce_mpc.identification.competence import SETTLED_SD
+from thermoforce_mpc.identification import IdentificationConfig
 from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig, probe
+from thermoforce_mpc.identification.validation import competence
+from thermoforce_mpc.identification.validation.competence import SETTLED_SD
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.identifying import identify_on

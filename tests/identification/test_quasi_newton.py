@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize, rosen, rosen_der
 
-from thermoforce_mpc.identification.quasi_newton import Point, minimised
+from thermoforce_mpc.identification.estimation.optimisers import Point, minimised
 
 
 def found(function, gradient, start, hessian, low, high):

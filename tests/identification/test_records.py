@@ -11,7 +11,7 @@ from houses import House, random_levels, record
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.identification.records import check_pairs, prepared_runs
+from thermoforce_mpc.identification.estimation.records import check_pairs, prepared_runs
 from thermoforce_mpc.model.screening import Limits
 
 NAMES = Names(("living", "bath"), ("floor", "radiator"), ("pump", "boiler"))

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.modes import mode_priors
+from thermoforce_mpc.identification.estimation.modes import mode_priors
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 

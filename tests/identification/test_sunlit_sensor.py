@@ -13,10 +13,10 @@ from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import Probing
-from thermoforce_mpc.identification.report import rollouts
-from thermoforce_mpc.identification.sunlit_sensor import sun_on_sensor
+from thermoforce_mpc.identification.validation.report import rollouts
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, facade_W_m2, lagged, sun_at
 from thermoforce_mpc.model.thermal_model import load_model

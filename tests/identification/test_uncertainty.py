@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.report import plot_identification, rollouts
+from thermoforce_mpc.identification.validation.report import plot_identification, rollouts
 from thermoforce_mpc.model.thermal_model import load_model
 
 pytestmark = pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.modes import mode_priors, neighbour_rate
+from thermoforce_mpc.identification.estimation.modes import mode_priors, neighbour_rate
 from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.rooms import house_of_rooms

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.identification.operating import findings, telling_part, tellings
+from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "records.md"
 

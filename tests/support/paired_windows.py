@@ -4,7 +4,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, Record
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Probe, Window
 from thermoforce_mpc.research.interventions.protocol import SHIFTS_K, WINDOW_START_H

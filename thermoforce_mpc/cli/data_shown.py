@@ -62,7 +62,7 @@ def show_tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> 
 
 
 def _tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:
-    from thermoforce_mpc.identification.operating import findings, telling_part, tellings
+    from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
 
     record, note = telling_part(measured.record, measured.layout)
     expected = tellings(record, measured.layout)

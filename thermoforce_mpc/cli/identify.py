@@ -127,7 +127,7 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
     """Save and show a model and the plot of its fit; exit code 4 where it is below the bar."""
     from thermoforce_mpc.cli.inspect import show_model
-    from thermoforce_mpc.identification.report import PLOT_NAME, plot_identification
+    from thermoforce_mpc.identification.validation.report import PLOT_NAME, plot_identification
     from thermoforce_mpc.simulation.identifying import may_act
 
     model.save(out, overwrite=overwrite)

@@ -90,8 +90,8 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
-    from thermoforce_mpc.identification.report import BAND, step_response_of
-    from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
+    from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+    from thermoforce_mpc.identification.validation.report import BAND, step_response_of
 
     hours = STEP_RESPONSE_H[-1]
     table = Table()
@@ -250,7 +250,7 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
     found = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not found:
         return
-    from thermoforce_mpc.identification.report import BAND
+    from thermoforce_mpc.identification.validation.report import BAND
 
     table = Table()
     for heading in ("hours later", "expected", "from", "to"):

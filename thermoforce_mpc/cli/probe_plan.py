@@ -14,7 +14,7 @@ from thermoforce_mpc.files import written
 from thermoforce_mpc.simulation.display import RunDisplay
 
 if TYPE_CHECKING:
-    from thermoforce_mpc.identification.probing.schedule import ProbeSchedule
+    from thermoforce_mpc.identification.probing.by_hand import ProbeSchedule
 
 FILES = click.argument("files", nargs=-1, required=True, metavar="FILE...")
 MAP = click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the table (YAML).")
@@ -64,8 +64,8 @@ def probe_plan_command(
 
     Keep measuring while you run it, append the rows to your file, and identify again.
     """
-    from thermoforce_mpc.identification.operating import MOST_DAYS, findings, telling_part
-    from thermoforce_mpc.identification.probing.schedule import probe_schedule
+    from thermoforce_mpc.identification.probing.by_hand import probe_schedule
+    from thermoforce_mpc.identification.probing.operation import MOST_DAYS, findings, telling_part
     from thermoforce_mpc.measurements.load import read_measurements
 
     display = RunDisplay()
@@ -103,7 +103,7 @@ def probe_plan_command(
 def _write(out: Path, plan: ProbeSchedule, display: RunDisplay) -> None:
     """Print the schedule with what it is expected to bring and to cost, and write it."""
     from thermoforce_mpc.dataframes import table
-    from thermoforce_mpc.identification.probing.schedule import as_changes
+    from thermoforce_mpc.identification.probing.by_hand import as_changes
 
     days = f"{plan.hours // 24} days" if plan.hours > 24 else "a day"
     display.say(f"Expected after {plan.by_hand_h} h by hand within {days}, at {', '.join(plan.probed)}:")

@@ -7,22 +7,28 @@ operator of the building. All steps are deterministic for a given seed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.capacity import with_metered_shares
-from thermoforce_mpc.identification.cases import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.confounding import confounding, shared_sd
-from thermoforce_mpc.identification.couplings import area_of, assembled, other_actuator, others_of, share_of
-from thermoforce_mpc.identification.joint import JointFit
-from thermoforce_mpc.identification.outdoor_factor import levels_only, outdoor_factor
-from thermoforce_mpc.identification.records import (
+from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
+from thermoforce_mpc.identification.effects.couplings import (
+    area_of,
+    assembled,
+    other_actuator,
+    others_of,
+    share_of,
+    with_metered_shares,
+)
+from thermoforce_mpc.identification.effects.outdoor_factor import levels_only, outdoor_factor
+from thermoforce_mpc.identification.estimation.joint import JointFit
+from thermoforce_mpc.identification.estimation.records import (
     Pair,
     check_pairs,
     check_steps,
@@ -30,6 +36,7 @@ from thermoforce_mpc.identification.records import (
     prepared_pairs,
     prepared_runs,
 )
+from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.zone import ZoneTask, identify_zone
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -212,3 +219,69 @@ def _times_of(records: Sequence[Record]) -> str:
         return "identified"
     spans = [f"{record.stamps()[0]} to {record.stamps()[-1]}" for record in records]
     return f"records of {'; '.join(spans)}"
+
+
+@dataclass(frozen=True)
+class BuildingRecords:
+    """What one of many buildings is identified from; see `identify` for all but `name`."""
+
+    name: str
+    runs: Sequence[Record] = ()
+    pairs: Sequence[Pair] = ()
+    layout: Layout | None = None
+    config: IdentificationConfig | None = None
+    step_s: float | None = None
+    source: str | None = None
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Result for one building.
+
+    Attributes:
+        name: of the building.
+        model: None where there is none.
+        reason: why there is none, else empty.
+        refused: whether its records were refused; without a model and not refused, the program failed on them.
+        seconds: wall time.
+    """
+
+    name: str
+    model: ThermalModel | None
+    reason: str = ""
+    refused: bool = False
+    seconds: float = 0.0
+
+
+def identify_many(
+    buildings: Iterable[BuildingRecords], config: IdentificationConfig | None = None
+) -> Iterator[Identified]:
+    """Identify buildings of any layouts and records of any lengths.
+
+    A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
+    asked for, so that memory holds one; `research.bench.identify_many` shows where the time goes.
+
+    Args:
+        buildings: records and options of each.
+        config: options of the buildings that have none of their own.
+
+    Yields:
+        One result for each building, in their order; a building without a model has the reason in its place.
+    """
+    for building in buildings:
+        began = perf_counter()
+        model, reason, refused = None, "", False
+        try:
+            model = identify(
+                building.runs,
+                building.pairs,
+                config=building.config or config,
+                layout=building.layout,
+                step_s=building.step_s,
+                source=building.source,
+            )
+        except DataError as error:
+            reason, refused = str(error), True
+        except Exception as error:  # told in its place; the others continue
+            reason = f"{type(error).__name__}: {error}"
+        yield Identified(building.name, model, reason, refused, perf_counter() - began)

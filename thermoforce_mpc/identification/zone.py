@@ -15,14 +15,24 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import Case, held_out, normalisation, ranges
-from thermoforce_mpc.identification.competence import Fold, held_out_h, held_out_rmse_K, judge
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import JointFit, ModeFit, fit_joint
-from thermoforce_mpc.identification.level_shape import level_shape
-from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
-from thermoforce_mpc.identification.modulation import modulate, prove
-from thermoforce_mpc.identification.order import (
+from thermoforce_mpc.identification.effects.part_load import level_shape
+from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
+from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint
+from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
+from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
+from thermoforce_mpc.identification.estimation.regression import (
+    OtherActuator,
+    RegressionData,
+    pair_regression,
+    run_regression,
+)
+from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
+from thermoforce_mpc.identification.modulation.selection import modulate, prove
+from thermoforce_mpc.identification.two_stage import two_stage_model
+from thermoforce_mpc.identification.validation.competence import Fold, held_out_h, held_out_rmse_K, judge
+from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
+from thermoforce_mpc.identification.validation.order import (
     Fitted,
     choose_order,
     earlier_fold,
@@ -30,16 +40,6 @@ from thermoforce_mpc.identification.order import (
     fit_and_judge,
     training_data,
 )
-from thermoforce_mpc.identification.records import Pair, resolution_K
-from thermoforce_mpc.identification.regression_data import (
-    OtherActuator,
-    RegressionData,
-    pair_regression,
-    run_regression,
-)
-from thermoforce_mpc.identification.sunlit_sensor import sun_on_sensor
-from thermoforce_mpc.identification.two_stage_model import two_stage_model
-from thermoforce_mpc.identification.uncertainty import uncertainty
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.power import PowerModel

@@ -126,10 +126,10 @@ def identify_on(
         DataError: the record is not sufficient for identification; the message has numbers and advice.
         PlantError: the plant failed.
     """
-    from thermoforce_mpc.identification.competence import is_settled, is_well_known
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.pipeline import identify
     from thermoforce_mpc.identification.probing.probe import Probing
+    from thermoforce_mpc.identification.validation.competence import is_settled, is_well_known
 
     testcase, config = testcase or load_testcase("bestest_hydronic_heat_pump"), config or IdentificationConfig()
     start_s, end_s = before.start_s - before.warmup_s - days * DAY_S, before.start_s

@@ -9,8 +9,8 @@ from pathlib import Path
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.operating import MOST_DAYS, telling_part
 from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.identification.probing.operation import MOST_DAYS, telling_part
 from thermoforce_mpc.measurements.files import check_columns
 from thermoforce_mpc.measurements.load import read_measurements
 from thermoforce_mpc.measurements.mapping import load_map

@@ -10,7 +10,7 @@ from machine_history import machine_history
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig
-from thermoforce_mpc.identification.cases import identified_heat_input
+from thermoforce_mpc.identification.validation.held_out import identified_heat_input
 from thermoforce_mpc.model.machine.heat_capacity import AIR_CONDITIONER, DIRECT, HEAT_PUMP, OTHER, fit_heat, kinds_for
 from thermoforce_mpc.research.bench.operator_data import cut, read_run
 

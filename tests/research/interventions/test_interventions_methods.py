@@ -9,7 +9,7 @@ from paired_windows import GAINS_K, N, data, window
 
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.research.baselines.seasonal_naive import SeasonalNaive
 from thermoforce_mpc.research.interventions.dataset import Probe

@@ -17,10 +17,10 @@ from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.likelihood import residuals
-from thermoforce_mpc.identification.modes import ModePriors, mode_priors, unit_responses
+from thermoforce_mpc.identification.estimation.likelihood import residuals
+from thermoforce_mpc.identification.estimation.modes import ModePriors, mode_priors, unit_responses
+from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
-from thermoforce_mpc.identification.regression_data import run_regression
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 # Step of the derivative with respect to ln τ.

@@ -20,7 +20,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.design import Candidate, Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law, LevelTrial
 from thermoforce_mpc.identification.probing.politeness import Foresight
-from thermoforce_mpc.identification.probing.room import RoomExcitation
+from thermoforce_mpc.identification.probing.room_setpoints import RoomExcitation
 from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.settings import StrictModel
 

@@ -19,14 +19,14 @@ from scipy.optimize import lsq_linear, minimize
 from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.identification.columns import free_prior, free_time_constants, start_sd
 from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H, IdentificationConfig
-from thermoforce_mpc.identification.joint import fit_modes
-from thermoforce_mpc.identification.many import BuildingRecords, Identified, identify_many
-from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors, poles
+from thermoforce_mpc.identification.estimation.columns import free_prior, free_time_constants, start_sd
+from thermoforce_mpc.identification.estimation.joint import fit_modes
+from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors, poles
+from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData, run_regression
+from thermoforce_mpc.identification.estimation.system import System
+from thermoforce_mpc.identification.pipeline import BuildingRecords, Identified, identify_many
 from thermoforce_mpc.identification.probing.probe import Probing
-from thermoforce_mpc.identification.regression_data import FREE_PRIOR, RegressionData, run_regression
-from thermoforce_mpc.identification.system import System
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house

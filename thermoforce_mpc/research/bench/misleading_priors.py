@@ -14,8 +14,8 @@ import numpy as np
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.report import BAND
-from thermoforce_mpc.identification.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.validation.report import BAND
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.research.bench.operator_data import ReferencePair
 from thermoforce_mpc.research.bench.operator_score import score_pairs

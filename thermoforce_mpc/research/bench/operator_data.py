@@ -15,7 +15,7 @@ import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.estimation.records import Pair
 
 FLOOR_AREA_M2 = 192.0
 """Heated floor area of the reference building, m² (BOPTEST test case documentation)."""

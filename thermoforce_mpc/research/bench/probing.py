@@ -17,7 +17,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.identification.adaptation import AdaptationConfig, OnlineAdaptation
+from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig, OnlineAdaptation
 from thermoforce_mpc.identification.probing.design import Designer
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant

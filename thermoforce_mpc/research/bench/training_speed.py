@@ -11,12 +11,12 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.likelihood import Residuals, Split
-from thermoforce_mpc.identification.misfit import Misfit, TrainingData
-from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import RegressionData
-from thermoforce_mpc.identification.train import minimise
+from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.likelihood import Residuals, Split
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
+from thermoforce_mpc.identification.modulation.training import minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator import OperatorParameters

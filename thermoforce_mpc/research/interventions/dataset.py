@@ -15,7 +15,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Boundary, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, ClimateName, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_hash, engine_version, file_hash, weather_file
 from thermoforce_mpc.plants.energyplus.simulate import Job

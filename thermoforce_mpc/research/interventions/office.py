@@ -13,7 +13,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import Climate, base_setpoint
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
 from thermoforce_mpc.research.interventions.dataset import ClimateData, Probe, Window, check_identical

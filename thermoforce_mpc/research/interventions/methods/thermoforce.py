@@ -9,7 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Observation
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.records import Pair
+from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.recursions import filtered
+from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.cases import LEAST_SCALE, Case
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import ModeFit
-from thermoforce_mpc.identification.likelihood import Split, residuals, whole
-from thermoforce_mpc.identification.misfit import TrainingData
-from thermoforce_mpc.identification.modes import ModePriors, centred_priors
-from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
+from thermoforce_mpc.identification.estimation.joint import ModeFit
+from thermoforce_mpc.identification.estimation.likelihood import Split, residuals, whole
+from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
+from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
+from thermoforce_mpc.identification.modulation.misfit import TrainingData
+from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE, Case
 from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
@@ -58,7 +58,7 @@ def modulate(
 
     With too few held-out hours to decide, m = 1 without a try. Returns the operator and its held-out scores.
     """
-    from thermoforce_mpc.identification.train import train
+    from thermoforce_mpc.identification.modulation.training import train
 
     base = linear(final)
     features = [tuple(_features(base, h, config.feedback) for h in c.histories) for c in cases]

@@ -15,12 +15,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares
-from thermoforce_mpc.identification.columns import free_time_constants, other_prior
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.modes import ModePriors, poles
-from thermoforce_mpc.identification.regression_data import FREE_PRIOR, REFERENCE_C, RegressionData, likely_scale, scaled
-from thermoforce_mpc.identification.system import System
+from thermoforce_mpc.identification.estimation.columns import free_time_constants, other_prior
+from thermoforce_mpc.identification.estimation.modes import ModePriors, poles
+from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares
+from thermoforce_mpc.identification.estimation.regression import (
+    FREE_PRIOR,
+    REFERENCE_C,
+    RegressionData,
+    likely_scale,
+    scaled,
+)
+from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.

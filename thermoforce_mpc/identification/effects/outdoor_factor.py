@@ -18,12 +18,12 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
 from thermoforce_mpc.data import Array, Layout, Record
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.couplings import area_of, other_actuator, others_of, share_of
-from thermoforce_mpc.identification.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors
-from thermoforce_mpc.identification.regression_data import RegressionData, calibrated, run_regression
-from thermoforce_mpc.identification.system import System
+from thermoforce_mpc.identification.effects.couplings import area_of, other_actuator, others_of, share_of
+from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors
+from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares
+from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated, run_regression
+from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, kinds_for
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares
-from thermoforce_mpc.identification.columns import forced_columns
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import ModeFit
-from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import RegressionData, calibrated
-from thermoforce_mpc.identification.system import System
+from thermoforce_mpc.identification.estimation.columns import forced_columns
+from thermoforce_mpc.identification.estimation.joint import ModeFit
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares
+from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
+from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 from thermoforce_mpc.model.machine.part_load import COST, COST_SD, HEAT, HEAT_SD, LEVEL
 from thermoforce_mpc.model.machine.power import PowerModel

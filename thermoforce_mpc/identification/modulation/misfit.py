@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.likelihood import Residuals, Split
-from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.recursions import adjoint, responses
-from thermoforce_mpc.identification.regression_data import RegressionData
+from thermoforce_mpc.identification.estimation.likelihood import Residuals, Split
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.estimation.recursions import adjoint, responses
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H
-from thermoforce_mpc.identification.modes import lags_of_gains, poles, unit_responses
-from thermoforce_mpc.identification.recursions import filtered
-from thermoforce_mpc.identification.regression_data import FREE_PRIOR, RegressionData
+from thermoforce_mpc.identification.estimation.modes import lags_of_gains, poles, unit_responses
+from thermoforce_mpc.identification.estimation.recursions import filtered
+from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData
 
 # Weak priors of the level of the free response and of each mode's initial state, K.
 _LEVEL_SD_K = 50.0

@@ -19,11 +19,11 @@ from scipy.linalg import solve_triangular
 from scipy.special import expit, log_ndtr
 
 from thermoforce_mpc.data import DAY_S, Array, Record
-from thermoforce_mpc.identification.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.regression_data import OtherActuator, RegressionData, run_regression
-from thermoforce_mpc.identification.whitened import Blocks, blocks_of, whitened_columns
+from thermoforce_mpc.identification.estimation.columns import free_prior, free_time_constants, other_prior, start_sd
+from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.regression import OtherActuator, RegressionData, run_regression
+from thermoforce_mpc.identification.estimation.whitened import Blocks, blocks_of, whitened_columns
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
 

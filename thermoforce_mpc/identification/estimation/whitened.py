@@ -10,9 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.columns import N_FREE, Lags
-from thermoforce_mpc.identification.recursions import filter_slopes, filtered, innovations
-from thermoforce_mpc.identification.regression_data import RegressionData
+from thermoforce_mpc.identification.estimation.columns import N_FREE, Lags
+from thermoforce_mpc.identification.estimation.recursions import filter_slopes, filtered, innovations
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 
 
 class Blocks(NamedTuple):

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.bounded import triangle
-from thermoforce_mpc.identification.columns import (
+from thermoforce_mpc.identification.estimation.columns import (
     free_columns,
     free_prior,
     free_time_constants,
@@ -27,8 +26,9 @@ from thermoforce_mpc.identification.columns import (
     other_prior,
     start_sd,
 )
-from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.regression_data import RegressionData
+from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.optimisers import triangle
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.joint import JointFit
-from thermoforce_mpc.identification.modes import unit_responses
+from thermoforce_mpc.identification.estimation.joint import JointFit
+from thermoforce_mpc.identification.estimation.modes import unit_responses
 
 # Times after a step to full level at which the response and its standard deviation are stored, h.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)

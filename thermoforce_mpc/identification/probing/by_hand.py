@@ -14,9 +14,9 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.operating import Telling, tellings
 from thermoforce_mpc.identification.probing.design import Designer
 from thermoforce_mpc.identification.probing.hand_planner import HOLDS_H, HandPlanner
+from thermoforce_mpc.identification.probing.operation import Telling, tellings
 from thermoforce_mpc.model.gaps import bridged
 
 # Longest schedule, days.

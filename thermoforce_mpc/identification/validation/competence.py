@@ -21,13 +21,13 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.identification.blocks import standard_errors_saved
-from thermoforce_mpc.identification.cases import Case
-from thermoforce_mpc.identification.columns import forced_columns
-from thermoforce_mpc.identification.joint import ModeFit
-from thermoforce_mpc.identification.likelihood import Split, residuals
-from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.records import LEAD_REACH
+from thermoforce_mpc.identification.estimation.columns import forced_columns
+from thermoforce_mpc.identification.estimation.joint import ModeFit
+from thermoforce_mpc.identification.estimation.likelihood import Split, residuals
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.estimation.records import LEAD_REACH
+from thermoforce_mpc.identification.validation.blocks import standard_errors_saved
+from thermoforce_mpc.identification.validation.held_out import Case
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 
 # Lead times that are reported, h, and those that are judged. A plan is made anew every step and pre-heats by hours; a

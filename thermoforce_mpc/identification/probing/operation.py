@@ -15,10 +15,10 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.competence import MOST_RELATIVE_SD
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.design import Designer
+from thermoforce_mpc.identification.validation.competence import MOST_RELATIVE_SD
 from thermoforce_mpc.model.gaps import bridged
 
 # Days of a record that are used: longer parts take longer, and hold other seasons and habits.

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
-from thermoforce_mpc.identification.competence import EFFECT_H
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.couplings import area_of, others_of, share_of
-from thermoforce_mpc.identification.modes import mode_priors, neighbour_rate, unit_responses
+from thermoforce_mpc.identification.effects.couplings import area_of, others_of, share_of
+from thermoforce_mpc.identification.estimation.modes import mode_priors, neighbour_rate, unit_responses
+from thermoforce_mpc.identification.validation.competence import EFFECT_H
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # From this relative standard deviation of the effect on, a neighbour is named.

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.blocks import block_numbers, is_significant, standard_errors_saved
-from thermoforce_mpc.identification.cases import Case
-from thermoforce_mpc.identification.columns import forced_columns
-from thermoforce_mpc.identification.competence import Fold
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.joint import ModeFit, fit_modes
-from thermoforce_mpc.identification.likelihood import Split, residuals, split_run
-from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.regression_data import RegressionData, follows_action
-from thermoforce_mpc.identification.system import System
+from thermoforce_mpc.identification.estimation.columns import forced_columns
+from thermoforce_mpc.identification.estimation.joint import ModeFit, fit_modes
+from thermoforce_mpc.identification.estimation.likelihood import Split, residuals, split_run
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
+from thermoforce_mpc.identification.estimation.system import System
+from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
+from thermoforce_mpc.identification.validation.competence import Fold
+from thermoforce_mpc.identification.validation.held_out import Case
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A lower order is chosen only if it is better on held-out rows with this probability (Student's t) and by this share of

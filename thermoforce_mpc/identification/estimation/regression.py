@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.disturbance import Disturbance
-from thermoforce_mpc.identification.records import LEAD_REACH, MOST_ROWS, Pair
+from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 

@@ -23,8 +23,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.likelihood import residuals
-from thermoforce_mpc.identification.regression_data import run_regression
+from thermoforce_mpc.identification.estimation.likelihood import residuals
+from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.model.forced_history import forced_history, heat_drive
 from thermoforce_mpc.model.gaps import WEATHER, bridged
 from thermoforce_mpc.model.operator.building import single

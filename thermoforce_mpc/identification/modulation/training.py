@@ -16,8 +16,8 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.misfit import Misfit, TrainingData
-from thermoforce_mpc.identification.modes import ModePriors
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 

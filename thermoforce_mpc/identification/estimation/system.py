@@ -10,12 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.bounded import BoundedLeastSquares, FreeFirst, triangle
-from thermoforce_mpc.identification.columns import N_FREE, free_prior, other_prior, start_sd
-from thermoforce_mpc.identification.modes import ModePriors
-from thermoforce_mpc.identification.quasi_newton import Point, minimised
-from thermoforce_mpc.identification.regression_data import RegressionData
-from thermoforce_mpc.identification.whitened import (
+from thermoforce_mpc.identification.estimation.columns import N_FREE, free_prior, other_prior, start_sd
+from thermoforce_mpc.identification.estimation.modes import ModePriors
+from thermoforce_mpc.identification.estimation.optimisers import (
+    BoundedLeastSquares,
+    FreeFirst,
+    Point,
+    minimised,
+    triangle,
+)
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.whitened import (
     Blocks,
     blocks_of,
     varying_blocks,

@@ -16,7 +16,12 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.recursions import covariance, innovation_effects, innovation_form, innovations
+from thermoforce_mpc.identification.estimation.recursions import (
+    covariance,
+    innovation_effects,
+    innovation_form,
+    innovations,
+)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.likelihood import Split, hold_out_pair, split_run, whole
-from thermoforce_mpc.identification.records import Pair
-from thermoforce_mpc.identification.regression_data import RegressionData
+from thermoforce_mpc.identification.estimation.likelihood import Split, hold_out_pair, split_run, whole
+from thermoforce_mpc.identification.estimation.records import Pair
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.load_regression import LEAST_RUNNING, LEVEL_EDGE
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power

@@ -1,0 +1,1 @@
+"""Held-out data: which order, which verdict, and the picture of both."""
