@@ -7,7 +7,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.identifying import identify_on
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 plant = EmbeddedPlant(synthetic_weather())
 window = replace(plant.period("peak_heat_day"), scored_s=2 * DAY_S)

@@ -25,7 +25,7 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
-from thermoforce_mpc.simulation.identifying import identify_on
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 FREE, FORCED, TRUTH, RAW = "#228b22", "#b22222", "#1b1f24", "#6b7280"
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])

@@ -22,7 +22,7 @@ from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.composition import build_plant, scored_period
-from thermoforce_mpc.simulation.identifying import model_for
+from thermoforce_mpc.simulation.models.identifying import model_for
 
 LEVELS = np.arange(1, 10) / 10
 

@@ -16,7 +16,7 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.composition import scored_period
-from thermoforce_mpc.simulation.identifying import identify_on
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 weather, prices, start, days = (sys.argv[1:] + ["", "", "peak_heat_day", "4"][len(sys.argv) - 1 :])[:4]
 plant = EmbeddedPlant(

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from thermoforce_mpc.asking import Answering, Ask, answered, asked, timed, together, within
+from thermoforce_mpc.execution.asking import Answering, Ask, answered, asked, timed, together, within
 
 DOUBLED = object()
 

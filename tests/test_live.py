@@ -30,8 +30,8 @@ from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.kept import Kept
-from thermoforce_mpc.measurements.mapping import MeasurementMap
-from thermoforce_mpc.simulation.display import RunDisplay
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.simulation.views.display import RunDisplay
 
 HOUR = pd.Timedelta("1h")
 START_S = (START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()

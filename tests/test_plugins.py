@@ -199,7 +199,7 @@ from thermoforce_mpc.connections.registry import build_connection
 import simulated_building as sim
 from live_gateway import served
 from thermoforce_mpc.live import LiveBuilding, control
-from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from test_live import mpc
 house = sim.SimulatedBuilding()
 house.measurements().to_csv("house.csv", index=False)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from thermoforce_mpc.asking import Asking
 from thermoforce_mpc.data import (
     Array,
     Bands,
@@ -22,6 +21,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
+from thermoforce_mpc.execution.asking import Asking
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -130,7 +130,7 @@ class FollowingFreeResponse(FreeResponse, Protocol):
 
 @runtime_checkable
 class AskingFreeResponse(FreeResponse, Protocol):
-    """Free response that asks for its work (`thermoforce_mpc.asking`), so that many forecasts share one pass."""
+    """Free response that asks for its work, so that many forecasts share one pass (`thermoforce_mpc.execution`)."""
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.reading import read_bounded
+from thermoforce_mpc.files import read_bounded, write_whole
 
 _PACKAGES = ("thermoforce_mpc", "controllers")
 _MOST_BYTES = 200_000_000

@@ -16,9 +16,9 @@ from controllers.many.batch import Planned, Together, known_of
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solve, failed
-from thermoforce_mpc.asking import Answerer, Ask, Asking, Outcome, Result, altered, answered, together
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.asking import Answerer, Ask, Asking, Outcome, Result, altered, answered, together
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 

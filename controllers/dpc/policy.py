@@ -26,11 +26,10 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import check_replaceable, storage_errors, write_whole
-from thermoforce_mpc.model.model_file import content_sha256
+from thermoforce_mpc.files import check_replaceable, parse_json, read_bounded, storage_errors, write_whole
 from thermoforce_mpc.model.operator.features import OUTDOOR
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.reading import parse_json, read_bounded
+from thermoforce_mpc.model.saved.model_file import content_sha256
 from thermoforce_mpc.version import VERSION
 
 LEADS_H = (0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20, 24)

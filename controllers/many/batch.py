@@ -16,9 +16,9 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.state import MPCState
 from controllers.safety.deadline import BoundedCalls
-from thermoforce_mpc.asking import Answering, Asking, answered, timed, together
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.asking import Answering, Asking, answered, timed, together
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Buildings whose computations are open at a time: enough to fill the forecaster's batches, few enough for memory.

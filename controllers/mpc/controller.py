@@ -33,8 +33,8 @@ from controllers.optimisation.solution import Solution, Solve, Solver
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan, Held
 from controllers.safety.overrides import shut
-from thermoforce_mpc.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.execution.asking import Answering, Ask, Asking, answered, asked, timed, within
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole

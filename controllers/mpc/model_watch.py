@@ -16,8 +16,8 @@ from controllers.monitoring.watch_state import Track, WatchState
 from controllers.mpc.planner import Planner
 from controllers.mpc.reason import with_news
 from controllers.mpc.state import MPCState
-from thermoforce_mpc.asking import Asking, together
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
+from thermoforce_mpc.execution.asking import Asking, together
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel

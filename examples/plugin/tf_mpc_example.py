@@ -7,7 +7,7 @@ import requests
 
 from thermoforce_mpc.connections.files import FilesConnection
 from thermoforce_mpc.data import Block, FreeForecast, Plan, PlanStatus
-from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house, house_testcase
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase
 
 
 @dataclass

@@ -10,8 +10,8 @@ from thermoforce_mpc.boundary.periods import heating_windows
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.reading import DoubtfulInput
 
 
 def test_the_dynamic_tariff_is_dear_from_seven_to_the_sample_of_twenty_two():

@@ -30,7 +30,7 @@ WEAK_PRIORS = (
     "identification.options.modulation=linear",
 )
 
-cli_identify = importlib.import_module("thermoforce_mpc.cli.identify")
+cli_identify = importlib.import_module("thermoforce_mpc.cli.building.identify")
 
 
 def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

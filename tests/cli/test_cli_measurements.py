@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli.plan import draw_plan, plan_table
+from thermoforce_mpc.cli.building.plan import draw_plan, plan_table
 from thermoforce_mpc.data import DAY_S, Boundary, Names, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.identification.probing.probe import probe

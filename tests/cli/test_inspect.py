@@ -16,8 +16,8 @@ from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation import run_models
-from thermoforce_mpc.simulation.identifying import may_act
+from thermoforce_mpc.simulation.models import run_models
+from thermoforce_mpc.simulation.models.identifying import may_act
 
 GOOD = Competence(True, effect_K=2.0, effect_sd_K=0.2)
 POOR = Competence(False, ("too weak",), ("hold full level",), effect_K=2.0, effect_sd_K=2.0)

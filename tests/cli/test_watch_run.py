@@ -18,7 +18,7 @@ from waiting import LONG_S
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli.watch import shown
+from thermoforce_mpc.cli.live.watch import shown
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.scenario.scenario import load_scenario
@@ -26,9 +26,9 @@ from thermoforce_mpc.service.live_page import page_server
 from thermoforce_mpc.service.server import running
 from thermoforce_mpc.simulation import journal as journal_module
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.journal import Journal, JournalError, JournalTail, read_journal
-from thermoforce_mpc.simulation.live_view import LiveRun, Zone
-from thermoforce_mpc.simulation.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalTail, read_journal
+from thermoforce_mpc.simulation.views.live_view import LiveRun, Zone
 
 OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
 

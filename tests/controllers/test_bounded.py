@@ -9,7 +9,7 @@ import pytest
 from waiting import LONG_S, wait_for
 
 from controllers.safety.deadline import BoundedCalls, Crashed, Overdue
-from thermoforce_mpc.asking import Answering, Ask
+from thermoforce_mpc.execution.asking import Answering, Ask
 
 SOON_S = 0.05
 

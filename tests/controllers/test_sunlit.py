@@ -12,7 +12,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.monitoring.sun_on_sensors import SunState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.probing.probe import Probing
-from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.state_file import read_state, write_state
 
 # Three sunny days in March of a very light house whose sensor reads 3.1 K too much in the south sun.

@@ -22,8 +22,8 @@ from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos
 from thermoforce_mpc.research.chaos.judging import jumps, wrong_inputs, wrong_steps
 from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.journal import Entry, read_journal, read_run
-from thermoforce_mpc.simulation.told_steps import told_loops, told_steps
+from thermoforce_mpc.simulation.journal.journal import Entry, read_journal, read_run
+from thermoforce_mpc.simulation.journal.told_steps import told_loops, told_steps
 
 ANYWHERE = (*kinds.REFUSALS, *kinds.BROKEN, *kinds.AWAY)
 # The model is of another house: what is tested here is that the run goes on, not how well it heats.

@@ -17,10 +17,10 @@ from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.explaining import decision_at
-from thermoforce_mpc.simulation.journal import NAME, JournalError, read_journal
-from thermoforce_mpc.simulation.other_courses import alternatives_of
-from thermoforce_mpc.simulation.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, read_journal
+from thermoforce_mpc.simulation.views.explaining import decision_at
+from thermoforce_mpc.simulation.views.other_courses import alternatives_of
 
 
 def run(book: RunBook) -> None:

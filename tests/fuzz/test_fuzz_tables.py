@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 from thermoforce_mpc.errors import ConfigError, WeatherError
-from thermoforce_mpc.reading import DoubtfulInput
+from thermoforce_mpc.files import DoubtfulInput
 
 
 def as_mos() -> bytes:

@@ -18,7 +18,7 @@ from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
-from thermoforce_mpc.simulation.identifying import identification_settings
+from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 # A room heated at once, in which an hour shows what a level gives.
 ROOM = House(tau_h=(0.05, 0.6, 40.0), gain_K=(6.0, 24.0), outdoor=(0.1, 0.85), solar_K=(0.2, 1.0))

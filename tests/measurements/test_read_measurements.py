@@ -13,7 +13,7 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.starting_map import starting_map
+from thermoforce_mpc.measurements.map.starting_map import starting_map
 
 BASE = {
     "outdoor": "out",

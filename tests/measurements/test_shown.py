@@ -8,11 +8,11 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.cli.data_shown import show_measurements
+from thermoforce_mpc.cli.building.data_shown import show_measurements
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.picture import draw_measurements
-from thermoforce_mpc.measurements.starting_map import starting_map
-from thermoforce_mpc.simulation.display import RunDisplay
+from thermoforce_mpc.simulation.views.display import RunDisplay
 
 
 def test_a_starting_map_reads_its_table(tmp_path):

@@ -18,8 +18,8 @@ from operators import HEAT_MAP, random_features, random_operator
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ArtifactError
 from thermoforce_mpc.model.migration import migrate_model
-from thermoforce_mpc.model.model_file import ARRAYS_NAME, JSON_NAME
 from thermoforce_mpc.model.operator import forced_rollout
+from thermoforce_mpc.model.saved.model_file import ARRAYS_NAME, JSON_NAME
 from thermoforce_mpc.model.thermal_model import load_model
 
 STORED = Path(__file__).parent / "stored_models"

@@ -11,11 +11,11 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.envelope import MASSES
-from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house, house_testcase, physics
-from thermoforce_mpc.plants.generated.draw import MACHINES, heat_pump_cop
-from thermoforce_mpc.plants.generated.plant import _year_of
-from thermoforce_mpc.plants.generated.schedule import bounds_C, native_setpoint_C
 from thermoforce_mpc.plants.occupants import PATTERNS, at_home
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
+from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
+from thermoforce_mpc.plants.random_houses.plant import _year_of
+from thermoforce_mpc.plants.random_houses.schedule import bounds_C, native_setpoint_C
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase

@@ -128,7 +128,7 @@ def test_the_actuator_maps_levels_to_the_wire_and_back():
 
 @pytest.mark.parametrize(("controller", "between"), [(None, False), ("thermoforce_paper", True)])
 def test_the_machine_is_probed_the_way_the_controller_will_run_it(controller, between):
-    from thermoforce_mpc.simulation.identifying import identification_settings
+    from thermoforce_mpc.simulation.models.identifying import identification_settings
 
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=("thermoforce_paper", "rc_mpc"))
     levels = identification_settings(scenario, load_testcase(scenario.testcase), controller)[0].levels

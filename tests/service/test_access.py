@@ -15,7 +15,7 @@ from waiting import LONG_S
 
 from boptest_client import BoptestClient, RequestRejected, TransportConfig
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.cli.serve import command
+from thermoforce_mpc.cli.live.serve import command
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.access import Rate, is_loopback

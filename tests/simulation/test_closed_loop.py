@@ -11,7 +11,7 @@ from two_houses import TWO, TwoHouses
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
-from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 
 
 def plan(*blocks: Block) -> Plan:

@@ -18,8 +18,8 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
-from thermoforce_mpc.simulation.explaining import decision_at, seconds_of, words_of
-from thermoforce_mpc.simulation.journal import Journal, JournalError
+from thermoforce_mpc.simulation.journal.journal import Journal, JournalError
+from thermoforce_mpc.simulation.views.explaining import decision_at, seconds_of, words_of
 
 
 def call(*words: object):

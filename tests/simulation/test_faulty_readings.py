@@ -18,7 +18,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.identifying import identify_on
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 PERIOD = Period("test", start_s=16 * DAY_S, scored_s=40 * HOUR_S, warmup_s=2 * DAY_S)
 NAN = float("nan")

@@ -15,9 +15,9 @@ from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors
-from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
 
 
 def test_steps_come_back_in_order(tmp_path):

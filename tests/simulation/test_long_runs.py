@@ -10,7 +10,7 @@ from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.run_folder import trajectory_frame
+from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 
 OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}}
 

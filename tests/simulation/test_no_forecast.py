@@ -20,8 +20,8 @@ from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.explaining import decision_at
-from thermoforce_mpc.simulation.told_results import told_run
+from thermoforce_mpc.simulation.journal.told_results import told_run
+from thermoforce_mpc.simulation.views.explaining import decision_at
 
 START_S = 10 * DAY_S
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.reading import DoubtfulInput, read_bounded, read_pieces
+from thermoforce_mpc.files import DoubtfulInput, read_bounded, read_pieces
 
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535

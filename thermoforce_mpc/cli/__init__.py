@@ -14,54 +14,75 @@ from typing import Any, NoReturn
 import click
 
 from thermoforce_mpc.errors import EngineError, InputError, NoSuchTest, PlantError, StorageError
-from thermoforce_mpc.reading import DoubtfulInput
+from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
 # name: (module, one line for the overview)
 _COMMANDS = {
-    "init": ("thermoforce_mpc.cli.init", "Write a commented scenario to start from, and a test case or a map."),
-    "run": ("thermoforce_mpc.cli.run", "Run a controller over a scored window and report KPIs."),
-    "resume": ("thermoforce_mpc.cli.resume", "Go on with a run that was killed or interrupted."),
-    "report": ("thermoforce_mpc.cli.report", "Make the report of a run again, also of one that was cut off."),
-    "compare": ("thermoforce_mpc.cli.compare", "Compare controllers on several windows and tariffs."),
-    "sweep": ("thermoforce_mpc.cli.sweep", "Vary one controller option and plot cost against discomfort."),
-    "fleet": ("thermoforce_mpc.cli.fleet", "Run many buildings under many windows, tariffs and controllers."),
+    "init": (
+        "thermoforce_mpc.cli.building.init",
+        "Write a commented scenario to start from, and a test case or a map.",
+    ),
+    "run": ("thermoforce_mpc.cli.running.run", "Run a controller over a scored window and report KPIs."),
+    "resume": ("thermoforce_mpc.cli.running.resume", "Go on with a run that was killed or interrupted."),
+    "report": ("thermoforce_mpc.cli.running.report", "Make the report of a run again, also of one that was cut off."),
+    "compare": ("thermoforce_mpc.cli.running.compare", "Compare controllers on several windows and tariffs."),
+    "sweep": ("thermoforce_mpc.cli.running.sweep", "Vary one controller option and plot cost against discomfort."),
+    "fleet": ("thermoforce_mpc.cli.running.fleet", "Run many buildings under many windows, tariffs and controllers."),
     "identify": (
-        "thermoforce_mpc.cli.identify",
+        "thermoforce_mpc.cli.building.identify",
         "Identify a model by probing a building, or from measurements.",
     ),
-    "data": ("thermoforce_mpc.cli.data", "Check measurements of your own building; plan a probing by hand."),
-    "plan": ("thermoforce_mpc.cli.plan", "Plan the next hours from recent measurements and a forecast in files."),
-    "control": ("thermoforce_mpc.cli.control", "Control a real building through a connection, in real time."),
-    "forecast": ("thermoforce_mpc.cli.forecast", "Forecast the temperature of your own building, with its band."),
+    "data": ("thermoforce_mpc.cli.building.data", "Check measurements of your own building; plan a probing by hand."),
+    "plan": (
+        "thermoforce_mpc.cli.building.plan",
+        "Plan the next hours from recent measurements and a forecast in files.",
+    ),
+    "control": ("thermoforce_mpc.cli.live.control", "Control a real building through a connection, in real time."),
+    "forecast": (
+        "thermoforce_mpc.cli.building.forecast",
+        "Forecast the temperature of your own building, with its band.",
+    ),
     "counterfactual": (
-        "thermoforce_mpc.cli.counterfactual",
+        "thermoforce_mpc.cli.building.counterfactual",
         "Show what another schedule would have done on a past day.",
     ),
-    "saving": ("thermoforce_mpc.cli.saving", "What a changed operation saved, with an interval, from records."),
-    "explain": ("thermoforce_mpc.cli.explain", "Tell what a run decided at an instant, and why."),
-    "watch": ("thermoforce_mpc.cli.watch", "Watch a running controller, in the terminal or as a page."),
-    "inspect": ("thermoforce_mpc.cli.inspect", "Show a saved model: parameters, certificate, identification data."),
-    "migrate": ("thermoforce_mpc.cli.migrate", "Rewrite a saved model of an older release for this one."),
-    "validate": ("thermoforce_mpc.cli.validate", "Check a scenario or test case file without running it."),
+    "saving": (
+        "thermoforce_mpc.cli.building.saving",
+        "What a changed operation saved, with an interval, from records.",
+    ),
+    "explain": ("thermoforce_mpc.cli.inside.explain", "Tell what a run decided at an instant, and why."),
+    "watch": ("thermoforce_mpc.cli.live.watch", "Watch a running controller, in the terminal or as a page."),
+    "inspect": (
+        "thermoforce_mpc.cli.inside.inspect",
+        "Show a saved model: parameters, certificate, identification data.",
+    ),
+    "migrate": ("thermoforce_mpc.cli.inside.migrate", "Rewrite a saved model of an older release for this one."),
+    "validate": ("thermoforce_mpc.cli.inside.validate", "Check a scenario or test case file without running it."),
     "schema": (
-        "thermoforce_mpc.cli.schema",
+        "thermoforce_mpc.cli.inside.schema",
         "Write the JSON Schema of scenario, test case, comparison, fleet or map files.",
     ),
-    "controllers": ("thermoforce_mpc.cli.controllers", "List controllers and their options."),
-    "train": ("thermoforce_mpc.cli.train", "Train the policy of the controller dpc through a saved model."),
-    "plants": ("thermoforce_mpc.cli.plants", "List plants and their options."),
-    "connections": ("thermoforce_mpc.cli.connections", "List connections to real buildings and their options."),
-    "free-responses": ("thermoforce_mpc.cli.free_responses", "List forecasters of the free response, and backbones."),
+    "controllers": ("thermoforce_mpc.cli.inside.controllers", "List controllers and their options."),
+    "train": ("thermoforce_mpc.cli.inside.train", "Train the policy of the controller dpc through a saved model."),
+    "plants": ("thermoforce_mpc.cli.inside.plants", "List plants and their options."),
+    "connections": ("thermoforce_mpc.cli.inside.connections", "List connections to real buildings and their options."),
+    "free-responses": (
+        "thermoforce_mpc.cli.inside.free_responses",
+        "List forecasters of the free response, and backbones.",
+    ),
     "chaos": ("thermoforce_mpc.cli.chaos", "Run controllers with everything around them failing on purpose."),
     "doctor": (
-        "thermoforce_mpc.cli.doctor",
+        "thermoforce_mpc.cli.inside.doctor",
         "Check installation, solvers, forecaster, plant, service, clock and disk.",
     ),
-    "serve": ("thermoforce_mpc.cli.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
-    "weather": ("thermoforce_mpc.cli.weather", "Download the weather file of the BOPTEST test case."),
+    "serve": ("thermoforce_mpc.cli.live.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
+    "weather": ("thermoforce_mpc.cli.inside.weather", "Download the weather file of the BOPTEST test case."),
     "bench": ("thermoforce_mpc.cli.bench", "Run benchmarks and compare the results with their targets."),
-    "testcases": ("thermoforce_mpc.cli.testcases", "List the shipped test cases, scenarios, comparisons and fleets."),
+    "testcases": (
+        "thermoforce_mpc.cli.inside.testcases",
+        "List the shipped test cases, scenarios, comparisons and fleets.",
+    ),
 }
 
 

@@ -91,7 +91,7 @@ class Boundary:
                 is no room temperature in °C or the lower above the upper one, or `record` is one instant, which has no
                 step.
         """
-        from thermoforce_mpc.dataframes import seconds_since, series, stamps
+        from thermoforce_mpc.data.dataframes import seconds_since, series, stamps
 
         if record.origin is None:
             raise DataError("forecast: the record has no time stamps; make it with Record.from_dataframe")

@@ -42,7 +42,7 @@ class Observation:
         ahead_s = float(self.boundary.time_s[0]) - self.time_s
         if abs(ahead_s) <= CLOCK_TOLERANCE_S:
             return
-        from thermoforce_mpc.dataframes import stamps
+        from thermoforce_mpc.data.dataframes import stamps
 
         begin, now = stamps(np.array([self.boundary.time_s[0], self.time_s]), self.history.origin)
         raise DataError(

@@ -142,7 +142,7 @@ class Plan:
         `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`. With several
         zones, actuators or machines, one of each per name: `T_zone_C[bath]`.
         """
-        from thermoforce_mpc.dataframes import table
+        from thermoforce_mpc.data.dataframes import table
 
         columns = self.names.columns(
             u=self.u,

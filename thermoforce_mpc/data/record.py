@@ -92,7 +92,7 @@ class Record:
             DataError: a column is missing, twice there or holds text, zone and outdoor are one column, the index has no
                 time stamps, or they are not equally spaced; the message says what to do.
         """
-        from thermoforce_mpc.dataframes import new_year, seconds_since, series
+        from thermoforce_mpc.data.dataframes import new_year, seconds_since, series
 
         if zone == outdoor:
             raise DataError(f"record: zone and outdoor are the same column, '{zone}'")
@@ -112,7 +112,7 @@ class Record:
 
     def stamps(self) -> pd.Index:
         """Time stamps of the boundaries (n + 1,); seconds since 1 January where the record has no `origin`."""
-        from thermoforce_mpc.dataframes import stamps
+        from thermoforce_mpc.data.dataframes import stamps
 
         return stamps(self.time_s, self.origin)
 

@@ -14,7 +14,7 @@ from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Record
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, NoForecast, PlantError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, read_measurements
-from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.protocols import Connection
 
 # What controllers look back at, and how old the latest reading may be for the record to say anything of now, days.

@@ -8,16 +8,16 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import Array, Boundary
-from thermoforce_mpc.dataframes import seconds_since
+from thermoforce_mpc.data.dataframes import seconds_since
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.clock import timed
-from thermoforce_mpc.measurements.files import found_files, read_table
 from thermoforce_mpc.measurements.load import Measurements
-from thermoforce_mpc.measurements.mapped_signals import Price, Signal, Temperature
-from thermoforce_mpc.measurements.mapping import MappedMachine
-from thermoforce_mpc.measurements.raw_table import raw_table
+from thermoforce_mpc.measurements.map.mapped_signals import Price, Signal, Temperature
+from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.sunlight import sunlight
+from thermoforce_mpc.measurements.tables.clock import timed
+from thermoforce_mpc.measurements.tables.files import found_files, read_table
+from thermoforce_mpc.measurements.tables.raw_table import raw_table
 
 
 def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Boundary:

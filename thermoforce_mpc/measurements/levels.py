@@ -8,7 +8,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.mapping import MappedActuator, MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import MappedActuator, MeasurementMap
 from thermoforce_mpc.measurements.signals import SignalReader
 
 # Full level of metered heat or power: this percentile of the steps in which the machine ran, which are those above a

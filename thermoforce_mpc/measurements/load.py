@@ -11,16 +11,16 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, Array, Boundary, Layout, Names, Record
-from thermoforce_mpc.dataframes import new_year, seconds_since, stamps
+from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.clock import Timed, timed
-from thermoforce_mpc.measurements.files import MOST_BYTES, found_files, read_table
 from thermoforce_mpc.measurements.levels import actuator_levels
-from thermoforce_mpc.measurements.mapping import LEAST_STEP_S, MOST_STEP_S, MeasurementMap, load_map
-from thermoforce_mpc.measurements.raw_table import RawTable, raw_table
-from thermoforce_mpc.measurements.resampling import usual_s
+from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MeasurementMap, load_map
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.sunlight import sunlight
+from thermoforce_mpc.measurements.tables.clock import Timed, timed
+from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, read_table
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
+from thermoforce_mpc.measurements.tables.resampling import usual_s
 from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
 from thermoforce_mpc.scenario.settings import validate
 

@@ -8,11 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.measurements import screening
-from thermoforce_mpc.measurements.clock import Timed
-from thermoforce_mpc.measurements.mapped_signals import Humidity, Irradiance, Level, Power, Price, Signal, Temperature
-from thermoforce_mpc.measurements.mapping import MeasurementMap
-from thermoforce_mpc.measurements.resampling import (
+from thermoforce_mpc.measurements.map.mapped_signals import (
+    Humidity,
+    Irradiance,
+    Level,
+    Power,
+    Price,
+    Signal,
+    Temperature,
+)
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.units import COUNTER, PER_STEP, converted
+from thermoforce_mpc.measurements.tables import screening
+from thermoforce_mpc.measurements.tables.clock import Timed
+from thermoforce_mpc.measurements.tables.resampling import (
     Readings,
     around,
     durations_s,
@@ -22,9 +31,8 @@ from thermoforce_mpc.measurements.resampling import (
     sampled,
     usual_s,
 )
-from thermoforce_mpc.measurements.screening import EXCURSION_S, Flag, Rules, screened
+from thermoforce_mpc.measurements.tables.screening import EXCURSION_S, Flag, Rules, screened
 from thermoforce_mpc.measurements.understood import SignalSummary
-from thermoforce_mpc.measurements.units import COUNTER, PER_STEP, converted
 from thermoforce_mpc.words import counted
 
 # A largest power below this makes kW likelier than W, one above makes W likelier than kW.

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.signals import SignalReader
 
 if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed

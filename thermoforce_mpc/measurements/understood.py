@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
-from thermoforce_mpc.measurements.mapping import MeasurementMap
-from thermoforce_mpc.measurements.screening import Flag
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.tables.screening import Flag
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from thermoforce_mpc.data import SINGLE, Array
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.model_file import JSON_NAME, check_target, read_older_file
+from thermoforce_mpc.model.saved.model_file import JSON_NAME, check_target, read_older_file
 from thermoforce_mpc.model.thermal_model import ThermalModel, model_from
 
 Document = dict[str, Any]

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.asking import Asking, answered, timed, together
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.limits import ROUNDING
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.asking import Asking, answered, timed, together
 from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
 from thermoforce_mpc.model.free_response.checks import checked_forecast
@@ -59,7 +59,7 @@ class Prediction:
         """
         if self.forced_K.ndim != 2:
             raise DataError(f"the prediction has {self.forced_K.shape[:-2]} candidates: predict one to get a table")
-        from thermoforce_mpc.dataframes import table
+        from thermoforce_mpc.data.dataframes import table
 
         columns = self.names.columns(
             T_zone_C=self.total_C,

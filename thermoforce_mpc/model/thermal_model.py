@@ -12,15 +12,15 @@ import numpy as np
 from thermoforce_mpc.data import SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.encoding import decode, encode
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.model_file import JSON_NAME, check_target, read_model_file, write_model_file
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
+from thermoforce_mpc.model.saved.encoding import decode, encode
+from thermoforce_mpc.model.saved.model_file import JSON_NAME, check_target, read_model_file, write_model_file
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse

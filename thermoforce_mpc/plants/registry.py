@@ -143,7 +143,7 @@ def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plan
 
 
 def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
-    from thermoforce_mpc.plants.generated import GeneratedHousePlant, generated_house
+    from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, generated_house
 
     return GeneratedHousePlant(generated_house(testcase.name), highly_dynamic=_tariff(spec))
 

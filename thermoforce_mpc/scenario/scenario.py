@@ -129,7 +129,7 @@ def _house(name: str) -> TestCase:
 
 
 def _generated(name: str) -> TestCase:
-    return cast(TestCase, importlib.import_module("thermoforce_mpc.plants.generated.plant").named_testcase(name))
+    return cast(TestCase, importlib.import_module("thermoforce_mpc.plants.random_houses.plant").named_testcase(name))
 
 
 # Test cases that are made instead of read, by what stands before the colon of their name: the function that makes one

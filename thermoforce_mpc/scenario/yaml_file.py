@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.reading import read_bounded
+from thermoforce_mpc.files import read_bounded
 
 # The largest shipped file has 5 kB; PyYAML reads about 100 kB a second.
 MOST_BYTES = 250_000

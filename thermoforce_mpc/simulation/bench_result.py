@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from thermoforce_mpc.simulation.run_folder import environment
+from thermoforce_mpc.simulation.folder.run_folder import environment
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from thermoforce_mpc.plants.registry import check_plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
-from thermoforce_mpc.simulation.identifying import identification_settings, saved_model
+from thermoforce_mpc.simulation.models.identifying import identification_settings, saved_model
 
 
 def validate_scenario(scenario: Scenario) -> TestCase:

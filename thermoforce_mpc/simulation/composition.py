@@ -15,9 +15,9 @@ from controllers.registry import find_entry
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.reading import DoubtfulInput
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase

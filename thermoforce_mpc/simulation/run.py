@@ -27,12 +27,8 @@ from thermoforce_mpc.simulation.composition import (
     controller_options,
     scored_period,
 )
-from thermoforce_mpc.simulation.display import RunDisplay
-from thermoforce_mpc.simulation.identifying import IdentifiedModel
-from thermoforce_mpc.simulation.journaled_plant import JournaledPlant
-from thermoforce_mpc.simulation.kept_steps import KeptSteps
-from thermoforce_mpc.simulation.run_book import RunBook
-from thermoforce_mpc.simulation.run_folder import (
+from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
     is_complete,
@@ -42,9 +38,13 @@ from thermoforce_mpc.simulation.run_folder import (
     write_partial,
     write_results,
 )
-from thermoforce_mpc.simulation.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.run_models import identify_all, kept_models, origins_of
-from thermoforce_mpc.simulation.watching import watch_spells
+from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.kept_steps import KeptSteps
+from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
+from thermoforce_mpc.simulation.models.run_models import identify_all, kept_models, origins_of
+from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.simulation.views.watching import watch_spells
 from thermoforce_mpc.words import counted
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model

@@ -17,7 +17,7 @@ from controllers.registry import REGISTRY
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.probing.probe import ProbingConfig
-from thermoforce_mpc.measurements.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.scenario.scenario import ControllerSpec, ProbingSpec, Scenario
 from thermoforce_mpc.scenario.testcase import Defaults, TestCase
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
-from thermoforce_mpc.dataframes import seconds_at, table
+from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND, step_response_of

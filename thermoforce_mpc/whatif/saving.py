@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from thermoforce_mpc.data import DAY_S, Array, Record
-from thermoforce_mpc.dataframes import seconds_since, stamps
+from thermoforce_mpc.data.dataframes import seconds_since, stamps
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.whatif.days import LAGS_H, Days, days_of
 from thermoforce_mpc.words import counted

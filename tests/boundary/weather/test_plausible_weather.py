@@ -12,7 +12,7 @@ import pytest
 
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 from thermoforce_mpc.errors import WeatherError
-from thermoforce_mpc.reading import DoubtfulInput
+from thermoforce_mpc.files import DoubtfulInput
 
 TOWN = "50.90,4.53,1.0"
 

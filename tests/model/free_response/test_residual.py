@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from forecasting import LEVELS, boundary_of, history_of, hours
 
-from thermoforce_mpc.asking import Asking
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.execution.asking import Asking
 from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, fit_linear_weather
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.model_file import content_sha256
 from thermoforce_mpc.model.operator import (
     IDENTITY,
     HeatInput,
@@ -25,6 +24,7 @@ from thermoforce_mpc.model.operator import (
 )
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
+from thermoforce_mpc.model.saved.model_file import content_sha256
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 N = 12

@@ -263,7 +263,7 @@ def test_using_an_operator_imports_neither_torch_nor_casadi():
     code = (
         "import sys, numpy as np\n"
         "from thermoforce_mpc.model.operator import linear_operator, forced_rollout\n"
-        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.model_file\n"
+        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.saved.model_file\n"
         "p = linear_operator([0.9], [0.1], step_s=3600.0)\n"
         "forced_rollout(p, np.zeros(1), np.ones(3), np.zeros((3, 4)))\n"
         "sys.exit(', '.join(m for m in ('torch', 'casadi') if m in sys.modules) or 0)\n"

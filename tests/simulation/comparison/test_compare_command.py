@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from emulator_service import running_emulator_service
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli.comparing import Axes, axes_from
+from thermoforce_mpc.cli.running.comparing import Axes, axes_from
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.simulation.comparison.cells import expand

@@ -19,7 +19,7 @@ from thermoforce_mpc.simulation.comparison.variants import (
     swept_variants,
     variants_by_name,
 )
-from thermoforce_mpc.simulation.identifying import IdentificationTask
+from thermoforce_mpc.simulation.models.identifying import IdentificationTask
 
 TESTCASE = "bestest_hydronic_heat_pump"
 BASE = Scenario(testcase=TESTCASE, days=1)

@@ -24,7 +24,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli import fleet as fleet_command
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.cli.run import command as run_one
+from thermoforce_mpc.cli.running.run import command as run_one
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.identification.probing.probe import probe

@@ -11,7 +11,7 @@ from simple_house import SimpleHouse, simple_model
 from boptest_client import TransportConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.simulation import run as simulation_run
-from thermoforce_mpc.simulation.journal import read_journal
+from thermoforce_mpc.simulation.journal.journal import read_journal
 
 
 def call(*words: object):

@@ -11,9 +11,9 @@ from rich.console import Console
 from two_houses import TWO
 
 from thermoforce_mpc.data import PlanStatus
-from thermoforce_mpc.simulation.display import LoopDisplay, RunDisplay
+from thermoforce_mpc.simulation.folder.run_folder import steps_frame
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
-from thermoforce_mpc.simulation.run_folder import steps_frame
+from thermoforce_mpc.simulation.views.display import LoopDisplay, RunDisplay
 
 
 @pytest.fixture(scope="module")

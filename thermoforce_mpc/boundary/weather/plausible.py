@@ -11,7 +11,7 @@ from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import WeatherError
-from thermoforce_mpc.reading import DoubtfulInput
+from thermoforce_mpc.files import DoubtfulInput
 
 # Mean of a year, °C: the extremes on Earth are Vostok (-55) and Dallol (35).
 _MEAN_C = (-60.0, 40.0)

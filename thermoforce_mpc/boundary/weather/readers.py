@@ -12,7 +12,7 @@ from thermoforce_mpc.boundary.weather.plausible import check_plausible
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import WeatherError
-from thermoforce_mpc.reading import read_bounded
+from thermoforce_mpc.files import read_bounded
 
 _HOURS = 8760
 # A year of EPW has 1.6 MB.

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.asking import Asking, answered
 from thermoforce_mpc.model.free_response.checks import checked_free
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.protocols import FreeResponse

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.asking import Ask, Asking, answered, asked
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.execution.asking import Ask, Asking, answered, asked
 from thermoforce_mpc.model.free_response.backbones.base import Context
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free

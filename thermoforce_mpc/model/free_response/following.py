@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import cast
 
-from thermoforce_mpc.asking import Ask, Asking, asked
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.execution.asking import Ask, Asking, asked
 from thermoforce_mpc.protocols import AskingFreeResponse, FollowingFreeResponse, FreeResponse
 
 Answer = tuple[FreeForecast, object]

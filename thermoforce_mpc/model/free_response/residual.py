@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.execution.asking import Asking, answered
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse, Task
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fits_linear_weather

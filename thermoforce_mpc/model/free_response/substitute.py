@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermoforce_mpc.asking import Asking, answered
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError, ThermoForceError
+from thermoforce_mpc.execution.asking import Asking, answered
 from thermoforce_mpc.model.free_response.checks import checked_forecast, checked_free
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather

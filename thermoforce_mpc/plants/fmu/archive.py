@@ -9,11 +9,11 @@ from typing import Any
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import parse_json
 from thermoforce_mpc.plants.fmu.boundary_data import MOST_BYTES, BoundaryData, read_table
 from thermoforce_mpc.plants.fmu.description import Signal, finite, read_description, read_signals
 from thermoforce_mpc.plants.fmu.members import Members
 from thermoforce_mpc.plants.fmu.messages import Job
-from thermoforce_mpc.reading import parse_json
 
 _RESOURCES = "resources/"
 _MOST_JSON_BYTES = 1_000_000

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.reading import read_bounded, read_pieces
+from thermoforce_mpc.files import read_bounded, read_pieces
 
 # BOPTEST's test cases have 6 MB, 34 MB when unpacked, in 13 members.
 _MOST_FILE_BYTES = 500_000_000

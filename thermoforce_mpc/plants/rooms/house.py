@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from thermoforce_mpc.plants.envelope import AIR_WH_M3_K, HEIGHT_M, Mass
-from thermoforce_mpc.plants.generated.draw import ground_C
 from thermoforce_mpc.plants.glazing import Facade
 from thermoforce_mpc.plants.occupants import Pattern
+from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.plan import Contact, Place
 
 Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall"]

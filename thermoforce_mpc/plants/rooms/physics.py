@@ -26,7 +26,7 @@ from thermoforce_mpc.plants.envelope import (
     SURFACE_PER_FLOOR,
     solve,
 )
-from thermoforce_mpc.plants.generated.draw import ground_C, heat_pump_cop
+from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W
 
 STEP_S = 30.0

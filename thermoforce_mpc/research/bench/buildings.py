@@ -23,13 +23,13 @@ from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.generated import GeneratedHousePlant, House, draw_house
-from thermoforce_mpc.plants.generated.schedule import bounds_C
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
+from thermoforce_mpc.plants.random_houses.schedule import bounds_C
 from thermoforce_mpc.plants.weeks import WEEKS
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.identifying import identification_settings, identify_on
+from thermoforce_mpc.simulation.models.identifying import identification_settings, identify_on
 
 # Population that is reported; development uses other seeds, see docs/evidence/generated-houses.md.
 REPORTED_SEED = 2026
@@ -287,7 +287,7 @@ def _line(outcome: Outcome) -> str:
 
 def _write_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
     """Write every figure of every case as JSON."""
-    from thermoforce_mpc.simulation.run_folder import write_json
+    from thermoforce_mpc.simulation.folder.run_folder import write_json
 
     cases = [
         {

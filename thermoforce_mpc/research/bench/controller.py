@@ -28,8 +28,8 @@ from thermoforce_mpc.research.bench.do_mpc_peer import DoMpcPeer, without_extras
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.identifying import identify_on
-from thermoforce_mpc.simulation.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _TESTCASE = "bestest_hydronic_heat_pump"
 # Number of instances; do-mpc needs a large part of a second for each.

@@ -18,7 +18,7 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.composition import scored_period
-from thermoforce_mpc.simulation.identifying import identify_on
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _WINDOWS = ("peak_heat_day", "typical_heat_day")
 

@@ -56,7 +56,7 @@ def run_factual_bench(
     from thermoforce_mpc.research.factual import plots, tables
     from thermoforce_mpc.research.interventions.page import write_page
     from thermoforce_mpc.research.interventions.plots import save
-    from thermoforce_mpc.simulation.run_folder import write_json
+    from thermoforce_mpc.simulation.folder.run_folder import write_json
 
     began = time.perf_counter()
     protocol = QUICK if quick else Protocol()

@@ -29,7 +29,7 @@ from thermoforce_mpc.research.bench.faulty_plant import FaultyPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.identifying import identify_on
+from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _BLIND: Mapping[str, Any] = {"reports_u": False, "meters": False}
 # Every fault by name: options of `FaultyPlant`.

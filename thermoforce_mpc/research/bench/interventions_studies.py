@@ -26,7 +26,7 @@ from thermoforce_mpc.research.interventions.plots import bars_figure, curves_fig
 from thermoforce_mpc.research.interventions.protocol import PROBE_DAYS
 from thermoforce_mpc.research.interventions.suite import run_suite, score_cells, training_of
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
-from thermoforce_mpc.simulation.run_folder import write_json
+from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 Row = dict[str, Any]
 Say = Callable[[str], None]

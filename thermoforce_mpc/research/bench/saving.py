@@ -17,7 +17,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine, run_all
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.generated import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.whatif.saving import verified_saving

@@ -32,7 +32,7 @@ from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
-from thermoforce_mpc.simulation.identifying import identification_task, run_identification
+from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
 from thermoforce_mpc.simulation.run import run
 
 CONTROLLER, BASELINES = "thermoforce_mpc", ("native", "thermostat")

@@ -24,9 +24,9 @@ from thermoforce_mpc.research.chaos.troubles import Trouble
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.journal import NAME, read_journal
-from thermoforce_mpc.simulation.run_book import RunBook
-from thermoforce_mpc.simulation.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.journal.journal import NAME, read_journal
 
 # Time limits of the client and silence of the proxy, s: silence takes real time, a busy machine needs some.
 _CONNECT_S, _READ_S, _SILENT_S = 10.0, 5.0, 5.5

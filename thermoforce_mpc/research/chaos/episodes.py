@@ -23,7 +23,7 @@ from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
 from thermoforce_mpc.service.server import serving
 from thermoforce_mpc.simulation.bench_result import Target, bench_result
-from thermoforce_mpc.simulation.identifying import model_for
+from thermoforce_mpc.simulation.models.identifying import model_for
 
 TESTCASE = "bestest_hydronic_heat_pump"
 # The weather model alone, since no episode depends on what the forecaster says.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from thermoforce_mpc.research.chaos.troubles import TWICE, Trouble
-from thermoforce_mpc.simulation.journal import Entry
+from thermoforce_mpc.simulation.journal.journal import Entry
 
 _CLOCK_TOLERANCE_S = 1e-3
 

@@ -16,7 +16,7 @@ from thermoforce_mpc.research.factual.evaluate import BEST, RAW, Evaluation, Sco
 from thermoforce_mpc.research.factual.homes import Home, Prepared, prepared
 from thermoforce_mpc.research.factual.protocol import Protocol
 from thermoforce_mpc.simulation.comparison.cells import Inputs
-from thermoforce_mpc.simulation.run_folder import write_json
+from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 Say = Callable[[str], None]
 

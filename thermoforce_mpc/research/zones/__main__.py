@@ -12,7 +12,7 @@ from thermoforce_mpc.research.zones.effects import PairScore, score_pairs
 from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
-from thermoforce_mpc.simulation.identifying import identification_task, run_identification
+from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
 
 _PERIOD, _PROBING_DAYS = "cold_week", 3.0
 

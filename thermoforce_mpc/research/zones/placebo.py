@@ -19,7 +19,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
-from thermoforce_mpc.simulation.identifying import IdentificationTask, identification_task, run_identification
+from thermoforce_mpc.simulation.models.identifying import IdentificationTask, identification_task, run_identification
 
 _PERIODS, _PROBING_DAYS, _DRAWS, _SEED = ("cold_week", "sunny_week"), 3.0, 10, 0
 

@@ -16,8 +16,8 @@ from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.input_files import named_files
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
 from thermoforce_mpc.simulation.composition import check_windows, controller_options
-from thermoforce_mpc.simulation.identifying import IdentificationTask, identification_task
-from thermoforce_mpc.simulation.run_folder import file_sha256
+from thermoforce_mpc.simulation.folder.run_folder import file_sha256
+from thermoforce_mpc.simulation.models.identifying import IdentificationTask, identification_task
 from thermoforce_mpc.version import VERSION
 
 # Increased whenever the cell file or the inputs of a result change, so that files of old formats are not reused.

@@ -21,7 +21,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
     verdicts,
 )
 from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
-from thermoforce_mpc.simulation.run_folder import write_json
+from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 HEADINGS = {
     "cost_tot": "cost, {currency}/m²",

@@ -14,7 +14,7 @@ from thermoforce_mpc.execution import Task
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.comparison.option_files import with_files
-from thermoforce_mpc.simulation.run_folder import file_sha256
+from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 
 
 @dataclass(frozen=True)

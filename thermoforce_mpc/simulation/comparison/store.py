@@ -17,11 +17,11 @@ from typing import Any
 from thermoforce_mpc.errors import ArtifactError, StorageError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import storage_errors, write_folder, write_whole
-from thermoforce_mpc.model.model_file import read_model_file
+from thermoforce_mpc.model.saved.model_file import read_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles
-from thermoforce_mpc.simulation.run_folder import write_json
+from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 DONE, FAILED = "done", "failed"
 

@@ -33,7 +33,7 @@ from thermoforce_mpc.simulation.comparison.input_files import (
 )
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
 from thermoforce_mpc.simulation.composition import build_plant, check_prices, controller_options, scored_period
-from thermoforce_mpc.simulation.identifying import IdentificationTask, model_for, run_identification
+from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.version import VERSION
 
 

@@ -20,7 +20,7 @@ from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFile
 from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run
-from thermoforce_mpc.simulation.measured_model import model_of_measurements
+from thermoforce_mpc.simulation.models.measured_model import model_of_measurements
 
 NAME = "models.parquet"
 _LEAD_H = (1, 6, 24)

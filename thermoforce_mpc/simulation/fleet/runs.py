@@ -25,7 +25,7 @@ from thermoforce_mpc.simulation.comparison.tasks import failure, followed, run_r
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of as cell_tasks
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.file import FleetFile
-from thermoforce_mpc.simulation.run_folder import trajectory_frame, write_json
+from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame, write_json
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from thermoforce_mpc.simulation.report.packing import Json
 from thermoforce_mpc.simulation.report.page import UPLOT, rendered
 from thermoforce_mpc.simulation.report.plans import FINEST_K, TEMPERATURES, plans_json
 from thermoforce_mpc.simulation.report.tables import advice, apart, events, kpi_rows
-from thermoforce_mpc.simulation.watching import watch_spells
+from thermoforce_mpc.simulation.views.watching import watch_spells
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel

@@ -12,7 +12,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from thermoforce_mpc.simulation.run_folder import plain_json
+from thermoforce_mpc.simulation.folder.run_folder import plain_json
 
 _HERE = Path(__file__).resolve().parent
 UPLOT = "../vendor/uplot/uPlot.iife.min.js"

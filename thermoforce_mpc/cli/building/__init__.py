@@ -1,0 +1,1 @@
+"""Commands for a building of your own: measurements, model, plans and what they saved."""

@@ -1,0 +1,140 @@
+"""`tf-mpc counterfactual`: what another schedule would have done on a past day."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+import pandas as pd
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.building.schedule_file import levels_of
+from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.data.dataframes import seconds_at, stamps
+from thermoforce_mpc.files import written
+from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+
+_ROWS = 25
+
+
+@click.command(short_help="What another schedule would have done on a past day.")
+@measured_model_options
+@click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
+@click.option("--hours", type=FiniteRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")
+@course_options("One level in [0, 1] for all of it.")
+def command(
+    model: Path,
+    files: tuple[str, ...],
+    map_file: Path,
+    start: str,
+    hours: float,
+    level: float | None,
+    schedule: Path | None,
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Show what other levels would have changed from --start on: temperature, effect and energy.
+
+    The day's weather, sun and people stay as they were: their part of the temperature is known once the forced part is
+    taken off. The band is the uncertainty of the identified effect (90 %); the certified bounds are what the model can
+    answer at most and at least in any weather and state.
+
+    \b
+    Example:
+      tf-mpc counterfactual --model my_house --data 2026.csv --map map.yaml --start 2026-01-20 --level 0.3
+    """
+    from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    if (level is None) == (schedule is None):
+        raise click.UsageError("give the other levels, either --level or --schedule")
+    thermal = load_model(model)
+    record = read_measurements(list(files), map_file).served().record
+    first_s = seconds_at(record.origin, start, "--start")
+    time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s), dtype=np.float64)
+    u = levels_of(schedule, level, record.names, time_s, record.origin)
+    found = counterfactual(thermal, record, u, start=start)
+    console = Console(highlight=False, markup=False)
+    _show(found, console)
+    if out is not None:
+        with written(out) as aside:
+            if out.suffix == ".csv":
+                found.to_dataframe().round(4).to_csv(aside, lineterminator="\n")
+            else:
+                aside.write_text(json.dumps(found.to_json(), indent=1), encoding="utf-8")
+        console.print(f"Course: {out}", soft_wrap=True)
+    if plot is not None:
+        with written(plot) as aside:
+            draw(found, record.step_s, aside)
+        console.print(f"Picture: {plot}", soft_wrap=True)
+
+
+def _show(found: Counterfactual, console: Console) -> None:
+    frame = found.to_dataframe()
+    names = found.names
+    shown = Table(
+        title="As it was, and under the other levels (temperature at the end of the step)",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    headings = ["from"]
+    for name in names.actuators:
+        headings += [f"{name}\nwas", "\nother"]
+    for name in names.zones:
+        headings += [f"{name}, °C\nwas", "\nother (90 %)", "effect, K\n(certified)"]
+    for heading in headings:
+        shown.add_column(heading, justify="right" if heading != "from" else "left", no_wrap=True)
+    every = max(1, -(-len(frame) // _ROWS))
+    for k in range(0, len(frame), every):
+        cells = [f"{frame.index[k]:%d %b %H:%M}"]
+        for a in range(len(names.actuators)):
+            cells += [f"{found.u[a, k]:.2f}", f"{found.u_other[a, k]:.2f}"]
+        for z in range(len(names.zones)):
+            half = found.half_K[z, k]
+            band = f" ± {half:.1f}" if np.isfinite(half) else ""
+            proven = f"{found.certified_low_K[z, k]:+.1f} to {found.certified_high_K[z, k]:+.1f}"
+            cells += [f"{found.measured_C[z, k]:.1f}", f"{found.other_C[z, k]:.1f}{band}"]
+            cells.append(f"{found.effect_K[z, k]:+.1f} ({proven})")
+        shown.add_row(*cells)
+    print_whole(shown, console)
+    for name, was, other in zip(names.machines, found.energy_kWh, found.energy_other_kWh, strict=True):
+        if np.isfinite(was):
+            console.print(
+                f"Energy of {name} by the model: {was:.1f} kWh as it was, {other:.1f} kWh under the other levels",
+                soft_wrap=True,
+            )
+    if np.isnan(found.sd_K).any():
+        console.print("The model's card has no uncertainty of the effect: there is no band.")
+
+
+def draw(found: Counterfactual, step_s: float, path: Path) -> None:
+    """Write a picture of steps of `step_s`, s: measured and other temperatures with their band, and both schedules."""
+    from matplotlib.figure import Figure
+
+    index = stamps(np.append(found.time_s, found.time_s[-1] + step_s), found.origin)
+    edges = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
+    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
+    for z, zone in enumerate(found.names.zones):
+        colour, half = f"C{z % 10}", found.half_K[z]
+        axes.plot(edges[1:], found.measured_C[z], color=colour, label=f"{zone}, measured")
+        axes.plot(edges[1:], found.other_C[z], color=colour, linestyle="--", label=f"{zone}, other levels")
+        low, high = found.other_C[z] - half, found.other_C[z] + half
+        axes.fill_between(edges[1:], low, high, color=colour, alpha=0.2, linewidth=0)
+    axes.set_ylabel("temperature, °C")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize="small")
+    for a in range(len(found.names.actuators)):
+        below.stairs(found.u[a], edges, color=f"C{a % 10}", baseline=None, label="as it was" if a == 0 else None)
+        below.stairs(found.u_other[a], edges, color=f"C{a % 10}", baseline=None, linestyle="--")
+    below.set_ylabel("level")
+    below.set_ylim(min(0.0, float(found.u_other.min())) - 0.05, 1.05)
+    below.tick_params(axis="x", rotation=20)
+    figure.savefig(path, dpi=120)

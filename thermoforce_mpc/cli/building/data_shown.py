@@ -1,0 +1,106 @@
+"""What `tf-mpc data check` prints: what was understood, and what the data tell about the effect of acting."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.load import Measurements
+from thermoforce_mpc.measurements.understood import SignalSummary, Understood
+from thermoforce_mpc.simulation.views.display import RunDisplay
+
+_MOST_FILES = 5
+
+
+def show_measurements(measured: Measurements, console: Console) -> None:
+    """Print period, step, signals, flags, assumptions and what is missing."""
+    known = measured.understood
+    more = f" and {len(known.files) - _MOST_FILES} more" if len(known.files) > _MOST_FILES else ""
+    say = console.print
+    files = ", ".join(known.files[:_MOST_FILES])
+    say(f"{files}{more}: {known.rows} rows, every {_time(known.rows_every_s)}", soft_wrap=True)
+    say(
+        f"{known.begins} to {known.ends} ({known.days:.1f} days, {known.zone or 'no time zone'}); step "
+        f"{_time(known.step_s)}, {measured.record.n_steps} steps",
+        soft_wrap=True,
+    )
+    table = Table(title="Signals", title_justify="left")
+    for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
+        table.add_column(heading, justify="left" if heading in ("signal", "column", "") else "right")
+    for signal in known.signals:
+        table.add_row(*_cells(signal))
+    say(table)
+    show_doubts(known, console)
+    for text in known.assumed:
+        say(f"  assumed: {text}", soft_wrap=True)
+    for text in known.missing:
+        say(f"  missing: {text}", soft_wrap=True)
+
+
+def show_doubts(known: Understood, console: Console) -> None:
+    """Print which readings count as not measured, and what is doubtful of a signal."""
+    for signal in known.signals:
+        for flag in signal.flags:
+            console.print(
+                f"  flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}", soft_wrap=True
+            )
+        if signal.doubt:
+            console.print(f"  doubtful: {signal.key}: {signal.doubt}", soft_wrap=True)
+
+
+def show_tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:
+    """Print what the data tell about the effect of acting; returns it for a file, with a `headline`."""
+    try:
+        return _tellings(measured.served(), display, fit=fit)
+    except DataError as error:
+        display.say(f"Effect of acting: cannot be told: {error}")
+        return {"headline": "the effect of acting cannot be told", "refused": str(error)}
+
+
+def _tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:
+    from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
+
+    record, note = telling_part(measured.record, measured.layout)
+    expected = tellings(record, measured.layout)
+    display.say("Effect of acting, expected from levels and weather alone:")
+    if note:
+        display.say(f"  {note}")
+    for telling in expected:
+        display.say(f"  {telling.in_words()}")
+    told: dict[str, Any] = {
+        "headline": "; ".join(f"{t.actuator} ± {100 * t.relative_sd:.0f} % expected" for t in expected),
+        "part": note,
+        "expected": [{"actuator": t.actuator, "relative_sd": t.relative_sd, "tells": t.tells} for t in expected],
+    }
+    known = all(telling.tells for telling in expected)
+    if fit:
+        display.say("Found by a linear model:")
+        found = findings(record, measured.layout)
+        for finding in found:
+            display.say(f"  {finding.actuator}: {finding.words}")
+            for advice in finding.advice:
+                display.say(f"    advice: {advice}")
+        known = all(finding.competent for finding in found)
+        verdicts = [f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found]
+        told |= {"found": [asdict(finding) for finding in found], "headline": "; ".join(verdicts)}
+    if not known:
+        display.say("  `tf-mpc data probe-plan` writes the cheapest probing by hand that would tell")
+    return told
+
+
+def _cells(signal: SignalSummary) -> tuple[str, ...]:
+    numbers = tuple(f"{value:.4g}" for value in (signal.least, signal.median, signal.most))
+    gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"
+    name = signal.key.removeprefix("zones.").removeprefix("actuators.").removeprefix("machines.")
+    every = _time(signal.usual_s)
+    return (name, signal.source, every, f"{100 * signal.measured:.1f} %", gap, *numbers, signal.unit)
+
+
+def _time(seconds: float) -> str:
+    if not seconds > 0:
+        return "?"
+    return f"{seconds:.4g} s" if seconds < 60 else f"{seconds / 60:.4g} min"

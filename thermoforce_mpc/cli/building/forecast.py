@@ -1,0 +1,178 @@
+"""`tf-mpc forecast`: temperatures ahead with their band, or of a past day beside what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.building.schedule_file import levels_of
+from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data.dataframes import seconds_at
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import written
+from thermoforce_mpc.model.predictor import Prediction
+
+_ROWS, _BACK_DAYS = 25, 28.0
+
+
+@click.command(short_help="Forecast the temperature, with its band, under levels that you give.")
+@measured_model_options
+@click.option("--forecast", "forecast_file", metavar="FILE", help="Weather from the end of the measurements on.")
+@click.option("--start", metavar="TIME", help="Instead: a past time, whose weather and levels were measured.")
+@click.option("--hours", type=FiniteRange(1.0, 96.0), default=24.0, show_default=True, help="Length.")
+@course_options("One level in [0, 1] for all of it.  [default with --start: as applied]")
+def command(
+    model: Path,
+    files: tuple[str, ...],
+    map_file: Path,
+    forecast_file: str | None,
+    start: str | None,
+    hours: float,
+    level: float | None,
+    schedule: Path | None,
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Forecast the zones' temperatures with an 80 % band, the free and the forced part apart.
+
+    With --forecast it goes on from the end of the measurements, under --level or --schedule. With --start it goes back
+    to a past time, knows nothing measured later but the weather and the levels, and is shown beside what was measured:
+    the way to see how far to trust it.
+
+    \b
+    Examples:
+      tf-mpc forecast --model my_house --data 2026.csv --map map.yaml --forecast tomorrow.csv --level 0.3
+      tf-mpc forecast --model my_house --data 2026.csv --map map.yaml --start 2026-01-20
+    """
+    from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    if (forecast_file is None) == (start is None):
+        raise click.UsageError("give --forecast FILE (from now on) or --start TIME (a past time)")
+    if level is not None and schedule is not None:
+        raise click.UsageError("give --level or --schedule, not both")
+    if forecast_file and level is None and schedule is None:
+        raise click.UsageError("give the levels ahead: --level or --schedule")
+    thermal = load_model(model)
+    measured = read_measurements(list(files), map_file).served()
+    record = measured.record
+    if thermal.names != record.names:
+        raise DataError(
+            f"--model {model}: is of {thermal.names}, the map {map_file} of {record.names}: another building?"
+        )
+    n = round(hours * HOUR_S / record.step_s)
+    truth = np.full((len(record.names.zones), n), np.nan)
+    applied: Array | None = None
+    if start is not None:
+        past, stretch = _at(record, start, n)
+        ahead, truth, applied = Boundary.measured(stretch), stretch.T_zone_C[:, 1:], stretch.u
+    else:
+        from thermoforce_mpc.measurements.forecast import read_forecast
+
+        # Bounds and prices say nothing about the temperature: none need be in the file.
+        neutral = measured.map.forecast.model_copy(update={"lower": 0.0, "upper": 50.0, "price": 0.0})
+        given = replace(measured, map=measured.map.model_copy(update={"forecast": neutral}))
+        past, ahead = record, read_forecast(str(forecast_file), given)
+        if ahead.n_steps < n:
+            raise DataError(f"--forecast {forecast_file}: covers {ahead.n_steps} steps, {hours:g} h need {n}")
+        ahead = ahead.head(n)
+    if level is not None or schedule is not None:
+        applied = levels_of(schedule, level, record.names, ahead.time_s[:-1], record.origin)
+    elif applied is None or not np.isfinite(applied).all():
+        raise DataError(f"the levels from {start} on were not all measured: give --level or --schedule")
+    found = thermal.predict(past.last(round(_BACK_DAYS * DAY_S / record.step_s)), ahead, applied)
+    console = Console(highlight=False, markup=False)
+    _show(found, truth, console)
+    table = found.to_dataframe()
+    for name, values in record.names.columns(T_zone_C=truth).items():
+        table[name.replace("T_zone_C", "measured_C")] = values
+    if out is not None:
+        with written(out) as aside:
+            if out.suffix == ".csv":
+                table.round(4).to_csv(aside, lineterminator="\n")
+            else:
+                table.round(4).reset_index().to_json(aside, orient="records", date_format="iso", indent=1)
+        console.print(f"Forecast: {out}", soft_wrap=True)
+    if plot is not None:
+        with written(plot) as aside:
+            _draw(found, truth, aside)
+        console.print(f"Picture: {plot}", soft_wrap=True)
+
+
+def _at(record: Record, start: str, n: int) -> tuple[Record, Record]:
+    """The record until `start`, and the `n` steps from it on."""
+    first = round((seconds_at(record.origin, start, "--start") - record.time_s[0]) / record.step_s)
+    if not 0 < first <= record.n_steps - n:
+        stamps = record.stamps()
+        raise DataError(f"--start {start}: {n} steps from there are not in the record ({stamps[0]} to {stamps[-1]})")
+    return record.slice(0, first), record.slice(first, first + n)
+
+
+def _show(found: Prediction, truth: Array, console: Console) -> None:
+    stamps = found.to_dataframe().index
+    known = np.isfinite(truth).any()
+    shown = Table(title="Temperature at each time, °C (80 % band of the free response)", title_justify="left")
+    shown.add_column("at", no_wrap=True)
+    for zone in found.names.zones:
+        shown.add_column(zone, justify="right")
+        shown.add_column("band", justify="right")
+        shown.add_column("of it forced, K", justify="right")
+        if known:
+            shown.add_column("measured", justify="right")
+    n = truth.shape[1]
+    for k in range(0, n, max(1, -(-n // _ROWS))):
+        cells = [f"{stamps[k]:%d %b %H:%M}"]
+        for z in range(truth.shape[0]):
+            F = found.forced_K[z, k]
+            cells += [
+                f"{found.total_C[z, k]:.1f}",
+                f"{found.free_low_C[z, k] + F:.1f} to {found.free_high_C[z, k] + F:.1f}",
+                f"{F:+.1f}",
+            ]
+            if known:
+                cells.append(f"{truth[z, k]:.1f}" if np.isfinite(truth[z, k]) else "–")
+        shown.add_row(*cells)
+    console.print(shown)
+    for z, zone in enumerate(found.names.zones):
+        if np.isfinite(truth[z]).any():
+            error = found.total_C[z] - truth[z]
+            F = found.forced_K[z]
+            seen = np.isfinite(truth[z])
+            inside = (found.free_low_C[z] + F <= truth[z]) & (truth[z] <= found.free_high_C[z] + F)
+            console.print(
+                f"{zone}: RMSE {np.sqrt(np.nanmean(error**2)):.2f} K, {100 * inside[seen].mean():.0f} % of what was "
+                "measured inside the 80 % band"
+            )
+
+
+def _draw(found: Prediction, truth: Array, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    index = found.to_dataframe().index
+    at = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
+    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for z, zone in enumerate(found.names.zones):
+        colour, F = f"C{z % 10}", found.forced_K[z]
+        axes.fill_between(at, found.free_low_C[z] + F, found.free_high_C[z] + F, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(at, found.total_C[z], color=colour, label=f"{zone}, forecast")
+        axes.plot(at, found.free_C[z], color=colour, linestyle=":", label=f"{zone}, without control")
+        axes.plot(
+            at,
+            truth[z],
+            color="#1b1f24",
+            linewidth=1.0,
+            label="measured" if z == 0 and np.isfinite(truth).any() else None,
+        )
+    axes.set_ylabel("temperature, °C")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize="small")
+    axes.tick_params(axis="x", rotation=20)
+    figure.savefig(path, dpi=120)

@@ -1,0 +1,198 @@
+"""`tf-mpc plan`: a plan of the next hours from recent measurements and a forecast in files, to follow by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pandas as pd
+from rich.table import Table
+
+from thermoforce_mpc.cli.building.identify import BELOW_THE_BAR
+from thermoforce_mpc.cli.options import FiniteRange, plot_option
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import written
+from thermoforce_mpc.scenario.settings import parse_overrides, validate
+from thermoforce_mpc.simulation.views.display import RunDisplay
+
+# Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
+_LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
+
+
+@click.command(short_help="Plan the next hours from recent measurements and a forecast in files.")
+@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
+@click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
+@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@click.option("--forecast", required=True, metavar="FILE", help="Weather, prices and bounds from their end on.")
+@click.option("--step", default="60min", show_default=True, help="Step of the plan.")
+@click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write the plan: .csv or .json.")
+@plot_option(of="the plan")
+def command(
+    model: Path,
+    files: tuple[str, ...],
+    map_file: Path,
+    forecast: str,
+    step: str,
+    hours: float | None,
+    assignments: tuple[str, ...],
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Plan the levels of the next hours, print them as a table of times, and write them as CSV or JSON.
+
+    Measurements reach back a week or more and end now; the forecast begins there or before. Its columns are those of
+    the map, or of the map's key forecast: outdoor temperature, sun, and prices and comfort bounds unless the map has
+    numbers. Nothing is connected: set the levels yourself, and plan again when new measurements are there.
+
+    A level between 0 and 1 of a machine that is only on or off means that share of the step.
+
+    Exit code 4 where the model is below the bar, 1 where readings, forecast or solver give no plan: leave the building
+    to its own control then.
+
+    \b
+    Example:
+      tf-mpc plan --model my_house --data recent.csv --map map.yaml --forecast tomorrow.csv --out plan.csv
+    """
+    from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
+    from thermoforce_mpc.measurements.forecast import read_forecast
+    from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    if out is not None and out.suffix not in (".csv", ".json"):
+        raise click.BadParameter(f"{out}: end the name in .csv or .json", param_hint="--out")
+    try:
+        step_s = pd.Timedelta(step).total_seconds()
+    except ValueError as error:
+        raise click.BadParameter(f"{step}: write for example 15min or 1h", param_hint="--step") from error
+    display = RunDisplay()
+    thermal = load_model(model)
+    measured = read_measurements(files, map_file, step_s=step_s).served()
+    record = measured.record
+    if thermal.names != record.names:
+        raise DataError(f"--model {model}: is of {thermal.names}, {map_file} of {record.names}: another building?")
+    ahead = read_forecast(forecast, measured)
+    there_h = ahead.n_steps * step_s / HOUR_S
+    horizon_h = min(_USUAL_H, there_h) if hours is None else hours
+    if there_h < (hours or _LEAST_H):
+        raise DataError(
+            f"--forecast {forecast}: covers {there_h:g} h from {record.stamps()[-1]} on, need {hours or _LEAST_H:g}"
+        )
+    history = record.last(round(_BACK_DAYS * DAY_S / step_s))
+    chosen = {"step_s": step_s, "horizon_h": horizon_h} | parse_overrides(assignments)
+    controller = ThermoForceMPC(thermal, validate(MPCConfig, chosen, "--set"))
+    plan = controller.plan(Observation(history, ahead))
+    display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:g} h: {plan.why}")
+    display.say(f"Actuation: {controller.actuation_in_words}")
+    if not plan.u.size:
+        display.say("There is no plan: leave the building to its own control.")
+        click.get_current_context().exit(BELOW_THE_BAR if plan.status == "gate" else 1)
+    table = plan_table(plan, ahead.head(plan.u.shape[1]))
+    _show(plan, table, display)
+    if out is not None:
+        with written(out) as aside:
+            if out.suffix == ".csv":
+                table.round(4).to_csv(aside)
+            else:
+                aside.write_text(json.dumps(_content(plan, table), indent=1, ensure_ascii=False), encoding="utf-8")
+        display.say(f"Plan: {out}")
+    if plot is not None:
+        with written(plot) as aside:
+            draw_plan(aside, plan, table, ahead.head(plan.u.shape[1]))
+        display.say(f"Picture: {plot}")
+
+
+def plan_table(plan: Plan, ahead: Boundary) -> pd.DataFrame:
+    """The plan, one row per step at its start: `Plan.to_dataframe` with weather, bounds, price and cost of the step."""
+    table = plan.to_dataframe()
+    names = plan.names
+    hours = ahead.step_s / HOUR_S
+    table["T_out_C"], table["solar_W_m2"] = ahead.T_out_C[:-1], ahead.solar_W_m2[:-1]
+    bounds = names.columns(lower_C=ahead.lower_C[:, 1:], upper_C=ahead.upper_C[:, 1:])
+    price = ahead.price_per_kWh[:, :-1]
+    prices = names.columns(price_per_kWh=price)
+    for name, values in (bounds | prices).items():
+        table[name] = values
+    table["cost"] = (plan.power_W / 1000.0 * hours * price).sum(axis=0)
+    return table
+
+
+def _show(plan: Plan, table: pd.DataFrame, display: RunDisplay) -> None:
+    """Print times and levels; with several zones without their bands and bounds, which the file has."""
+    names, one_zone = plan.names, len(plan.names.zones) == 1
+    title = "Levels to set (of a machine that is on or off: share of the step), and what they lead to by its end"
+    shown = Table(title=title, title_justify="left")
+    shown.add_column("from", no_wrap=True)
+    zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]
+    for heading in (*names.actuators, *zones, *(["bounds, °C"] if one_zone else []), "power, kW", "price", "cost"):
+        shown.add_column(heading, justify="right")
+    prices = names.columns(price_per_kWh=plan.power_W)
+    day = ""
+    for k, (at, row) in enumerate(table.iterrows()):
+        cells = [f"{at:%a %d %b %H:%M}" if f"{at:%j}" != day else f"{at:%H:%M}"]
+        day = f"{at:%j}"
+        cells += [f"{100 * level:.0f} %" for level in plan.u[:, k]]
+        if one_zone:
+            cells.append(f"{row['T_zone_C']:.1f} ({row['T_low_C']:.1f} to {row['T_high_C']:.1f})")
+            cells.append(f"{row['lower_C']:g} to {row['upper_C']:g}")
+        else:
+            cells += [f"{T:.1f}" for T in plan.T_zone_C[:, k]]
+        cells.append(f"{plan.power_W[:, k].sum() / 1000:.2f}")
+        cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in prices)))
+        shown.add_row(*cells, f"{row['cost']:.2f}")
+    display.console.print(shown)
+    step_h = (table.index[1] - table.index[0]).total_seconds() / HOUR_S if len(table) > 1 else float("nan")
+    energy = plan.power_W.sum() / 1000.0 * step_h
+    slack = plan.slack_K.sum() * step_h
+    display.say(f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, expected outside the bounds {slack:.1f} K·h")
+
+
+def _content(plan: Plan, table: pd.DataFrame) -> dict[str, Any]:
+    """The plan as JSON: why, and rows with their times in ISO 8601."""
+    cells = [{str(key): _number(value) for key, value in row.items()} for _, row in table.iterrows()]
+    rows = [{"time": at.isoformat(), **row} for at, row in zip(table.index, cells, strict=True)]
+    return {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status, "rows": rows}
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 4) if np.isfinite(value) else None
+
+
+def draw_plan(path: Path, plan: Plan, table: pd.DataFrame, ahead: Boundary) -> None:
+    """Write a picture: predicted temperatures with band and bounds, levels with the price."""
+    from matplotlib.figure import Figure
+
+    names = plan.names
+    naive = table.index.tz_localize(None) if isinstance(table.index, pd.DatetimeIndex) else table.index
+    at = naive.to_numpy()
+    edges = np.append(at, at[-1] + (at[-1] - at[-2]))
+    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    for z, zone in enumerate(names.zones):
+        label = {name: table[names.label(name, z)] for name in ("T_zone_C", "T_low_C", "T_high_C")}
+        upper.fill_between(edges[1:], label["T_low_C"], label["T_high_C"], color=f"C{z % 10}", alpha=0.2, linewidth=0)
+        upper.plot(edges[1:], label["T_zone_C"], color=f"C{z % 10}", label=zone)
+        upper.plot(edges[1:], plan.T_free_C[z], color=f"C{z % 10}", linestyle="--", linewidth=0.8)
+        for bound in (ahead.lower_C[z, 1:], ahead.upper_C[z, 1:]):
+            upper.plot(edges[1:], bound, color=f"C{z % 10}", linewidth=0.7, linestyle=":")
+    upper.set_ylabel("zone temperature, °C")
+    upper.set_title("Plan with its 80 % band; dashed: control-free; dotted: bounds", loc="left", fontsize="medium")
+    if len(names.zones) > 1:
+        upper.legend(frameon=False, ncols=5, fontsize="small")
+    for a, actuator in enumerate(names.actuators):
+        lower.stairs(plan.u[a], edges, color=f"C{a % 10}", fill=len(names.actuators) == 1, alpha=0.6, label=actuator)
+    lower.set_ylabel("level u")
+    lower.set_ylim(min(0.0, float(plan.u.min())) * 1.05, 1.05)
+    price = lower.twinx()
+    price.stairs(ahead.price_per_kWh[0, :-1], edges, color="tab:green", baseline=None)
+    price.set_ylabel("price per kWh", color="tab:green")
+    if len(names.actuators) > 1:
+        lower.legend(frameon=False, ncols=5, fontsize="small")
+    lower.tick_params(axis="x", rotation=20)
+    figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix == ".png" else None)

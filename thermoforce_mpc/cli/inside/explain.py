@@ -1,0 +1,190 @@
+"""`tf-mpc explain`: what a run decided at an instant, and why."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.options import FiniteRange
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.simulation.folder.run_folder import write_json
+from thermoforce_mpc.simulation.views.explaining import Decision, decision_at, hour_ends, words_of
+from thermoforce_mpc.simulation.views.other_courses import alternatives_json, alternatives_of
+from thermoforce_mpc.simulation.views.whole_tables import print_whole
+
+if TYPE_CHECKING:
+    from controllers.mpc.alternatives import Alternatives
+
+_RUNGS = {
+    "solved": "the plan of the solver, checked",
+    "bridged": "the plan of the solver, checked, with a substitute for a reading or a forecast (see the notes)",
+    "acceptable": "fallback: levels of a solver that did not reach its optimum, checked",
+    "shifted": "fallback: the previous plan, shifted by a step",
+    "thermostat": "fallback: the thermostat rule",
+    "native": "fallback: the plant's own control, where nothing is known to act on",
+    "guard": "the comfort guard, which overrode the plan",
+    "gate": "the building's own control: the model is not competent",
+    "watch": "the building's own control or the rule: the model did not hold",
+    "rule": "a rule, no plan",
+}
+
+
+@click.command(short_help="Tell what a run decided at an instant, and why.")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
+)
+@click.option("--controller", metavar="NAME", help="Which of the run.  [default: the scenario's own]")
+@click.option("--hours", type=FiniteRange(0.1), default=12.0, show_default=True, help="Hours of the plan to show.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all of it to this JSON file.")
+def command(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
+    """Tell what the run in folder RUN decided at an instant, and why: readings, forecast, plan, what bound, what acted.
+
+    Beside the plan stand its alternatives: what the same model predicts for the same hours had everything been off, at
+    full level, as in the step before, run by the fallback's thermostat rule, or by loops that hold the comfort bounds
+    (what a building's own control does at its best).
+
+    Read from the journal, so that it works while a run is under way and after one that failed.
+
+    \b
+    Examples:
+      tf-mpc explain runs/my-run
+      tf-mpc explain runs/my-run --at '16 06:30' --hours 24
+    """
+    decision = decision_at(run, at, controller)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    for line in _lines(decision):
+        console.print(line, markup=False)
+    if decision.plan:
+        print_whole(_table(decision, hours), console)
+    others = alternatives_of(run, decision)
+    if isinstance(others, str):
+        console.print(f"alternatives: none are known, {others}", markup=False)
+    else:
+        print_whole(_alternatives(decision, others), console)
+        for note in others.notes:
+            console.print(f"alternatives: {note}", markup=False)
+    if json_file:
+        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(others)})
+        console.print(f"JSON: {json_file}", markup=False)
+
+
+def _alternatives(decision: Decision, others: Alternatives) -> Table:
+    """The plan and other courses: cost, discomfort, first levels, and the temperature that they end at."""
+    names, step_s = decision.names, decision.boundary.step_s
+    first = max(1, round(HOUR_S / step_s))
+    hours = others.courses[0].u.shape[1] * step_s / HOUR_S
+    table = Table(
+        title=f"Alternatives over {hours:g} h, the whole plan, by the same model",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+    )
+    columns = ["", "energy cost", "energy\nkWh", "discomfort\nK·h"]
+    columns += ["u, first hour" if names.single else f"u, first hour\n{name}" for name in names.actuators]
+    columns += ["ends at\n°C" if names.single else f"ends at\n{zone}" for zone in names.zones]
+    for column in columns:
+        table.add_column(column, justify="right" if column else "left", no_wrap=True)
+    for course in others.courses:
+        row = [course.name, f"{course.cost:.2f}", f"{course.energy_kWh:.1f}", f"{course.discomfort_Kh:.2f}"]
+        row += [f"{level:.2f}" for level in course.u[:, :first].mean(axis=1)]
+        row += [f"{T:.2f}" for T in course.T_zone_C[:, -1]]
+        table.add_row(*row)
+    return table
+
+
+def _lines(decision: Decision) -> list[str]:
+    """The decision in words."""
+    told, names = decision.told, decision.names
+    lines = [f"{decision.controller}, step {told['index']}: {words_of(decision.time_s)} ({decision.time_s:.0f} s)"]
+    if decision.before is not None:
+        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, decision.before.T_zone_C, strict=True))
+        lines.append(
+            f"measured: {zones}; outdoors {_C(decision.before.T_out_C)}, sun {decision.before.solar_W_m2:.0f} W/m²"
+        )
+    lines += [f"in doubt: {note}" for note in decision.notes]
+    lines.append(f"acted: {told['status']} – {_RUNGS.get(told['status'], 'see docs/how-it-works/fallback.md')}")
+    if len(set(told["acting"])) > 1:
+        acting = zip(names.actuators, told["acting"], strict=True)
+        lines.append("at each actuator: " + ", ".join(f"{name} {status}" for name, status in acting))
+    lines.append(f"why: {told['why']}")
+    if told["refused"]:
+        lines.append(f"refused before the plant: {told['refused']}")
+    if told["solver_status"]:
+        lines.append(f"solver: {told['solver_status']}, {told['iterations']} iterations")
+    lines += [f"bound: {bound}" for bound in decision.bounds()]
+    lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in told["blocks"]))
+    if decision.after:
+        last = decision.after[-1]
+        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, last.T_zone_C, strict=True))
+        planned = ""
+        if decision.plan:
+            planned = f" (planned {', '.join(_C(float(T)) for T in decision.T_zone_C[:, 0])})"
+        lines.append(f"came: {zones}{planned} at {words_of(last.time_s)}")
+    else:
+        lines.append("came: nothing is recorded, the run ended here")
+    return lines
+
+
+def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
+    """Levels of a block, by name where there are several actuators."""
+    levels = ["own control" if u is None else f"{u:.2f}" for u in block["u"]]
+    if len(levels) > 1:
+        levels = [f"{name} {level}" for name, level in zip(actuators, levels, strict=True)]
+    return f"{', '.join(levels)} for {block['duration_s'] / 60:g} min"
+
+
+def _table(decision: Decision, hours: float) -> Table:
+    """The planned course, hour by hour, with the forecast it was made on."""
+    boundary, names, plan = decision.boundary, decision.names, decision.plan
+    n = plan["u"].shape[-1]
+    ends = hour_ends(n, boundary.step_s, hours)
+    every = ends.step
+    all_h = n * boundary.step_s / HOUR_S
+    part = f", the first {hours:g} of {all_h:g} h (--hours {all_h:g} shows all)" if hours < all_h else ""
+    table = Table(title=f"Plan{part}", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    columns = ["until", "outdoors\n°C", "sun\nW/m²", "price\nper kWh"]
+    columns += ["u" if names.single else f"u\n{name}" for name in names.actuators]
+    for zone in names.zones:
+        of = "" if names.single else f"\n{zone}"
+        columns += [f"T{of or chr(10) + '°C'}", f"80 %{of}", f"bounds{of}"]
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    T = decision.T_zone_C
+    for end in ends:
+        step = slice(end - every, end)
+        row = [
+            words_of(boundary.time_s[end]),
+            f"{np.mean(boundary.T_out_C[step]):.1f}",
+            f"{np.mean(boundary.solar_W_m2[step]):.0f}",
+            f"{np.mean(boundary.price_per_kWh[0, step]):.3f}",
+        ]
+        row += [f"{np.mean(plan['u'][a, step]):.2f}" for a in range(len(names.actuators))]
+        for z in range(len(names.zones)):
+            forced = plan["T_forced_K"][z, end - 1]
+            low, high = (plan[name][z, end - 1] + forced for name in ("T_free_low_C", "T_free_high_C"))
+            bounds = f"{boundary.lower_C[z, end]:g}–{boundary.upper_C[z, end]:g}"
+            row += [f"{T[z, end - 1]:.2f}", f"{low:.1f}–{high:.1f}", bounds]
+        table.add_row(*row)
+    return table
+
+
+def _json(decision: Decision) -> dict[str, Any]:
+    """Everything, for programs."""
+    found = {key: value for key, value in decision.told.items() if key not in ("plan", "forecast", "asked")}
+    found |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.notes)}
+    found["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
+    signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")
+    found["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}
+    return found
+
+
+def _C(value: float) -> str:
+    return "no reading" if math.isnan(value) else f"{value:.2f} °C"

@@ -1,0 +1,1 @@
+"""Commands that go on in real time: control, watch, serve."""

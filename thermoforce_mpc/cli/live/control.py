@@ -1,0 +1,136 @@
+"""`tf-mpc control`: control a real building through a connection."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from thermoforce_mpc.cli.options import FiniteRange
+from thermoforce_mpc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.live import Decision
+
+_LOG = logging.getLogger(__name__)
+
+
+@click.command(short_help="Control a real building through a connection, in real time.")
+@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
+@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@click.option("--connection", default="files", show_default=True, metavar="NAME", help="See `tf-mpc connections`.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
+@click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
+@click.option("--steps", type=click.IntRange(min=1), help="End after so many control steps.  [default: never]")
+@click.option(
+    "--delay", "delay_s", type=FiniteRange(0.0, 300.0), default=30.0, show_default=True,
+    help="Seconds after the beginning of a step at which its last reading is there.",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("control"), show_default=True, help="Folder of the log."
+)
+def command(
+    model: Path,
+    map_file: Path,
+    connection: str,
+    assignments: tuple[str, ...],
+    dry_run: bool,
+    steps: int | None,
+    delay_s: float,
+    out: Path,
+) -> None:
+    """Control a real building: every control step read its measurements and forecast, plan, and set the levels.
+
+    Begin with --dry-run, which reads, decides once and says what it would set. Ctrl-C, SIGTERM and a closed terminal
+    give every actuator back to the building's own control; so does a step in which nothing can be decided. Each
+    decision is printed with its reason, and stands in log.jsonl in --out. Start it again after a power failure: it
+    goes on from what was measured, and from what it knew, which is kept in state.npz in --out for a day (faults
+    noticed, highest power, levels set).
+
+    Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
+
+    \b
+    Examples:
+      tf-mpc control --model my_house --map map.yaml --dry-run
+      tf-mpc control --model my_house --map map.yaml --set connection.measurements=logs/*.csv
+    """
+    from controllers.mpc.config import MPCConfig
+    from controllers.mpc.controller import ThermoForceMPC
+    from thermoforce_mpc.cli import hangup_ends
+    from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.execution.keys import canonical, digest
+    from thermoforce_mpc.files import storage_errors
+    from thermoforce_mpc.live import KeptState, LiveBuilding, control
+    from thermoforce_mpc.measurements.map.mapping import load_map
+    from thermoforce_mpc.model.thermal_model import load_model
+    from thermoforce_mpc.scenario.settings import parse_overrides, validate
+    from thermoforce_mpc.simulation.folder.run_folder import sole_use
+    from thermoforce_mpc.simulation.folder.run_log import logging_to
+    from thermoforce_mpc.simulation.views.display import RunDisplay
+
+    chosen: Mapping[str, Any] = parse_overrides(assignments)
+    if unknown := [key for key in chosen if key not in ("connection", "controller")]:
+        raise ConfigError(f"--set {unknown[0]}: write connection.KEY=VALUE or controller.KEY=VALUE")
+    thermal, rules = load_model(model), load_map(map_file)
+    mpc = ThermoForceMPC(thermal, validate(MPCConfig, chosen.get("controller", {}), "--set controller"))
+    say = _until_lost(RunDisplay().say)
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    with (
+        hangup_ends(),
+        sole_use(out),
+        closing(build_connection(connection, chosen.get("connection", {}))) as building,
+        logging_to(out, say),
+    ):
+        say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
+        say(f"Actuation: {mpc.actuation_in_words}")
+        control(
+            LiveBuilding(building, rules, mpc.step_s),
+            mpc,
+            steps=steps,
+            delay_s=0.0 if dry_run else delay_s,
+            dry=dry_run,
+            kept=None if dry_run else KeptState(out / "state.npz", digest({"mpc": canonical((thermal, mpc.config))})),
+            told=lambda decision: say(in_words(decision)),
+        )
+
+
+def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
+    """`say` until the terminal or pipe is gone, or its disk full: that ends no control, and all is in the log."""
+    lost = False
+
+    def said(text: str) -> None:
+        nonlocal lost
+        if lost:
+            return
+        try:
+            say(text)
+        except (OSError, SystemExit) as error:  # rich exits where nobody reads a pipe any more
+            lost = True
+            with suppress(OSError, ValueError):  # what is left in its buffer is written at the end of the program
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _LOG.warning("nothing is printed any more (%s); this log goes on", error.__context__ or error)
+
+    return said
+
+
+def in_words(decision: Decision) -> str:
+    """A decision in one line: when, what is set in turn, and why."""
+    names = decision.plan.names.actuators
+    parts = []
+    for a, name in enumerate(names):
+        turns = [
+            (level, sum(block.duration_s for block in blocks))
+            for level, blocks in groupby(decision.blocks, key=lambda block: block.u[a])
+        ]
+        said = [f"{'own control' if u is None else f'{100 * u:.0f} %'} for {s / 60:g} min" for u, s in turns]
+        parts.append(f"{name} {', '.join(said)}")
+    why = decision.refused or decision.plan.why
+    return f"{decision.instant:%a %d %b %H:%M %Z}  {'; '.join(parts)}: {why}"

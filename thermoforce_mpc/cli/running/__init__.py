@@ -1,0 +1,1 @@
+"""Commands that run controllers on plants: one run, comparisons, sweeps, fleets."""

@@ -1,0 +1,258 @@
+"""Options, progress display and execution shared by `tf-mpc compare` and `tf-mpc sweep`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.options import execution_options
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
+from thermoforce_mpc.execution.progress import summary
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.simulation.comparison.cells import Cell, expand
+from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
+from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
+from thermoforce_mpc.simulation.comparison.store import DONE, Store
+from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
+from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
+from thermoforce_mpc.simulation.composition import check_window
+from thermoforce_mpc.simulation.views.display import zone_table
+from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.words import counted
+
+UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
+CELLS_FAILED = 3
+# KPIs that fit 80 columns; the files have all.
+_ON_CONSOLE = ("cost_tot", "tdis_tot", "ener_tot", "plan_ms", "fallbacks")
+
+Function = Callable[..., Any]
+
+
+def comparison_options(function: Function) -> Function:
+    """Add the options that select cells, plant and parallel execution."""
+    function = execution_options()(function)
+    for option in reversed(
+        [
+            click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
+            click.option("--config", metavar="FILE", help="Base scenario: a YAML file or a shipped name."),
+            click.option(
+                "--windows",
+                metavar="A,B",
+                help="peak_heat_day, typical_heat_day, or start days such as 44.  [default: the scenario's, else the "
+                "peak and typical day of the building's season]",
+            ),
+            click.option(
+                "--prices",
+                metavar="A,B",
+                help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
+            ),
+            click.option("--days", type=float, help="Scored days.  [default: 14]"),
+            click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
+            click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing."),
+            click.option(
+                "--forecast-uncertainty",
+                metavar="A,B",
+                help="none, low, medium, high.  [default: the scenario's, else none]",
+            ),
+            click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file."),
+            click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+            click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
+            click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
+            click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
+            click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
+            click.option(
+                "--out",
+                type=click.Path(path_type=Path),
+                help="Result folder; finished cells in it are reused.  [default: runs/...]",
+            ),
+            click.option("--quiet", is_flag=True, help="Print only the final tables."),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Windows, tariffs and forecast error levels over which variants are compared."""
+
+    windows: tuple[str, ...]
+    prices: tuple[str, ...]
+    uncertainties: tuple[str, ...]
+
+
+def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile | None = None) -> Axes:
+    """The axes from a command's options, else from its file of variants, else from the scenario.
+
+    A scenario without a period gives the peak and the typical day of the building's season.
+
+    Raises:
+        ConfigError: an unknown window, tariff or error level, one given twice, or one of the scenario that the file
+            would replace.
+    """
+    if options["windows"] is not None:
+        windows = comma_list(options["windows"], "--windows")
+    else:
+        windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
+    for window in windows:
+        check_window(window)
+    if options["prices"] is not None:
+        prices = price_names(options["prices"])
+    else:
+        prices = _of_file(base, "price", "prices", file.prices if file else ()) or (base.price,)
+    text = options["forecast_uncertainty"]
+    levels = comma_list(text, "--forecast-uncertainty") if text is not None else (base.plant.forecast_uncertainty,)
+    for level in levels:
+        if level not in UNCERTAINTIES:
+            known = ", ".join(UNCERTAINTIES)
+            raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {known}")
+    return Axes(windows, prices, levels)
+
+
+def _of_file(base: Scenario, key: str, axis: str, values: tuple[str, ...]) -> tuple[str, ...]:
+    """The values that a file of variants gives to an axis; raises `ConfigError` where the scenario has its own."""
+    if values and key in base.model_fields_set and values != (getattr(base, key),):
+        raise ConfigError(
+            f"{key}: the scenario has {getattr(base, key)}, and the file of variants {axis}: {', '.join(values)}; say "
+            f"with --{axis} which to run"
+        )
+    return values
+
+
+def _windows_of(base: Scenario) -> tuple[str, ...]:
+    if "period" in base.model_fields_set:
+        return (base.period,)
+    season = "cool" if load_testcase(base.testcase).mode == "cooling" else "heat"
+    return f"peak_{season}_day", f"typical_{season}_day"
+
+
+def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options renamed to those that `scenario_from` expects."""
+    assignments = list(options["assignments"])
+    if options["identification_days"] is not None:
+        assignments.insert(0, f"identification.days={options['identification_days']!r}")
+    same = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu")
+    return {key: options[key] for key in same} | {"prices": options["tariff_file"], "assignments": assignments}
+
+
+def run_comparison(
+    base: Scenario,
+    variants: Mapping[str, Variant],
+    axes: Axes,
+    options: Mapping[str, Any],
+    *,
+    name: str,
+    title: str,
+    swept: Mapping[str, str] | None = None,
+) -> int:
+    """Run the cells that have no stored result, then write and print the outcome.
+
+    Returns:
+        The exit code: 0, or 3 where a cell has no result.
+
+    Raises:
+        ConfigError: an option is wrong; no cell has been run.
+        KeyboardInterrupt: interrupted; finished cells are stored.
+    """
+    cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties)
+    testcase = load_testcase(base.testcase)
+    store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
+    console = Console(highlight=False, markup=False)
+    say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
+    found = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
+    todo = [cell for cell in cells if cell.key not in found]
+    say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
+    stale = sum(record.get("source") != source_fingerprint() for record in found.values())
+    if stale:
+        say(
+            f"Note: {stale} of the stored cells made by other source code of this version; use another --out to rerun "
+            "all"
+        )
+    try:
+        ran = _run(todo, store, console, options, say) if todo else {}
+    except KeyboardInterrupt:
+        kept = sum(store.finished(cell) is not None for cell in cells)
+        click.echo(f"{kept} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True)
+        raise
+    records = [_named(cell, {**found, **ran}[cell.key]) for cell in cells]
+    result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
+    show_outcome(console, result["rows"], testcase.currency)
+    page = shlex.quote(str(store.folder / "comparison.html"))
+    console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
+    return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
+
+
+def _run(
+    cells: Sequence[Cell], store: Store, console: Console, options: Mapping[str, Any], say: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
+    """Run cells; returns the record of each by key: its result, or the reason of its failure."""
+    records: dict[str, dict[str, Any]] = {}
+    with (
+        TaskProgress(console, quiet=options["quiet"], line=_line) as progress,
+        options["engine"](say) as engine,
+    ):
+        store.create()  # not before: a cluster that cannot be used leaves no folder
+        for outcome in execute(tasks_of(cells), engine, store, progress):
+            cell = outcome.task.inputs
+            if not isinstance(cell, Cell):
+                continue
+            if outcome.reason:
+                store.write(cell, failure(cell, outcome.reason))
+            records[cell.key] = failure(cell, outcome.reason) if outcome.reason else outcome.value
+    return records
+
+
+def _line(outcome: Outcome) -> str:
+    if not isinstance(outcome.task.inputs, Cell):
+        return summary(outcome)
+    kpis = outcome.value["kpis"]
+    return f"{outcome.task.title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({outcome.seconds:.0f} s)"
+
+
+def exit_with(code: int) -> None:
+    """Exit with `code` unless it is 0."""
+    if code:
+        sys.exit(code)
+
+
+def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
+    """Print the tables, the findings and the failed cells."""
+    for group, members in grouped(rows).items():
+        table = Table(title=group_title(group), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+        table.add_column("controller", overflow="fold", min_width=12)
+        for key, heading in zip(HEADINGS, headings(currency), strict=True):
+            if key in _ON_CONSOLE:
+                table.add_column(heading.replace("discomfort", "discomf.").replace(", ", "\n"), justify="right")
+        for row in members:
+            figures = dict(zip(HEADINGS, shown_figures(row), strict=True))
+            style = "bold" if row["pareto"] else None
+            table.add_row(row["controller"], *(figures[key] for key in _ON_CONSOLE), style=style)
+        print_whole(table, console, folded=True)
+        zones = {row["controller"]: row["zones"] for row in members}
+        if any(zones.values()):
+            print_whole(zone_table(zones), console)
+    for text in verdicts(rows):
+        console.print(text, soft_wrap=True, markup=False)
+    for row in rows:
+        if row["status"] != DONE:
+            where = f"{row['controller']}, {row['window']}, {row['price']}"
+            console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True, markup=False)
+
+
+def _sayer(console: Console) -> Callable[[str], None]:
+    return lambda text: console.print(text, soft_wrap=True, markup=False)
+
+
+def _named(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
+    """The record with the variant name of this comparison; two names may refer to the same run."""
+    return {**record, "variant": cell.variant}

@@ -1,0 +1,257 @@
+"""`tf-mpc fleet`: many buildings × windows × tariffs × controllers × seeds."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import pandas as pd
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, source_fingerprint
+from thermoforce_mpc.execution.progress import summary
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.simulation.comparison.store import DONE
+from thermoforce_mpc.simulation.comparison.tasks import failure
+from thermoforce_mpc.simulation.fleet.buildings import buildings_of
+from thermoforce_mpc.simulation.fleet.dataset import (
+    check_dataset,
+    finished_rows,
+    read_dataset,
+    reused_row,
+    row_of,
+    write_dataset,
+)
+from thermoforce_mpc.simulation.fleet.file import load_fleet
+from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
+from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
+from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, models_again, runs_of, tasks_of
+from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
+from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.words import counted
+
+RUNS_FAILED = 3
+_SHOWN_FAILURES = 10
+
+
+@click.command(short_help="Run many buildings under many windows, tariffs and controllers.")
+@click.argument("fleet", metavar="FLEET.yaml")
+@click.option("--count", is_flag=True, help="Say what would be run, and run nothing.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder of the dataset; finished runs in it are reused.  [default: runs/fleet-NAME]",
+)
+@click.option(
+    "--reuse",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="Folder or runs.parquet of another fleet: its finished runs, where they have the same inputs, count as done. "
+    "Repeatable.",
+)
+@execution_options()
+@click.option("--quiet", is_flag=True, help="Print only the summary.")
+def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], engine: Opening, quiet: bool) -> None:
+    """Run every building of a fleet in every window under every tariff with every controller and seed.
+
+    FLEET.yaml names the buildings (generated houses, houses of rooms, test cases, or a table of your own) and the axes;
+    `tf-mpc schema fleet` is its schema. The folder then holds runs.parquet, one row a run, index.html with the
+    distributions of saving and discomfort, who lost and why, models.parquet with the verdict on every model, and what
+    each run and identification gave. Repeating the command runs only what is missing or failed.
+
+    \b
+    Examples:
+      tf-mpc fleet small --count
+      tf-mpc fleet small --out runs/small
+      tf-mpc fleet portfolio --scheduler tcp://host:8786
+      tf-mpc fleet whole.yaml --reuse runs/north --reuse runs/south
+
+    \b
+    Exit codes: 0 all runs have a result, 2 bad input, 3 a run failed or measurements gave no model (the others are
+    kept), 7 the cluster is gone, 130 interrupted.
+    """
+    console = Console(highlight=False, markup=False)
+    file, path = load_fleet(fleet)
+    if reuse and file.trajectories:
+        raise ConfigError(f"{path}: trajectories: true goes without --reuse: rows of other datasets have none")
+    finished = finished_rows(reuse)
+    buildings = buildings_of(file, path)
+    measured = tasks_of_records(buildings)
+    # Checked before anything is run: those with measurements get their model later.
+    runs = runs_of(file, [building for building in buildings if building.runs], path)
+    identifications = len({run.cell.identification_key for run in runs if run.building.record is None} - {None})
+    if measured:
+        console.print(f"{counted(len(measured), 'building')} to identify from measurements", soft_wrap=True)
+    console.print(f"{_counted(runs)}, {counted(identifications, 'identification')}", soft_wrap=True)
+    if count:
+        return
+    results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
+    check_dataset(results.folder)
+    no_model: dict[str, str] = {}
+    if measured:
+        models, no_model = _identify(measured, results, console, engine, quiet)
+        runs = runs_of(file, with_models(buildings, models, no_model), path)
+    to_run = [run for run in runs if not run.refused]
+    records = {run.cell.key: record for run in to_run if (record := results.record(run)) is not None}
+    keys = {run.cell.key for run in to_run}
+    rows_of_others = {key: finished[key] for key in keys if key in finished and key not in records}
+    own = [run for run in to_run if run.cell.key not in rows_of_others]
+    todo = [run for run in own if run.cell.key not in records]
+    again = models_again(own, records, results)
+    if not quiet:
+        taken = f"{len(to_run) - len(own)} taken from other datasets, " if reuse else ""
+        console.print(
+            f"{counted(len(own) - len(todo), 'run')} done, {taken}{len(todo)} left; {results.folder}", soft_wrap=True
+        )
+        if again:
+            console.print(f"{counted(len(again), 'model')} missing or damaged, to be identified again", soft_wrap=True)
+        made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
+        if stale := sum(source != source_fingerprint() for source in made_by):
+            console.print(
+                f"Note: {stale} of them made by other source code of this version; to run all anew, take another "
+                f"--out{' and leave out --reuse' if rows_of_others else ''}",
+                soft_wrap=True,
+            )
+    try:
+        if todo or again:
+            _run([*again, *tasks_of(todo)], results, records, console, engine, quiet)
+    except KeyboardInterrupt:
+        kept = sum(records.get(run.cell.key, {}).get("status") == DONE for run in own)
+        click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
+        raise
+    results.create()
+    dataset = write_dataset(results.folder, [_row(run, records, rows_of_others) for run in runs])
+    if file.trajectories:
+        results.place_trajectories(to_run)
+    rows = read_dataset(dataset)
+    verdicts = write_models(results.folder, results, own, records, measured, no_model)
+    page = results.folder / "index.html"
+    said = shlex.join(["tf-mpc", "fleet", fleet])
+    scenarios = {run.cell.key: run.cell.scenario for run in runs}
+    write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said, scenarios))
+    _show(console, rows, file.reference)
+    console.print(f"Runs: {shlex.quote(str(dataset))}; models: {shlex.quote(str(verdicts))}", soft_wrap=True)
+    console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
+    if no_model or (rows["status"] != DONE).any():
+        sys.exit(RUNS_FAILED)
+
+
+def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The row of a run: from its record, from another dataset, or that it could not be run."""
+    if run.refused:
+        return row_of(run, failure(run.cell, run.refused))
+    if run.cell.key in others:
+        return reused_row(run, others[run.cell.key])
+    return row_of(run, records[run.cell.key])
+
+
+def _counted(runs: list[Run]) -> str:
+    sources = Counter({run.building.name: run.building.source for run in runs}.values())
+    axes = [
+        (sum(sources.values()), f"buildings ({', '.join(f'{n} {source}' for source, n in sources.items())})"),
+        (len({run.cell.window for run in runs}), "windows"),
+        (len({run.cell.price for run in runs}), "tariffs"),
+        (len({run.cell.variant for run in runs}), "controllers"),
+        (len({run.cell.scenario.seed for run in runs}), "seeds"),
+    ]
+    if not runs:
+        return "no runs"
+    of = " × ".join(f"{n} {what}" for n, what in axes if n > 1)
+    return f"{of}: {len(runs)} runs" if of else "1 run"
+
+
+def _identify(
+    measured: Mapping[str, Task], results: FleetResults, console: Console, engine: Opening, quiet: bool
+) -> tuple[dict[str, Path], dict[str, str]]:
+    """Identify from measurements; by name where each building's model is, and the verdict on those that have none."""
+    models, none = dict[str, Path](), dict[str, str]()
+    with TaskProgress(console, quiet=quiet) as progress, engine(_sayer(console, quiet)) as where:
+        results.create()  # not before: a cluster that cannot be used leaves no folder
+        for outcome in execute(measured.values(), where, results, progress):
+            made_of = outcome.task.inputs
+            if not isinstance(made_of, Measured):
+                continue
+            if why := outcome.reason or outcome.value.refused:
+                none[made_of.building] = f"{'failed' if outcome.reason else 'refused'}: {why}"
+                console.print(f"{made_of.building}: no model from its measurements: {why}", soft_wrap=True)
+            else:
+                models[made_of.building] = results.model_path(outcome.task.key)
+    return models, none
+
+
+def _sayer(console: Console, quiet: bool) -> Callable[[str], None]:
+    return lambda text: None if quiet else console.print(text, soft_wrap=True)
+
+
+def _run(
+    todo: list[Task],
+    results: FleetResults,
+    records: dict[str, dict[str, Any]],
+    console: Console,
+    engine: Opening,
+    quiet: bool,
+) -> None:
+    """Do what is left; every record of a run goes into `records` by key as it comes."""
+    with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(_sayer(console, quiet)) as where:
+        results.create()  # not before: a cluster that cannot be used leaves no folder
+        for outcome in execute(todo, where, results, progress):
+            run = outcome.task.inputs
+            if isinstance(run, Run):
+                failed = outcome.reason and results.put_failure(run, outcome.reason)
+                records[run.cell.key] = failed or outcome.value.record
+
+
+def _line(outcome: Outcome) -> str:
+    if not isinstance(outcome.task.inputs, Run):
+        return summary(outcome)
+    kpis = outcome.value.record["kpis"]
+    return f"{outcome.task.title}: {kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f} K·h ({outcome.seconds:.0f} s)"
+
+
+def _saving(group: Group) -> tuple[str, str, str]:
+    """Median saving, its range and the share that is cheaper, %; dashes where no run has a saving."""
+    if not group.counted:
+        return "–", "–", "–"
+    low, middle, high = (100 * value for value in group.saving)
+    return f"{middle:+.1f}", f"{low:+.1f} to {high:+.1f}", f"{100 * group.cheaper:.0f}"
+
+
+def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
+    for variant in [name for name in dict.fromkeys(rows["variant"]) if name != reference]:
+        pairs = paired(rows, variant, reference)
+        if pairs.empty:
+            continue
+        found = groups(pairs)
+        console.print(headline(found[0], variant, reference), soft_wrap=True)
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
+        table.add_column(f"{variant}", overflow="fold")
+        for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
+            table.add_column(heading, justify="right")
+        for group in found:
+            table.add_row(
+                f"{group.by} {group.value}".strip(),
+                str(group.runs),
+                *_saving(group),
+                f"{100 * group.colder:.0f}",
+            )
+        print_whole(table, console, folded=True)
+        for cause, n in causes(lost(pairs)):
+            console.print(f"{counted(n, 'run')} {cause}", soft_wrap=True)
+    failed = rows[rows["status"] != DONE]
+    for row in failed.head(_SHOWN_FAILURES).to_dict("records"):
+        seed = f", seed {row['seed']}" if rows["seed"].nunique() > 1 else ""
+        console.print(
+            f"FAILED {row['building']}, {row['window']}, {row['price']}, {row['variant']}{seed}: {row['reason']}",
+            soft_wrap=True,
+        )
+    if len(failed) > _SHOWN_FAILURES:
+        console.print(f"and {len(failed) - _SHOWN_FAILURES} more failed, see the page")

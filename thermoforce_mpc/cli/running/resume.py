@@ -1,0 +1,39 @@
+"""`tf-mpc resume`: go on with a run that was ended before its time."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+
+
+@click.command(short_help="Go on with a run that was killed or interrupted.")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--quiet", is_flag=True, help="Print only the final table.")
+def command(run: Path, quiet: bool) -> None:
+    """Go on with the run in folder RUN, which was killed, interrupted, or ended by a full disk.
+
+    The journal in the folder (journal.jsonl) says what the plant was asked and what it answered. A simulated plant is
+    advanced again as it was then, and its answers are compared with the journal; the controller plans again what it
+    planned. From there on the run goes on, and its result is that of a run that was never ended. The model is that in
+    the folder: nothing is probed again.
+
+    At a BOPTEST service the test is taken up where it stands, if it still exists; a step that was on its way is neither
+    lost nor repeated. Ctrl-C and SIGTERM stop the test, so only a run that was killed can go on there.
+
+    \b
+    Exit codes: 0 done (also where the run was complete already), 2 no journal,
+    a damaged one or one that does not repeat itself, 3 the plant failed,
+    5 the service no longer has the test, 6 the folder cannot be written.
+
+    \b
+    Example:
+      tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
+    """
+    from thermoforce_mpc.simulation.run import resume_run
+    from thermoforce_mpc.simulation.views.display import RunDisplay
+
+    display = RunDisplay(quiet)
+    folder = resume_run(run, display)
+    display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)

@@ -1,0 +1,1 @@
+"""The map of a table (map.yaml): which column is what."""

@@ -1,0 +1,144 @@
+"""Entries of a map that name a column: its unit, and the rules that its readings must pass."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from thermoforce_mpc.data.limits import ZONE_C
+from thermoforce_mpc.measurements.map.units import IrradianceUnit, LevelUnit, PowerUnit, PriceUnit, TemperatureUnit
+from thermoforce_mpc.scenario.settings import StrictModel
+
+
+class Signal(StrictModel):
+    """A column and the rules for its readings; a mere name stands for a column in the default unit."""
+
+    column: str | tuple[str, ...] = Field(description="column; of several the sum is taken")
+    factor: float = Field(1.0, description="the reading in its unit is multiplied by this")
+    hold_h: float | None = Field(
+        None,
+        gt=0,
+        description="longest time between two readings that is no gap, h; default: one and a half times the usual "
+        "one (90th percentile), a step at least",
+    )
+    range: tuple[float, float] | None = Field(
+        None, description="least and largest possible value in °C, W, W/m² or share; default: by kind"
+    )
+    spike: float | None = Field(
+        None,
+        gt=0,
+        description="change from one reading to the next that is a spike if it comes back within 6 h; default: by kind",
+    )
+    stuck_h: float | None = Field(
+        None, ge=0, description="time after which an unchanging reading is stuck, h; 0: never; default: by kind"
+    )
+
+    @model_validator(mode="after")
+    def _has_a_column(self) -> Signal:
+        if not self.columns:
+            raise ValueError("column: name one at least")
+        return self
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that make up the signal."""
+        return (self.column,) if isinstance(self.column, str) else self.column
+
+
+class Temperature(Signal):
+    """A temperature."""
+
+    unit: TemperatureUnit = "°C"
+
+
+class Power(Signal):
+    """A power, an energy per step or the reading of an energy counter."""
+
+    unit: PowerUnit = "W"
+
+
+class Level(Signal):
+    """The level of an actuator."""
+
+    unit: LevelUnit = "0-1"
+
+
+class Irradiance(Signal):
+    """Global horizontal irradiance."""
+
+    unit: IrradianceUnit = "W/m²"
+
+
+class Humidity(Signal):
+    """Relative humidity."""
+
+    unit: LevelUnit = "%"
+
+
+class Price(Signal):
+    """A price of energy."""
+
+    unit: PriceUnit = "per kWh"
+
+
+def _named(value: Any) -> Any:
+    return {"column": value} if isinstance(value, str) else value
+
+
+def _number_or_named(value: Any) -> Any:
+    return value if isinstance(value, int | float) else _named(value)
+
+
+def _in_celsius(bound: float | Temperature) -> float | Temperature:
+    if not isinstance(bound, Temperature) and not ZONE_C[0] <= bound <= ZONE_C[1]:
+        least, most = ZONE_C
+        raise ValueError(f"{bound:g} is no comfort bound in °C, between {least:g} and {most:g}: convert °F or K")
+    return bound
+
+
+OfTemperature = Annotated[Temperature, BeforeValidator(_named, json_schema_input_type=str | Temperature)]
+OfPower = Annotated[Power, BeforeValidator(_named, json_schema_input_type=str | Power)]
+OfLevel = Annotated[Level, BeforeValidator(_named, json_schema_input_type=str | Level)]
+Bound = Annotated[
+    float | Temperature,
+    BeforeValidator(_number_or_named, json_schema_input_type=float | str | Temperature),
+    AfterValidator(_in_celsius),
+]
+OfPrice = Annotated[float | Price, BeforeValidator(_number_or_named, json_schema_input_type=float | str | Price)]
+
+
+class Sun(StrictModel):
+    """Where the irradiance comes from."""
+
+    column: str | None = None
+    unit: IrradianceUnit = "W/m²"
+    factor: float = 1.0
+    hold_h: float | None = Field(None, gt=0)
+    range: tuple[float, float] | None = None
+    spike: float | None = Field(None, gt=0)
+    stuck_h: float | None = Field(None, ge=0)
+    estimate: Literal["clear_sky", "humidity"] | None = Field(
+        None,
+        description="irradiance of a clear sky at `site`; with humidity times a clearness of each day "
+        "(boundary/weather/clearness.py)",
+    )
+    humidity: Annotated[Humidity, BeforeValidator(_named, json_schema_input_type=str | Humidity)] | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Sun:
+        if (self.column is None) == (self.estimate is None):
+            raise ValueError("give a column, or estimate: clear_sky or humidity")
+        if (self.estimate == "humidity") != (self.humidity is not None):
+            raise ValueError("estimate: humidity needs the key humidity with its column, and only it")
+        return self
+
+    @property
+    def signal(self) -> Irradiance | None:
+        """The column that was measured, None where the irradiance is estimated."""
+        if self.column is None:
+            return None
+        return Irradiance(**self.model_dump(exclude={"estimate", "humidity"}))
+
+
+OfSun = Annotated[Sun, BeforeValidator(_named, json_schema_input_type=str | Sun)]

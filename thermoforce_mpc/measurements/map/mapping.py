@@ -1,0 +1,195 @@
+"""The map of a table (map.yaml): which column is what, in which unit, and the rules that its readings must pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, field_validator, model_validator
+
+from thermoforce_mpc.data import Layout, Names
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.measurements.map.mapped_signals import (
+    Bound,
+    OfLevel,
+    OfPower,
+    OfPrice,
+    OfSun,
+    OfTemperature,
+    Signal,
+)
+from thermoforce_mpc.measurements.map.mapped_table import Clock, CsvFormat
+from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
+
+LEAST_STEP_S, MOST_STEP_S = 60.0, 3600.0
+"""Limits of the step of a record, s."""
+
+
+class Site(StrictModel):
+    """Place of the building, for the position of the sun."""
+
+    latitude: float = Field(ge=-90, le=90, description="°, north positive")
+    longitude: float = Field(ge=-180, le=180, description="°, east positive")
+
+
+class MappedZone(StrictModel):
+    """A zone."""
+
+    temperature: OfTemperature
+    lower: Bound | None = Field(None, description="comfort bound, °C or a column")
+    upper: Bound | None = Field(None, description="comfort bound, °C or a column")
+    floor_area_m2: float | None = Field(None, gt=0)
+
+    @model_validator(mode="after")
+    def _has_a_band(self) -> MappedZone:
+        if isinstance(self.lower, float) and isinstance(self.upper, float) and self.lower >= self.upper:
+            raise ValueError(f"the lower bound, {self.lower:g} °C, is not below the upper one, {self.upper:g} °C")
+        return self
+
+
+class MappedActuator(StrictModel):
+    """What acts on a zone. Its level is measured, or its heat or its machine's power over its full one."""
+
+    zone: str | None = Field(None, description="the zone that it serves; may be left out where there is one")
+    machine: str | None = Field(None, description="the machine that feeds it; may be left out where there is one")
+    mode: Literal["heating", "cooling", "both"] = Field(
+        "heating", description="what it does; both: levels below 0 cool"
+    )
+    level: OfLevel | None = None
+    heat: OfPower | None = Field(None, description="heat that it delivers, or with mode cooling takes out, above 0")
+    full_W: float | None = Field(
+        None,
+        gt=0,
+        description="heat or power at full level where no level is measured; default: 99th percentile of the steps in "
+        "which it ran",
+    )
+    off_W: float = Field(0.0, ge=0, description="power while it is off, where no level is measured")
+    share: float = Field(0.0, ge=0, le=1, description="share of its machine's capacity at full level")
+
+
+class MappedMachine(StrictModel):
+    """What takes energy."""
+
+    power: OfPower | None = Field(None, description="electric power, or that of the gas; without it nothing is planned")
+    return_water: OfTemperature | None = None
+    price: OfPrice | None = Field(None, description="price of its energy per kWh, or a column")
+
+
+class ForecastMap(StrictModel):
+    """Where a forecast file differs from the table of measurements; what is left out stands there by the same key."""
+
+    time: Clock | None = None
+    outdoor: OfTemperature | None = None
+    sun: OfSun | None = None
+    price: OfPrice | None = Field(None, description="price of all machines")
+    lower: Bound | None = Field(None, description="lower comfort bound of all zones")
+    upper: Bound | None = Field(None, description="upper comfort bound of all zones")
+
+
+class MeasurementMap(StrictModel):
+    """Map of a table of measurements of one building."""
+
+    time: Clock = Clock()
+    csv: CsvFormat = CsvFormat()
+    step: str | None = Field(
+        None, description="step of the record, such as 15min; default: the usual distance of the rows, 15 min to 1 h"
+    )
+    coverage: float = Field(0.5, gt=0, le=1, description="share of a step that readings must cover for its mean")
+    site: Site | None = None
+    outdoor: OfTemperature = Field(description="outdoor temperature")
+    sun: OfSun | None = Field(
+        None, description="global horizontal irradiance; without it the sun counts as a disturbance"
+    )
+    zones: dict[str, MappedZone] = Field(min_length=1)
+    actuators: dict[str, MappedActuator] = Field(default_factory=dict)
+    machines: dict[str, MappedMachine] = Field(default_factory=dict)
+    forecast: ForecastMap = ForecastMap()
+
+    @field_validator("step")
+    @classmethod
+    def _is_a_duration(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                seconds = pd.Timedelta(value).total_seconds()
+            except ValueError as error:
+                raise ValueError("no duration; write for example 15min or 1h") from error
+            if not LEAST_STEP_S <= seconds <= MOST_STEP_S:
+                raise ValueError("the step of a record lies between 1 min and 1 h")
+        return value
+
+    @model_validator(mode="after")
+    def _joined(self) -> MeasurementMap:
+        for name, actuator in self.actuators.items():
+            for key, known in (("zone", self.zones), ("machine", self.machines)):
+                given = getattr(actuator, key)
+                if given is not None and given not in known:
+                    raise ValueError(f"actuators.{name}.{key}: there is no '{given}'; there are {', '.join(known)}")
+            if actuator.zone is None and len(self.zones) > 1:
+                raise ValueError(f"actuators.{name}.zone: say which zone it serves, of {', '.join(self.zones)}")
+            if actuator.machine is None and len(self.machines) > 1:
+                raise ValueError(f"actuators.{name}.machine: say what feeds it, of {', '.join(self.machines)}")
+        machine_of = self.layout.machine_of
+        for a, (name, actuator) in enumerate(self.actuators.items()):
+            if actuator.level is not None or actuator.heat is not None:
+                continue
+            fed = machine_of.count(machine_of[a])
+            powered = self.machines and list(self.machines.values())[machine_of[a]].power is not None
+            if not powered or fed > 1:
+                raise ValueError(
+                    f"actuators.{name}: give its level, its heat, or the power of a machine that feeds it alone"
+                )
+        for name, zone in self.zones.items():
+            if zone.temperature.columns == self.outdoor.columns:
+                raise ValueError(f"zones.{name}.temperature and outdoor are the same column")
+        estimates = [sun for sun in (self.sun, self.forecast.sun) if sun is not None and sun.estimate]
+        if estimates and (self.site is None or self.time.zone is None):
+            raise ValueError("sun.estimate needs site (latitude, longitude) and time.zone")
+        return self
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines; 'actuator' and 'machine' where none is given."""
+        return Names(tuple(self.zones), tuple(self.actuators) or ("actuator",), tuple(self.machines) or ("machine",))
+
+    @property
+    def layout(self) -> Layout:
+        """What acts where."""
+        names = self.names
+        actuators = tuple(self.actuators.values()) or (MappedActuator(),)
+        return Layout(
+            names=names,
+            signs=tuple(-1 if one.mode == "cooling" else 1 for one in actuators),
+            home=tuple(names.zones.index(one.zone) if one.zone else 0 for one in actuators),
+            machine_of=tuple(names.machines.index(one.machine) if one.machine else 0 for one in actuators),
+            lowest=tuple(-1.0 if one.mode == "both" else 0.0 for one in actuators),
+            shares=tuple(one.share for one in actuators),
+            floor_area_m2=tuple(zone.floor_area_m2 or np.nan for zone in self.zones.values()),
+        )
+
+    def signals(self) -> Iterator[tuple[str, Signal]]:
+        """Every column of the map by its key, such as 'zones.bath.temperature'."""
+        yield "outdoor", self.outdoor
+        if self.sun is not None:
+            if self.sun.signal is not None:
+                yield "sun", self.sun.signal
+            if self.sun.humidity is not None:
+                yield "sun.humidity", self.sun.humidity
+        for kind in ("zones", "actuators", "machines"):
+            for name, item in getattr(self, kind).items():
+                for key in type(item).model_fields:
+                    if isinstance(signal := getattr(item, key), Signal):
+                        yield f"{kind}.{name}.{key}", signal
+
+
+def load_map(path: Path) -> MeasurementMap:
+    """The map in a YAML file.
+
+    Raises:
+        ConfigError: there is no such file, or a key or value is wrong; names every one.
+    """
+    if not Path(path).is_file():
+        raise ConfigError(f"--map {path}: no such file; `tf-mpc data map FILE` writes one to start from")
+    return validate(MeasurementMap, read_yaml(Path(path)), str(path))

@@ -1,0 +1,1 @@
+"""Tables as they stand in files: columns, stamps, clock, screening, equal steps."""

@@ -1,0 +1,243 @@
+"""Files of measurements to columns of numbers: CSV and Parquet, one file or many, bounded in size."""
+
+from __future__ import annotations
+
+import bz2
+import codecs
+import csv
+import glob
+import gzip
+import itertools
+import lzma
+import re
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, known_column, raw_table
+
+# What is read at once, bytes: about 15 million rows of six columns, in 4 GB of memory. A compressed file is taken to
+# hold ten times its size.
+MOST_BYTES = 1_000_000_000
+_COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+_PACKING = 10
+_BLOCK = 1_000_000
+_PARQUET = (".parquet", ".pq")
+_SEPARATORS = ",;\t"
+# What reading a damaged file raises: the errors of pandas and of text that cannot be decoded are ValueErrors.
+_DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAError, zlib.error)
+
+
+def found_files(given: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
+    """The files of paths and patterns (`data/*.csv`), each once.
+
+    Raises:
+        DataError: there is none, or they hold more than `most_bytes`.
+    """
+    files: list[Path] = []
+    for item in given:
+        path = Path(item)
+        if path.is_dir():
+            raise DataError(f"{path}: is a folder; name its files, as in '{path}/*.csv'")
+        matches = [path] if path.exists() else [Path(name) for name in sorted(glob.glob(str(item)))]
+        if not matches:
+            raise DataError(f"{item}: no such file")
+        files += [match for match in matches if match not in files]
+    if not files:
+        raise DataError("no file of measurements was given")
+    sizes = [path.stat().st_size * (_PACKING if path.suffix in _COMPRESSED else 1) for path in files]
+    if sum(sizes) > most_bytes:
+        largest = files[int(np.argmax(sizes))]
+        raise DataError(
+            f"{largest}: {sum(sizes) / 1e9:.1f} GB to read{' in all' if len(files) > 1 else ''}, at most "
+            f"{most_bytes / 1e9:.1f} GB are read at once: keep the columns of the map and the last year, or write "
+            "means over a minute to a Parquet file; a model needs a few weeks"
+        )
+    return files
+
+
+def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> RawTable:
+    """The time stamps (column `stamps`, by default the first or the index) and `columns` of a file.
+
+    Raises:
+        DataError: the file cannot be read, is empty, lacks a column or holds text in one; names column and line.
+    """
+    if path.suffix in _PARQUET:
+        df, line = _parquet(path, stamps, columns), 1
+    else:
+        df, line = _csv(path, stamps, columns, form)
+    return raw_table(df, stamps, columns, str(path), line, form.decimal)
+
+
+def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> None:
+    """Refuse a file that lacks a column, by its head alone; raises `DataError` as `read_table`."""
+    if path.suffix not in _PARQUET:
+        _known_header(path, stamps, columns, form)
+        return
+    import pyarrow.parquet as parquet
+    from pyarrow import ArrowException
+
+    try:
+        names = parquet.read_schema(path).names
+    except (ArrowException, OSError, ValueError) as error:
+        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
+    for key in (*([stamps] if stamps else []), *columns):
+        known_column(key, pd.Index(names), str(path))
+
+
+def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> pd.DataFrame:
+    """The table with time stamps (or index) and `columns`; None: all of them."""
+    import pyarrow.parquet as parquet
+    from pyarrow import ArrowException
+
+    try:
+        schema = parquet.read_schema(path)
+        # The index of a data frame stands among the columns of its file.
+        index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
+        wanted = [stamps] if stamps else index or schema.names[:1]
+        columns = schema.names if columns is None else columns
+        known = [name for name in dict.fromkeys([*wanted, *columns]) if name in schema.names]
+        table = parquet.read_table(path, columns=known).to_pandas()
+    except (ArrowException, OSError, ValueError) as error:
+        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
+    missing = [name for name in columns if name not in schema.names]
+    if missing:
+        known_column(missing[0], pd.Index(schema.names), str(path))
+    return table
+
+
+def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
+    separator, names, wanted = _known_header(path, stamps, columns, form)
+    places = sorted(names.index(key) for key in wanted)
+    try:
+        _check_lines(path, form, separator, len(names))
+        df = pd.read_csv(
+            path,
+            sep=separator,
+            decimal=form.decimal,
+            encoding=form.encoding,
+            skiprows=form.skip_lines,
+            usecols=places,
+            na_values=list(form.missing),
+            skip_blank_lines=False,  # so that the number of a row tells its line
+            low_memory=False,
+        ).set_axis([names[place] for place in places], axis=1)
+    except _DAMAGED as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
+    return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
+
+
+def _known_header(
+    path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
+) -> tuple[str, list[str], list[str]]:
+    """Separator and names of the columns, and which of them are wanted; raises `DataError` where one is not there."""
+    separator, names = _header(path, form)
+    wanted = list(dict.fromkeys([names[0] if stamps is None else stamps, *columns]))
+    for key in wanted:
+        known_column(key, pd.Index(names), str(path))
+        if names.count(key) > 1:
+            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
+    return separator, names, wanted
+
+
+def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
+    """Refuse lines with more or fewer than `n` cells, whose values would land in wrong columns."""
+    with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
+        begun = 1
+        while block := lines.readlines(_BLOCK):
+            for k in np.flatnonzero(np.array([line.count(separator) for line in block]) != n - 1):
+                cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator), [])
+                same = len(cells) in (0, n) or (len(cells) == n + 1 and not cells[-1]) or '"' in block[k]
+                if begun + k > form.skip_lines + 1 and not same:
+                    raise DataError(
+                        f"{path}, line {begun + k}: has {len(cells)} cells, the line of column names {n}: mend or "
+                        "remove it (a decimal comma? a file that is still being written?)"
+                    )
+            begun += len(block)
+
+
+def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
+    """The first `rows` rows of a file with all its columns, the time stamps (or the index) first.
+
+    Raises:
+        DataError: the file cannot be read, has no rows, or two columns of one name.
+    """
+    head = _head(path, rows, form)
+    if head.columns.has_duplicates:
+        name = head.columns[head.columns.duplicated()][0]
+        raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
+    if head.empty:
+        raise DataError(f"{path}: the table has no rows")
+    return head
+
+
+def _head(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
+    if path.suffix in _PARQUET:
+        df = _parquet(path, None, None).iloc[:rows]
+        return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
+    separator, names = _header(path, form)
+    try:
+        df = pd.read_csv(path, sep=separator, decimal=form.decimal, encoding=form.encoding, nrows=rows, index_col=False)
+        return df.set_axis(names, axis=1)
+    except _DAMAGED as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+
+
+def guessed_form(path: Path) -> CsvFormat:
+    """How a CSV file seems to be written: UTF-8, else UTF-16 or the code page of Excel; decimal point or comma."""
+    if path.suffix in _PARQUET:
+        return CsvFormat()
+    try:
+        with _COMPRESSED.get(path.suffix, open)(path, "rb") as file:
+            start = file.read(_BLOCK)
+    except _DAMAGED as error:
+        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
+    decoder = codecs.getincrementaldecoder(encoding)
+    try:
+        text = decoder().decode(start)  # the last character may be cut
+    except UnicodeError:
+        encoding, text = "cp1252", start.decode("cp1252", errors="replace")
+    form = CsvFormat(encoding=encoding)
+    separator, _ = _header(path, form)
+    cells = "" if separator == "," else text.partition("\n")[2]
+    cell = rf"(?:^|[{separator}\"])-?\d+{{}}\d+(?=[{separator}\"\r\n]|$)"
+    points, commas = (len(re.findall(cell.format(mark), cells, re.M)) for mark in (r"\.", ","))
+    return CsvFormat(encoding=encoding, decimal="," if commas > points else ".")
+
+
+def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
+    """Separator and names of the columns."""
+    try:
+        with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
+            header = next(itertools.islice(lines, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
+            if not header.strip():
+                if not any(line.strip() for line in lines):
+                    raise DataError(f"{path}: the file is empty")
+                raise DataError(
+                    f"{path}, line {form.skip_lines + 1}: no names of columns; set csv.skip_lines of the map"
+                )
+    except UnicodeError as error:
+        raise DataError(
+            f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map: "
+            "cp1252 for a file of Excel, utf-16 for its Unicode text"
+        ) from error
+    except _DAMAGED as error:
+        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    separator = form.separator or max(_SEPARATORS, key=header.count)
+    try:
+        names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
+    except csv.Error as error:
+        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    return separator, [name.strip() for name in names]
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,161 @@
+"""Rules that flag impossible, stuck and isolated readings; what they flag is taken as not measured.
+
+| rule | flags | overridden in the map by |
+|---|---|---|
+| range | readings outside what is physically possible, see `data/limits.py` | `range` |
+| spike | readings that lie more than `spike` from the one before, and come back so within 6 h | `spike` |
+| stuck | stretches of one and the same reading for longer than `stuck_h` | `stuck_h` (0: never) |
+
+More than 10 % of a signal out of range is a wrong unit, not a fault, and refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import HOUR_S, Array, limits
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.map.mapped_signals import Signal
+from thermoforce_mpc.measurements.map.units import likelier
+
+_MOST_REFUSED = 0.1
+# Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
+EXCURSION_S = 6 * HOUR_S
+# Flagged readings that are kept for a picture.
+_SHOWN = 200
+# A level may lie outside its range by this much from calibration; it is cut, not refused.
+LEVEL_SLACK = 0.02
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Rules of one kind of signal: what it is, its unit inside, range, spike and stuck time, and its usual values."""
+
+    kind: str
+    unit: str
+    range: tuple[float, float] = (-np.inf, np.inf)
+    spike: float = np.inf
+    stuck_h: float = 0.0
+    usual: tuple[float, float] = (-np.inf, np.inf)
+
+    def of(self, signal: Signal) -> Rules:
+        """These rules with what the map sets for `signal`."""
+        return Rules(
+            self.kind,
+            self.unit,
+            signal.range or self.range,
+            signal.spike or self.spike,
+            self.stuck_h if signal.stuck_h is None else signal.stuck_h,
+            self.usual,
+        )
+
+
+ZONE = Rules("temperature", "°C", limits.ZONE_C, 5.0, 48.0, (5.0, 40.0))
+OUTDOOR = Rules("temperature", "°C", limits.OUTDOOR_C, 10.0, 24.0, (-30.0, 45.0))
+WATER = Rules("temperature", "°C", limits.RETURN_WATER_C, usual=(5.0, 90.0))
+# Nights are 0 W/m² for 18 h and more, but only a reading in the light counts as stuck.
+SOLAR = Rules("irradiance", "W/m²", limits.SOLAR_W_M2, stuck_h=6.0, usual=(0.0, 1200.0))
+LEVEL = Rules("level", "", (-LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
+SIGNED_LEVEL = Rules("level", "", (-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
+HUMIDITY = Rules("level", "", (0.0, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
+POWER = Rules("power", "W")
+BOUND = Rules("temperature", "°C", limits.ZONE_C, usual=(5.0, 40.0))
+PRICE = Rules("price", "per kWh")
+
+
+@dataclass(frozen=True)
+class Flag:
+    """Readings that a rule refused: `count` of them, the `first` in words, and up to 200 as (s, value) `points`."""
+
+    rule: str
+    count: int
+    first: str
+    points: tuple[tuple[float, float], ...] = ()
+
+
+def screened(
+    time_s: Array,
+    values: Array,
+    raw: Array,
+    rules: Rules,
+    name: str,
+    declared: str,
+    where: Callable[[int], str],
+) -> tuple[NDArray[np.bool_], tuple[Flag, ...]]:
+    """Which readings of a signal hold (n,), and what was flagged.
+
+    Args:
+        time_s: instants of the readings, s, increasing, shape (n,).
+        values: readings in the unit inside, all finite, shape (n,).
+        raw: the same as they stand in the table.
+        rules: what they must pass.
+        name: of signal and column, for messages.
+        declared: unit that the map declares.
+        where: time stamp of a reading, for messages.
+
+    Raises:
+        DataError: more than 10 % are out of range; says which unit they look like.
+    """
+    flags: list[Flag] = []
+
+    def flag(rule: str, wrong: NDArray[np.bool_], kept: NDArray[np.intp], what: str) -> NDArray[np.intp]:
+        if not wrong.any():
+            return kept
+        rows = kept[wrong]
+        shown = rows[:: -(-rows.size // _SHOWN)]
+        points = tuple(zip(time_s[shown].tolist(), values[shown].tolist(), strict=True))
+        words = f"{values[rows[0]]:.4g} {rules.unit} at {where(int(rows[0]))}{what}"
+        flags.append(Flag(rule, int(rows.size), words, points))
+        return kept[~wrong]
+
+    low, high = rules.range
+    kept = np.arange(values.size)
+    outside = ~((values >= low) & (values <= high))
+    if outside.mean() > _MOST_REFUSED:
+        unit = likelier(raw, declared, rules.kind, rules.usual)
+        hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
+        raise DataError(
+            f"{name}: {100 * outside.mean():.0f} % of the readings are no {rules.kind} between {low:g} and {high:g} "
+            f"{rules.unit} (first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, read as "
+            f"{declared}; readings from {np.min(raw):.4g} to {np.max(raw):.4g}); {hint}, or set range"
+        )
+    kept = flag("range", outside, kept, f", possible are {low:g} to {high:g}")
+    if np.isfinite(rules.spike):
+        far = _excursions(time_s[kept], values[kept], rules.spike)
+        kept = flag("spike", far, kept, f", more than {rules.spike:g} {rules.unit} from those before and after")
+    if rules.stuck_h > 0.0 and kept.size > 1:
+        stuck = _stuck(time_s[kept], values[kept], rules.stuck_h * HOUR_S)
+        if rules.kind == "irradiance":
+            stuck &= np.abs(values[kept]) > 1.0
+        kept = flag("stuck", stuck, kept, f", unchanged for more than {rules.stuck_h:g} h")
+    holds = np.zeros(values.size, dtype=bool)
+    holds[kept] = True
+    return holds, tuple(flags)
+
+
+def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
+    """Which readings (n,) lie between a jump of more than `most` and one back within 6 h."""
+    away = np.zeros(values.size, dtype=bool)
+    jumps = np.diff(values)
+    rows = np.flatnonzero(np.abs(jumps) > most)
+    k = 0
+    while k + 1 < rows.size:
+        out, back = int(rows[k]), int(rows[k + 1])
+        returned = abs(values[back + 1] - values[out]) <= most and jumps[out] * jumps[back] < 0.0
+        if returned and time_s[back + 1] - time_s[out] <= EXCURSION_S:
+            away[out + 1 : back + 1] = True
+            k += 1
+        k += 1
+    return away
+
+
+def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
+    """Which readings (n,) belong to a stretch of one value that lasts longer than `most_s`."""
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0.0) + 1])
+    ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
+    long = (time_s[ends] - time_s[begins]) > most_s
+    return np.repeat(long, ends - begins + 1)

@@ -1,6 +1,0 @@
-"""Generated houses: seeded single-zone buildings with varied envelope, emitter, machine, occupants and sensor."""
-
-from thermoforce_mpc.plants.generated.draw import House, draw_house
-from thermoforce_mpc.plants.generated.plant import GeneratedHousePlant, generated_house, house_testcase
-
-__all__ = ["GeneratedHousePlant", "House", "draw_house", "generated_house", "house_testcase"]

@@ -1,0 +1,1 @@
+"""The folder of a run: configuration, trajectories, steps, KPIs, log."""

@@ -1,0 +1,138 @@
+"""The closed loops of a run as its journal tells them, whole or as far as they came."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of
+from thermoforce_mpc.simulation.journal.journal import NAME, Entry, JournalError, making_sense, read_run
+from thermoforce_mpc.simulation.journal.journal_values import PLANNED, block_of, measurement_of, names_of, unpack
+from thermoforce_mpc.simulation.journal.told_steps import ToldStep, next_forecast, told_loops, told_steps
+from thermoforce_mpc.simulation.kept_steps import KeptSteps
+
+
+@dataclass(frozen=True)
+class ToldRun:
+    """A run: its scenario, command and version, what the plant said of itself, its models' records, and its loops.
+
+    A loop that was cut off has no KPIs but those of its `time_rat`.
+    """
+
+    scenario: Scenario
+    command: tuple[str, ...]
+    version: str
+    plant: Mapping[str, Any]
+    models: Mapping[str, Any]
+    results: Mapping[str, RunResult]
+
+    @property
+    def cut_off(self) -> tuple[str, ...]:
+        """Names of the controllers whose loop has not ended."""
+        return tuple(name for name, result in self.results.items() if "ener_tot" not in result.kpis)
+
+
+def told_run(folder: Path) -> ToldRun:
+    """The run whose journal is in `folder`.
+
+    Raises:
+        JournalError: there is no journal, it is damaged, or no step of the run has ended.
+    """
+    path = folder / NAME
+    with making_sense(path):
+        entries = read_run(path).entries
+        first = entries[0]
+        scenario = validate(Scenario, dict(first.content["scenario"]), first.where)
+        windows = [Period(**entry.content["answer"]) for entry in entries if entry.kind == "period"]
+        results = {}
+        for name, loop in told_loops(entries).items():
+            steps = _kept(loop)
+            if steps:
+                period = replace(windows[0], scored_s=scenario.days * DAY_S)
+                results[name] = _result(name, period, loop, steps)
+        if not results:
+            raise JournalError(f"{path}: no step has ended yet, so that there is nothing to show")
+        return ToldRun(
+            scenario,
+            tuple(str(word) for word in first.content["command"]),
+            str(first.content.get("version")),
+            next((entry.content["info"] for entry in entries if entry.kind == "plant"), {}),
+            next((entry.content["models"] for entry in entries if entry.kind == "models"), {}),
+            results,
+        )
+
+
+def _kept(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:
+    steps: KeptSteps[StepRecord] = KeptSteps()
+    for step in _records(loop):
+        steps.append(step)
+    return steps
+
+
+def _result(name: str, period: Period, loop: Sequence[Entry], steps: Sequence[StepRecord]) -> RunResult:
+    reset = next(entry.content for entry in loop if entry.kind == "reset")
+    start = measurement_of(reset["answer"], names_of(reset["answer"]["names"]))
+    kpis: Mapping[str, Any] = next((entry.content["answer"] for entry in loop if entry.kind == "kpis"), {})
+    known = {key: math.nan if value is None else float(value) for key, value in kpis.items()}
+    step_s = steps[0].boundary.step_s
+    known["time_rat"] = math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s
+    return RunResult(period, name, known, steps, start)
+
+
+def _records(loop: Sequence[Entry]) -> Iterator[StepRecord]:
+    """The steps of a loop that have ended."""
+    told: list[ToldStep] = []
+    last: Boundary | None = None
+    for step in told_steps(loop):
+        told.append(step)
+        if step.done is None:
+            return
+        boundary, last = next_forecast(told, last)
+        yield _record(step, boundary)
+
+
+def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
+    told, done = step.told, step.done
+    assert done is not None
+    assert step.before is not None
+    blocks = [block_of(one["asked"]) for one in step.advances]
+    samples, now_s = [], step.time_s
+    for block, after in zip(blocks, step.after, strict=True):
+        samples.append(sample_of(now_s, block, after, boundary))
+        now_s = after.time_s
+    return StepRecord(
+        index=int(told["index"]),
+        time_s=step.time_s,
+        T_zone_C=step.before.T_zone_C,
+        boundary=boundary,
+        plan=_plan(step, tuple(blocks), {name: float(s) for name, s in done["seconds"].items()}),
+        refused=str(told["refused"]),
+        plan_seconds=float(done["plan_seconds"]),
+        forecast_seconds=float(done["forecast_seconds"]),
+        plant_seconds=float(done["plant_seconds"]),
+        samples=tuple(samples),
+        notes=step.notes,
+    )
+
+
+def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float]) -> Plan:
+    told = step.told
+    arrays: dict[str, Any] = {name: unpack(told["plan"][name]) for name in PLANNED} if "plan" in told else {}
+    plan = Plan(
+        blocks=blocks,
+        status=PlanStatus(told["status"]),
+        why=str(told["why"]),
+        news=str(told.get("news", "")),
+        solver_status=str(told["solver_status"]),
+        iterations=int(told["iterations"]),
+        seconds=seconds,
+        names=step.names,
+        acting=tuple(PlanStatus(one) for one in told["acting"]),
+    )
+    return replace(plan, **arrays)

@@ -1,0 +1,199 @@
+"""The steps of a run, as its journal tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import SIGNALS, SINGLE, Boundary, Measurement, Names, Record
+from thermoforce_mpc.model.forecast_gaps import completed, lengthened
+from thermoforce_mpc.model.screening import Limits, screened_history
+from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.forecasts import empty_forecast, holes
+from thermoforce_mpc.simulation.journal.journal import Entry, JournalError
+from thermoforce_mpc.simulation.journal.journal_values import block_of, boundary_of, measurement_of, names_of, record_of
+
+Json = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ToldStep:
+    """One step.
+
+    `told` is its record of kind `step`; `before` the readings it began with; `advances` what was asked of the plant in
+    it, and its answers, in order; `done` the record that closed it, None while it goes on or where the run ended in it.
+    `past` is the plant's record, where it was asked for between the step before and this one.
+    """
+
+    told: Json
+    names: Names
+    before: Measurement | None
+    advances: tuple[Json, ...] = ()
+    done: Json | None = None
+    past: Json | None = None
+
+    @property
+    def time_s(self) -> float:
+        """Its begin, s since 1 January."""
+        return float(self.told["time_s"])
+
+    @property
+    def given(self) -> Boundary | None:
+        """The forecast as the plant gave it; None where it gave none."""
+        packed = self.told.get("forecast")
+        return None if packed is None else boundary_of(packed, self.names)
+
+    @property
+    def after(self) -> tuple[Measurement, ...]:
+        """The readings at the end of each block."""
+        return tuple(measurement_of(one["answer"], self.names) for one in self.advances)
+
+    @property
+    def record(self) -> Record | None:
+        """The plant's record of `past`."""
+        return None if self.past is None else record_of(self.past, self.names)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was in doubt."""
+        return () if self.done is None else tuple(self.done["notes"])
+
+
+def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+    """The records of each closed loop, by controller."""
+    found: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if entry.kind == "loop":
+            found[str(entry.content["controller"])] = []
+        elif found:
+            next(reversed(found.values())).append(entry)
+    return found
+
+
+class StepReader:
+    """Puts the steps of a closed loop together from its records, as they come."""
+
+    def __init__(self) -> None:
+        self.names: Names = SINGLE
+        self.before: Measurement | None = None
+        """The latest readings of a step that is closed."""
+        self._past: Json | None = None
+        self._step: Json | None = None
+        self._advances: list[Json] = []
+
+    @property
+    def under_way(self) -> ToldStep | None:
+        """The step that was decided and is not closed."""
+        if self._step is None:
+            return None
+        return ToldStep(self._step, self.names, self.before, tuple(self._advances), None, self._past)
+
+    def read(self, entry: Entry) -> ToldStep | None:
+        """Take the next record; the step that it closes, if it does."""
+        content = entry.content
+        if entry.kind == "reset":
+            self.names = names_of(content["answer"]["names"])
+            self.before = measurement_of(content["answer"], self.names)
+        elif entry.kind == "past":
+            self._past = content["answer"]
+        elif entry.kind == "step":
+            self._step, self._advances = content, []
+        elif entry.kind == "advance":
+            self._advances.append(content)
+        elif entry.kind == "done" and self._step is not None:
+            advances = (*self._advances, *content["advances"])
+            found = ToldStep(self._step, self.names, self.before, advances, content, self._past)
+            self.before, self._past, self._step = (found.after or (self.before,))[-1], None, None
+            return found
+        return None
+
+
+def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
+    """The steps of a closed loop, in order; the last may be under way."""
+    reader = StepReader()
+    for entry in entries:
+        found = reader.read(entry)
+        if found is not None:
+            yield found
+    if reader.under_way is not None:
+        yield reader.under_way
+
+
+def history_before(steps: Sequence[ToldStep]) -> Record:
+    """The record that the last of `steps` (all of a loop until then) was decided on, implausible readings left out.
+
+    Raises:
+        JournalError: the journal does not hold the plant's record before the loop.
+    """
+    first = max((i for i, step in enumerate(steps) if step.past is not None), default=None)
+    if first is None:
+        raise JournalError("the journal does not hold the record that the run began with")
+    record = steps[first].record
+    assert record is not None
+    ends = [_end_of(step) for step in steps[first:-1]]
+    if ends:
+        columns = {
+            name: np.concatenate(
+                [getattr(record, name), np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1)], axis=-1
+            )
+            for name in SIGNALS
+        }
+        record = Record(**columns, names=record.names)
+    # Limits that need a model or a floor area are left to the notes of the run.
+    return screened_history(record, Limits(lowest=-1.0))[0]
+
+
+def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
+    """The forecast of the last of `steps` (all of a loop until then), its gaps filled as in the run.
+
+    Raises:
+        JournalError: as `history_before`.
+    """
+    # Gaps are filled from the forecast before: what came before one without gaps does not count.
+    first = next((i for i in range(len(steps) - 1, 0, -1) if not _has_gaps(steps[i])), 0)
+    last = None
+    for i in range(first, len(steps)):
+        found, last = next_forecast(steps[: i + 1], last)
+    return found
+
+
+def next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Boundary, Boundary | None]:
+    """The forecast of the last of `steps` as in the run (`Forecasts`), and what gaps of the next are filled from.
+
+    `last`: what gaps of this one are filled from, None at the begin of a loop. Raises as `history_before`.
+    """
+    given = _lengthened(steps[-1])
+    if given is None:
+        history = history_before(steps)
+        step_s, n_steps = _asked(steps[-1])
+        return completed(empty_forecast(history, n_steps, step_s), history, last)[0], last
+    if holes(given):
+        given = completed(given, history_before(steps), last)[0]
+    return given, given
+
+
+def _has_gaps(step: ToldStep) -> bool:
+    given = _lengthened(step)
+    return given is None or bool(holes(given))
+
+
+def _lengthened(step: ToldStep) -> Boundary | None:
+    """The forecast of a step as the run had it before gaps were filled; None where the plant gave none."""
+    step_s, n_steps = _asked(step)
+    return None if step.given is None else lengthened(step.given, n_steps, step_s)
+
+
+def _asked(step: ToldStep) -> tuple[float, int]:
+    """Step, s, and number of steps of the forecast that was asked for."""
+    step_s = float(step.told["asked"]["interval_s"])
+    return step_s, round(float(step.told["asked"]["horizon_s"]) / step_s)
+
+
+def _end_of(step: ToldStep) -> Measurement:
+    """The readings at the end of a step, with its mean levels, as the run saw them."""
+    blocks = [block_of(one["asked"]) for one in step.advances]
+    parts = [(b.duration_s, with_level(found, b)) for b, found in zip(blocks, step.after, strict=True)]
+    return parts[-1][1].averaged_with(parts)

@@ -1,0 +1,90 @@
+"""A model from measurements of a building in files, as `tf-mpc identify --data` makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from thermoforce_mpc.data import Record
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.identification.probing.operation import MOST_DAYS, telling_part
+from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.measurements.map.mapping import load_map
+from thermoforce_mpc.measurements.tables.files import check_columns
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.scenario.testcase import TestCase
+
+
+def check_measurements(file: str | Path, map_file: str | Path, testcase: TestCase | None = None) -> None:
+    """Refuse a map that is wrong, or a file without its columns, before any of them is read in full.
+
+    With the test case on which the model is to be run, its names and what each actuator does have to be those of the
+    map.
+
+    Raises:
+        ConfigError: the map is wrong, or does not fit the test case.
+        DataError: the file cannot be read, or lacks a column.
+    """
+    rules = load_map(Path(map_file))
+    columns = [column for _, signal in rules.signals() for column in signal.columns]
+    check_columns(Path(file), rules.time.column, columns, rules.csv)
+    if testcase is None:
+        return
+    ours, theirs = rules.layout, testcase.layout
+    # A model has the zones that an actuator serves.
+    served = tuple(name for z, name in enumerate(ours.names.zones) if ours.actuators_of(z))
+    names = replace(ours.names, zones=served)
+    for kind in ("zones", "actuators", "machines"):
+        found, wanted = getattr(names, kind), getattr(theirs.names, kind)
+        if found != wanted:
+            raise ConfigError(
+                f"{map_file}: {kind}: it has {', '.join(found)}, test case '{testcase.name}' has {', '.join(wanted)}; "
+                "give them the names of the test case, in its order"
+            )
+    for a, name in enumerate(names.actuators):
+        if ours.mode(a) != theirs.mode(a):
+            raise ConfigError(
+                f"{map_file}: actuators.{name}.mode is {ours.mode(a)}, test case '{testcase.name}' is for "
+                f"{theirs.mode(a)}"
+            )
+
+
+def model_of_measurements(
+    files: Sequence[str | Path],
+    map_file: str | Path,
+    *,
+    days: float | None = None,
+    config: IdentificationConfig | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> tuple[ThermalModel, Record]:
+    """Identify from measurements; also the part of the record that was used.
+
+    Args:
+        files: CSV or Parquet files.
+        map_file: their map.
+        days: of longer measurements so many that tell most are used, by default `operating.MOST_DAYS`.
+        config: options of the identification.
+        say: callback for what a user should know.
+
+    Raises:
+        ConfigError: the map is wrong; names the key.
+        DataError: the measurements cannot be used, or cannot be fitted.
+    """
+    measured = read_measurements(files, map_file).served()
+    known = measured.understood
+    say(f"Measurements: {', '.join(known.files)}\n{known.begins} to {known.ends}, step {known.step_s / 60:g} min")
+    record, note = telling_part(measured.record, measured.layout, days=days or MOST_DAYS)
+    if note:
+        say(note)
+    model = identify(
+        record,
+        layout=measured.layout,
+        config=config,
+        source=f"measurements of {record.stamps()[0]} to {record.stamps()[-1]} in {', '.join(known.files)}",
+        progress=say,
+    )
+    notes = tuple(text for text in (note, *known.assumed) if text)
+    return replace(model, cards=tuple(replace(card, notes=(*notes, *card.notes)) for card in model.cards)), record

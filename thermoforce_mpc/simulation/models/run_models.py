@@ -1,0 +1,177 @@
+"""The models of a run: identified for every contestant that needs one, said, and kept in the run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from controllers.registry import find_entry, has_gate
+from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.composition import controller_options
+from thermoforce_mpc.simulation.folder.run_folder import file_sha256, plain_json
+from thermoforce_mpc.simulation.journal.journal_values import Json
+from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.models.identifying import (
+    IdentificationTask,
+    IdentifiedModel,
+    identification_task,
+    model_for,
+)
+from thermoforce_mpc.simulation.views.display import RunDisplay
+
+if TYPE_CHECKING:  # loaded only when a controller needs a model
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+    from thermoforce_mpc.model.zone_model import ZoneModel
+
+FOLDER = "model"
+
+
+def identify_all(
+    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay
+) -> dict[str, IdentifiedModel]:
+    """The model of every contestant that needs one; those that would probe and identify alike share one.
+
+    Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
+    """
+    found: dict[str, IdentifiedModel] = {}
+    known: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
+    for name in dict.fromkeys((scenario.controller.name, *scenario.baselines)):
+        if not find_entry(name).needs_model:
+            continue
+        task = None if scenario.identification.model else identification_task(scenario, testcase, name)
+        same = [identified for other, identified in known if other == task]
+        if not same:
+            if known:
+                display.say(f"For {name}, which runs the machine another way:")
+            same = [_identify(scenario, testcase, plant, name, display)]
+            known.append((task, same[0]))
+        found[name] = same[0]
+    return found
+
+
+def _identify(
+    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay
+) -> IdentifiedModel:
+    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
+
+    Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
+    it has its gate turned off.
+    """
+    spec = scenario.identification
+    try:
+        if spec.model is not None:
+            model = model_for(scenario, testcase, plant, controller)
+            display.say(f"Model: {spec.model} ({model.cards[0].source})")
+        else:
+            with display.probing(spec.days) as progress:
+                model = model_for(scenario, testcase, plant, controller, progress)
+            display.say(f"Identified from {model.cards[0].source}")
+    except DataError as error:
+        if not has_gate(controller, controller_options(scenario, controller), testcase):
+            raise
+        display.say(f"No model could be identified: {error}")
+        return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
+    for a, name in enumerate(model.operator.actuators):
+        zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
+        hours = ", ".join(f"{tau:.2g} h" for tau in zone.operator.time_constants_h)
+        display.say(
+            f"Operator{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
+            f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
+        )
+        if zone.card.sun_on_sensor is not None:
+            display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
+        verdict = zone.card.competence
+        if verdict is not None:
+            advice = [f"  {advice}" for advice in verdict.advice]
+            display.say("\n".join([f"The model{of} is {verdict.in_words()}", *advice]))
+    return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | origin(model))
+
+
+def origin(model: ThermalModel) -> dict[str, Any]:
+    """What the manifest says of a model; with several actuators, of each by its name."""
+    found = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
+    if model.names.single:
+        return found[model.operator.actuators[0]]
+    return {"n_trained": model.operator.n_trained, "pairs": len(list(model.operator.each())), "actuators": found}
+
+
+def _origin_of(zone: ZoneModel) -> dict[str, Any]:
+    """What the manifest says of an actuator on its home zone."""
+    operator, card = zone.operator, zone.card
+    return {
+        "order": operator.order,
+        "n_trained": operator.n_trained,
+        "n_effective": operator.n_effective,
+        "time_constants_h": operator.time_constants_h.tolist(),
+        "steady_gains_K": operator.steady_gains_K.tolist(),
+        "scores": dict(card.scores),
+        "competence": None if card.competence is None else asdict(card.competence),
+        "data_sha256": dict(card.data),
+        "config": dict(card.config),
+        "notes": list(card.notes),
+    }
+
+
+def kept_models(
+    plant: JournaledPlant, folder: Path, find: Callable[[], Mapping[str, IdentifiedModel]]
+) -> dict[str, IdentifiedModel]:
+    """The models that `find` finds, saved in the run folder and noted in its journal; or those noted there.
+
+    Either way they are read back from the folder, so that a resumed run uses the very same.
+
+    Raises:
+        ArtifactError: a model in the folder was changed since.
+        StorageError: it cannot be written.
+    """
+    noted = plant.noted("models", lambda: _saved(folder, find()))
+    from thermoforce_mpc.model.saved.model_file import JSON_NAME
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    read: dict[str, IdentifiedModel] = {}
+    found: dict[str, IdentifiedModel] = {}
+    for who, told in noted["models"].items():
+        key = str(told)
+        if key not in read and told["folder"] is None:
+            read[key] = IdentifiedModel(None, told["origin"], told["refused"])
+        elif key not in read:
+            path = folder / told["folder"]
+            model = load_model(path)
+            if file_sha256(path / JSON_NAME) != told["sha256"]:
+                raise ArtifactError(f"{path}: is not the model that this run began with; start the run again")
+            read[key] = IdentifiedModel(model, told["origin"])
+        found[who] = read[key]
+    return found
+
+
+def _saved(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Json:
+    """Save each different model once; what the journal says of them."""
+    from thermoforce_mpc.model.saved.model_file import JSON_NAME
+
+    known: list[tuple[IdentifiedModel, Json]] = []
+    told: Json = {}
+    for who, one in identified.items():
+        same = [noted for other, noted in known if other is one]
+        if not same:
+            noted: Json = {"folder": None, "refused": one.refused, "origin": plain_json(one.origin)}
+            if one.model is not None:
+                noted["folder"] = FOLDER if not known else f"{FOLDER}-{who}"
+                one.model.save(folder / noted["folder"], overwrite=True)
+                noted["sha256"] = file_sha256(folder / noted["folder"] / JSON_NAME)
+            known.append((one, noted))
+            same = [noted]
+        told[who] = same[0]
+    return {"models": told}
+
+
+def origins_of(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:
+    """Where the models came from: the controller's, and by name those of baselines that have one of their own."""
+    if controller not in identified:
+        return {}
+    own = identified[controller]
+    others = {name: dict(found.origin) for name, found in identified.items() if found is not own}
+    return dict(own.origin) | ({"baselines": others} if others else {})

@@ -1,0 +1,232 @@
+"""Progress display of a run: a live line on a terminal, else one line per simulated day."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from thermoforce_mpc.data import DAY_S, Period, PlanStatus
+from thermoforce_mpc.plants.kpis import zone_kpis
+from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
+from thermoforce_mpc.simulation.models.identifying import ProbingProgress
+from thermoforce_mpc.simulation.views.whole_tables import print_whole
+
+Kpis = Callable[[], Mapping[str, float]]
+
+KPI_COLUMNS = {
+    "cost_tot": "cost\n{currency}/m²",
+    "tdis_tot": "discomf.\nK·h",
+    "ener_tot": "energy\nkWh/m²",
+    "emis_tot": "CO2\nkg/m²",
+    "pele_tot": "el. peak\nkW/m²",
+    "time_rat": "time\nratio",
+}
+
+
+class LoopDisplay:
+    """Progress of one closed loop: state at each step, the plant's KPIs at the end of each day."""
+
+    def __init__(
+        self, console: Console, controller: str, period: Period, kpis: Kpis, currency: str, quiet: bool
+    ) -> None:
+        self._console, self._controller, self._period, self._quiet = console, controller, period, quiet
+        self._kpis, self._currency = kpis, currency
+        self._live: Live | None = None
+        self._so_far = ""
+        self._days_done = 0
+        self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
+
+    def __enter__(self) -> LoopDisplay:
+        if not self._quiet and self._console.is_terminal:
+            self._live = Live(Text(""), console=self._console, refresh_per_second=8)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live:
+            self._live.__exit__(None, None, None)
+
+    def step(self, record: StepRecord) -> None:
+        """Update the display with one control step."""
+        self._fallbacks += record.plan.status.fallen_back or bool(record.refused)
+        self._bridged += record.plan.status is PlanStatus.BRIDGED
+        self._gated += record.plan.status is PlanStatus.GATE
+        self._watched += record.plan.status is PlanStatus.WATCH
+        if self._quiet:
+            return
+        if record.plan.news:
+            told = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
+            self._console.print(told, highlight=False, markup=False, soft_wrap=True)
+        last = record.samples[-1]
+        day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
+        days_done = int(day + 1e-9)
+        day_is_over = days_done > self._days_done
+        if day_is_over:
+            self._days_done = days_done
+            self._so_far = _so_far(self._kpis(), self._currency)
+        if self._live:
+            self._live.update(Text(self._line(record, day)))
+        elif day_is_over:
+            self._console.print(self._line(record, day), highlight=False, soft_wrap=True)
+
+    def _line(self, record: StepRecord, day: float) -> str:
+        last = record.samples[-1]
+        weights = [sample.duration_s for sample in record.samples]
+        mean_u = np.average([sample.u_measured for sample in record.samples], weights=weights, axis=0)
+        line = (
+            f"{self._controller}: day {day:5.2f}/{self._period.scored_s / DAY_S:g}"
+            f"  T {_temperatures(last)}  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
+        )
+        solve_s = record.plan.seconds.get("solve")
+        line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
+        line += f"  bridged {self._bridged}" if self._bridged else ""
+        line += f"  gate {self._gated}" if self._gated else ""
+        line += f"  watch {self._watched}" if self._watched else ""
+        return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")
+
+
+def _temperatures(sample: Sample) -> str:
+    """Zone temperatures as text: with their bounds for one zone, else by name, with '!' outside the bounds."""
+    bounds = list(zip(sample.T_zone_C, sample.lower_C, sample.upper_C, strict=True))
+    if len(bounds) == 1:
+        ((T, lower, upper),) = bounds
+        return f"{T:5.2f} °C in [{lower:g}, {upper:g}]"
+    named = zip(sample.names.zones, bounds, strict=True)
+    return ", ".join(f"{name} {T:.2f}{'' if low <= T <= high else '!'}" for name, (T, low, high) in named) + " °C"
+
+
+def _so_far(kpis: Mapping[str, float], currency: str) -> str:
+    """Cost and discomfort so far as text, where the plant reports them."""
+    shown = (("cost_tot", ".4f", f" {currency}/m²"), ("tdis_tot", ".2f", " K·h"))
+    return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in shown if key in kpis)
+
+
+class ProbingDisplay:
+    """Progress of a probing: days done, what the record is expected to tell, and the last verdict; a callback."""
+
+    def __init__(self, console: Console, days: float, quiet: bool) -> None:
+        self._console, self._quiet, self._told_days = console, quiet, 0
+        self._live: Live | None = None
+        self._begins = f"Probing for {days:g} days and identifying"
+
+    def __enter__(self) -> ProbingDisplay:
+        if self._quiet:
+            return self
+        if self._console.is_terminal:
+            self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8)
+            self._live.__enter__()
+        else:
+            self._console.print(self._begins, soft_wrap=True, markup=False)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live:
+            self._live.__exit__(None, None, None)
+
+    def __call__(self, progress: ProbingProgress) -> None:
+        """Show `progress`: every hour on a terminal, else once per day."""
+        line = (
+            f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  information {progress.information_nats:.1f} "
+            f"nats, effect of a day expected to ± {100 * progress.expected_sd:.0f} %"
+            + (f"  so far {progress.verdict}" if progress.verdict else "")
+        )
+        if self._live:
+            self._live.update(Text(line))
+        elif not self._quiet and int(progress.days + 1e-9) > self._told_days:
+            self._told_days = int(progress.days + 1e-9)
+            self._console.print(line, soft_wrap=True, markup=False)
+
+
+_FILE_WIDTH = 110
+
+
+class RunDisplay:
+    """Console output of a run: messages, progress of the loops, and the KPI table."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.console = Console(highlight=False, markup=False)
+        if not self.console.is_terminal:
+            # Do not wrap tables in files.
+            self.console.width = max(self.console.width, _FILE_WIDTH)
+        self.quiet = quiet
+
+    def say(self, text: str) -> None:
+        """Print `text` unless quiet."""
+        if not self.quiet:
+            self.console.print(text, soft_wrap=True, markup=False)
+
+    def working(self, text: str) -> AbstractContextManager[object]:
+        """Status text shown while the context is open."""
+        if self.quiet:
+            return nullcontext()
+        if not self.console.is_terminal:
+            self.say(text)
+            return nullcontext()
+        return self.console.status(text)
+
+    def probing(self, days: float) -> ProbingDisplay:
+        """Progress display of a probing of `days`, a context and the callback of `identify_on`."""
+        return ProbingDisplay(self.console, days, self.quiet)
+
+    def loop(self, controller: str, period: Period, kpis: Kpis, currency: str) -> LoopDisplay:
+        """Progress display of one closed loop; `kpis` returns the plant's KPIs so far."""
+        return LoopDisplay(self.console, controller, period, kpis, currency, self.quiet)
+
+    def kpi_table(
+        self,
+        everyone: Mapping[str, Mapping[str, float]],
+        title: str,
+        currency: str,
+        held: Mapping[str, str] | None = None,
+    ) -> None:
+        """Print one row of KPIs per controller; an asterisk marks the best of each column.
+
+        `held` says by controller that the competence gate held, and why: such a row is marked `gate`.
+        """
+        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+        table.add_column("controller", no_wrap=True)
+        best: dict[str, float] = {}
+        for key, label in KPI_COLUMNS.items():
+            table.add_column(label.format(currency=currency), justify="right")
+            found = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
+            if found and key != "time_rat":
+                best[key] = min(found)
+        for name, kpis in everyone.items():
+            values = {key: kpis.get(key) for key in KPI_COLUMNS}
+            table.add_row(
+                f"{name} (gate)" if held and name in held else name,
+                *(
+                    "–" if v is None else _cell(key, v) + ("*" if v == best.get(key) else " ")
+                    for key, v in values.items()
+                ),
+            )
+        print_whole(table, self.console)
+        zones = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
+        if any(zones.values()):
+            print_whole(zone_table(zones), self.console)
+        for name, why in (held or {}).items():
+            self.console.print(f"{name}: {why}", soft_wrap=True, markup=False)
+
+
+def zone_table(zones: Mapping[str, Mapping[str, float]]) -> Table:
+    """Discomfort of each zone, one row per controller."""
+    table = Table(title="Discomfort by zone, K·h", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("controller", no_wrap=True)
+    names = list(dict.fromkeys(zone for of in zones.values() for zone in of))
+    for zone in names:
+        table.add_column(zone, justify="right")
+    for controller, of in zones.items():
+        table.add_row(controller, *(f"{of[zone]:.2f}" if zone in of else "–" for zone in names))
+    return table
+
+
+def _cell(key: str, value: float) -> str:
+    """`value` as text: four digits, three for peak power, exponential form for the computing time ratio."""
+    return f"{value:{ {'time_rat': '.0e', 'pele_tot': '.3g'}.get(key, '.4g') }}"

@@ -1,0 +1,186 @@
+"""What a run decided at an instant, and why: read from its journal."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
+from thermoforce_mpc.simulation.journal.journal_values import unpack
+from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
+
+# A planned temperature nearer to its bound than this is bound by it, K.
+_BINDING_K = 0.05
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One step of a run: what was known, planned, decided and done.
+
+    `steps` are those of the loop until then, this one last; `boundary` the forecast it was made on, gaps filled as in
+    the run; `plan` the planned courses by name (rows as in `Plan`).
+    """
+
+    controller: str
+    steps: tuple[ToldStep, ...]
+    boundary: Boundary
+    plan: Mapping[str, Array]
+
+    @property
+    def step(self) -> ToldStep:
+        """The step."""
+        return self.steps[-1]
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        """Its record in the journal."""
+        return self.step.told
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self.step.names
+
+    @property
+    def before(self) -> Measurement | None:
+        """The readings it began with."""
+        return self.step.before
+
+    @property
+    def after(self) -> tuple[Measurement, ...]:
+        """The readings at the end of each block."""
+        return self.step.after
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was doubtful."""
+        return self.step.notes
+
+    @property
+    def observation(self) -> Observation:
+        """What it was made on."""
+        return Observation(history_before(self.steps), self.boundary)
+
+    @property
+    def time_s(self) -> float:
+        """Its begin, s since 1 January."""
+        return self.step.time_s
+
+    @property
+    def T_zone_C(self) -> Array:
+        """Planned zone temperatures (Z, N), °C."""
+        return np.asarray(self.plan["T_free_C"] + self.plan["T_forced_K"])
+
+    def bounds(self) -> list[str]:
+        """What binds in the plan, zone by zone: the comfort bound it touches first, and what it violates."""
+        if not self.plan:
+            return []
+        found = []
+        n = self.T_zone_C.shape[-1]
+        for z, zone in enumerate(self.names.zones):
+            lower_C, upper_C = self.boundary.lower_C[z, 1 : n + 1], self.boundary.upper_C[z, 1 : n + 1]
+            T, of = self.T_zone_C[z, : lower_C.size], "" if self.names.single else f"{zone}: "
+            near = {"lower": T - lower_C, "upper": upper_C - T}
+            touched = [
+                (int(np.argmax(gap <= _BINDING_K)), side) for side, gap in near.items() if (gap <= _BINDING_K).any()
+            ]
+            if not touched:
+                side, gap = min(near.items(), key=lambda item: float(np.nanmin(item[1])))
+                k = int(np.nanargmin(gap))
+                when_h = (self.boundary.time_s[k + 1] - self.time_s) / 3600.0
+                bound_C = float((lower_C if side == "lower" else upper_C)[k])
+                found.append(
+                    f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {gap[k]:.2f} K away in {when_h:g} h: "
+                    "plans keep a margin"
+                )
+                continue
+            at, side = min(touched)
+            when_h = (self.boundary.time_s[at + 1] - self.time_s) / 3600.0
+            bound_C = float((lower_C if side == "lower" else upper_C)[at])
+            found.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
+            outside = {side: float(-np.nanmin(gap)) for side, gap in near.items()}
+            worst = max(outside, key=lambda name: outside[name])
+            if outside[worst] > _BINDING_K:
+                found.append(f"{of}the plan is up to {outside[worst]:.2f} K outside the {worst} bound")
+        return found
+
+
+def decision_at(folder: Path, at: str | None = None, controller: str | None = None) -> Decision:
+    """The step of a run in force at an instant.
+
+    Args:
+        folder: run folder.
+        at: see `seconds_of`; by default the last step.
+        controller: whose, by default the first that was run (the scenario's own).
+
+    Raises:
+        JournalError: there is no journal, or it is damaged.
+        InputError: `at` is no time or outside the run, or `controller` did not run.
+    """
+    path = folder / NAME
+    with making_sense(path):
+        return _decision_at(path, at, controller)
+
+
+def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision:
+    loops = told_loops(read_run(path).entries)
+    if not loops:
+        raise JournalError(f"{path}: no step was decided yet")
+    name = controller or next(iter(loops))
+    if name not in loops:
+        raise InputError(f"--controller {name}: did not run; there are {', '.join(loops)}")
+    steps = list(told_steps(loops[name]))
+    if not steps:
+        raise JournalError(f"{path}: {name} has not decided anything yet")
+    if at is not None:
+        seconds = seconds_of(at)
+        first, last = steps[0].time_s, steps[-1].time_s
+        step_s = steps[1].time_s - first if len(steps) > 1 else 3600.0
+        if not first <= seconds < last + step_s:
+            raise InputError(
+                f"--at {at}: {name} ran from {words_of(first)} to {words_of(last + step_s)} ({first:.0f} to "
+                f"{last + step_s:.0f} s)"
+            )
+        steps = [step for step in steps if step.time_s <= seconds]
+    plan = {key: unpack(packed) for key, packed in steps[-1].told.get("plan", {}).items()}
+    return Decision(name, tuple(steps), forecast_of(steps), plan)
+
+
+def seconds_of(at: str) -> float:
+    """Seconds since 1 January of a time as people write it.
+
+    '16 06:30' is half past six of day 16 (days from 0, as `--period`), '16.5' noon of it, '01-17 06:30' and
+    '17 Jan 06:30' the calendar's, '1405800s' seconds. Raises `InputError` for anything else.
+    """
+    text = at.strip()
+    if match := re.fullmatch(r"(\d+(?:\.\d+)?) ?s", text):
+        return float(match[1])
+    if match := re.fullmatch(r"(\d+(?:\.\d+)?)(?: ?d)?(?: +(\d{1,2}):(\d{2}))?", text):
+        return float(match[1]) * DAY_S + 3600.0 * int(match[2] or 0) + 60.0 * int(match[3] or 0)
+    for form in ("%m-%d %H:%M", "%m-%dT%H:%M", "%d %b %H:%M"):
+        try:
+            told = datetime.strptime(f"2021 {text}", f"%Y {form}")
+        except ValueError:
+            continue
+        return (told - datetime(2021, 1, 1)).total_seconds()
+    raise InputError(f"--at {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'")
+
+
+def hour_ends(n: int, step_s: float, hours: float) -> range:
+    """Number of steps at the end of each of the first `hours` of a plan of `n` steps; of less than one hour its end."""
+    every = max(1, round(min(hours, 1.0) * HOUR_S / step_s))
+    return range(every, min(n, max(every, round(hours * HOUR_S / step_s))) + 1, every)
+
+
+def words_of(time_s: float) -> str:
+    """A time for people: day from 0 and clock."""
+    day, minutes = divmod(round(time_s / 60.0), 24 * 60)
+    return f"day {day} {minutes // 60:02d}:{minutes % 60:02d}"

@@ -1,0 +1,78 @@
+"""Alternatives of a decision of a run: from its journal, and the model kept beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from controllers.registry import build_controller, find_entry
+from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.composition import controller_options
+from thermoforce_mpc.simulation.journal.journal import NAME, making_sense, read_run
+from thermoforce_mpc.simulation.views.explaining import Decision
+
+if TYPE_CHECKING:  # CasADi is loaded only where there is a model
+    from controllers.mpc.alternatives import Alternatives
+
+# What a plan would have been made on does not matter here, so no weights are loaded.
+_FREE_RESPONSE = {"name": "linear_weather", "options": {}}
+
+
+def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
+    """What else could have been done, or why that cannot be said.
+
+    Raises:
+        JournalError: the journal is damaged.
+    """
+    with making_sense(folder / NAME):
+        return _alternatives_of(folder, decision)
+
+
+def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
+    entries = read_run(folder / NAME).entries
+    name = decision.controller
+    if not find_entry(name).needs_model:
+        return f"{name} acts without a model"
+    models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
+    told: Mapping[str, Any] = models.get(name, {})
+    if not told.get("folder"):
+        return f"there is no model: {told.get('refused') or 'the run was given one that it did not keep'}"
+    from controllers.mpc.alternatives import Planned, alternatives
+    from controllers.mpc.controller import ThermoForceMPC
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
+    options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
+    try:
+        model = load_model(folder / str(told["folder"]))
+        controller = build_controller(name, options, validate_scenario(scenario), model)
+        assert isinstance(controller, ThermoForceMPC)
+        rows = decision.plan
+        planned = None
+        if rows:
+            planned = Planned(
+                rows["u"],
+                rows["T_free_now_C"],
+                rows["T_free_C"],
+                rows["T_free_low_C"],
+                rows["T_free_high_C"],
+                rows["T_forced_K"],
+            )
+        return alternatives(controller, decision.observation, planned)
+    except (ArtifactError, DataError) as error:
+        return str(error)
+
+
+def alternatives_json(found: Alternatives | str) -> dict[str, Any]:
+    """All of it, for programs."""
+    if isinstance(found, str):
+        return {"none": found}
+    courses = [
+        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist()} for course in found.courses
+    ]
+    return {"courses": courses, "notes": list(found.notes)}

@@ -1,0 +1,142 @@
+"""The report of a run made again from its folder, also of a run that was cut off or is under way."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, J_PER_KWH
+from thermoforce_mpc.errors import ArtifactError, InputError
+from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.closed_loop import RunResult
+from thermoforce_mpc.simulation.folder.run_folder import is_complete
+from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
+from thermoforce_mpc.simulation.views.explaining import words_of
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+_MOST_BYTES = 10_000_000
+
+
+def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[str, ...]]:
+    """Write the report of the run in `folder`, to `path` or into the folder; returns its file, and what is missing.
+
+    Raises:
+        JournalError: there is no journal, it is damaged, or no step has ended.
+        ConfigError: its test case is no longer known.
+        StorageError: the report cannot be written.
+    """
+    from thermoforce_mpc.simulation.report import write_report
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder of a run")
+    run = told_run(folder)
+    testcase = load_testcase(run.scenario.testcase)
+    said = _cut_off(folder, run)
+    results = {name: _so_far(result, testcase) for name, result in run.results.items()}
+    own, *others = results.values()
+    model, why = _model(folder, run, own.controller)
+    if why:
+        said.append(f"The model of the run is not shown: {why}")
+    manifest = _json(folder / "manifest.json") or {
+        "plant": run.plant,
+        "command": run.command,
+        "environment": {"thermoforce-mpc": run.version},
+        "identification": run.models.get(own.controller, {}).get("origin", {}),
+    }
+    kpis = {
+        "testcase": run.plant.get("testcase", testcase.name),
+        "plant": f"{run.plant.get('kind')}: {run.plant.get('description')}",
+        "weather": run.plant.get("weather", ""),
+        "period": run.scenario.period,
+        "start_day": own.period.start_s / DAY_S,
+        "scored_days": own.period.scored_s / DAY_S,
+        "price": run.scenario.price,
+        "controller": own.controller,
+    }
+    file = write_report(
+        folder,
+        currency=testcase.currency,
+        kpis=kpis,
+        result=own,
+        baselines={one.controller: one for one in others},
+        layout=testcase.layout,
+        area_m2=testcase.area_m2,
+        model=model,
+        manifest=manifest,
+        said=said,
+        path=path,
+    )
+    return file, tuple(said)
+
+
+def _cut_off(folder: Path, run: ToldRun) -> list[str]:
+    """What is told of a run that has not ended."""
+    said = []
+    for name in run.cut_off:
+        result = run.results[name]
+        last = result.steps[-1].samples[-1]
+        end_s, days = last.start_s + last.duration_s, result.period.scored_s / DAY_S
+        done = (end_s - result.period.start_s) / DAY_S
+        said.append(
+            f"{name} was cut off after {done:.3g} of {days:g} days, at {words_of(end_s)}. Its figures are those until "
+            "then, from metered power and the temperatures at the ends of blocks."
+        )
+        b = result.steps[0].boundary
+        if (b.heating_price_per_kWh != b.price_per_kWh).any():
+            said.append(
+                "Heating has a carrier of its own: until then its fan's electricity counts at the price of gas."
+            )
+    absent = [name for name in (run.scenario.controller.name, *run.scenario.baselines) if name not in run.results]
+    if absent:
+        said.append(f"{', '.join(absent)} had not begun.")
+    early = folder / "INCOMPLETE.txt"
+    if said and early.is_file():
+        said.append(read_bounded(early, _MOST_BYTES, InputError).decode("utf-8", "replace")[:500].strip())
+    if said and not is_complete(folder):
+        said.append(f"“tf-mpc resume {folder}” goes on with a run that was ended before its time.")
+    return said
+
+
+def _so_far(result: RunResult, testcase: TestCase) -> RunResult:
+    """A result with figures of its own where the plant's are not there: until the last step that ended."""
+    if "ener_tot" in result.kpis:
+        return result
+    from thermoforce_mpc.simulation.report.courses import course_of
+
+    course = course_of(result, testcase.layout, testcase.area_m2, len(result.steps) * 1000)
+    energy_J = np.nansum(course.power_W * course.duration_s)
+    found = {
+        "cost_tot": float(course.cost[-1]),
+        "ener_tot": float(energy_J / J_PER_KWH / testcase.area_m2),
+        "tdis_tot": float(course.discomfort_Kh[:, -1].mean()),
+    }
+    return replace(result, kpis={**found, **result.kpis})
+
+
+def _model(folder: Path, run: ToldRun, controller: str) -> tuple[ThermalModel | None, str]:
+    """The model that the controller planned with, or why there is none to show."""
+    told: Mapping[str, Any] = run.models.get(controller, {})
+    if not told.get("folder"):
+        return None, str(told.get("refused") or "")
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    try:
+        return load_model(folder / str(told["folder"])), ""
+    except ArtifactError as error:
+        return None, str(error)
+
+
+def _json(path: Path) -> Mapping[str, Any] | None:
+    if not path.is_file():
+        return None
+    content: Mapping[str, Any] = json.loads(read_bounded(path, _MOST_BYTES, InputError))
+    return content
