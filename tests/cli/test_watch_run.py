@@ -24,9 +24,9 @@ from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.scenario.scenario import load_scenario
 from thermoforce_mpc.service.live_page import page_server
 from thermoforce_mpc.service.server import running
-from thermoforce_mpc.simulation import journal as journal_module
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.journal import journal as journal_module
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalTail, read_journal
 from thermoforce_mpc.simulation.views.live_view import LiveRun, Zone
 

@@ -17,9 +17,9 @@ from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.simulation import journal as journal_module
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
+from thermoforce_mpc.simulation.journal import journal as journal_module
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalText, read_journal
 
 TESTCASE = "bestest_hydronic_heat_pump"

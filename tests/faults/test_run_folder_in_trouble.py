@@ -22,7 +22,8 @@ from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.folder.run_log import logging_to
-from thermoforce_mpc.simulation.journal.journal import journal, read_journal
+from thermoforce_mpc.simulation.journal import journal
+from thermoforce_mpc.simulation.journal.journal import read_journal
 
 WORDS = ("run", "--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "")
 

@@ -22,8 +22,8 @@ from simple_house import simple_model
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli import fleet as fleet_command
 from thermoforce_mpc.cli.options import scenario_from
+from thermoforce_mpc.cli.running import fleet as fleet_command
 from thermoforce_mpc.cli.running.run import command as run_one
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
