@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.identification import identify
@@ -24,7 +25,6 @@ from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.research.bench.operator_data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
 FREE, FORCED, TRUTH, RAW = "#228b22", "#b22222", "#1b1f24", "#6b7280"

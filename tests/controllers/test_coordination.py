@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 
+from benchmarks.bench.joint_optimum import solve_jointly
+from benchmarks.bench.zone_scaling import building_operator, building_problem
 from controllers.checks import ControllerConfigError
 from controllers.coordination import Coordination, QPMember, SharedPower, coordinate
 from controllers.coordination.member import Answer, Settled
@@ -16,8 +18,6 @@ from controllers.optimisation.problem import Cooling, ProblemShape, blocked_move
 from controllers.optimisation.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.research.bench.joint_optimum import solve_jointly
-from thermoforce_mpc.research.bench.zone_scaling import building_operator, building_problem
 
 _CONFIG = QPConfig()
 

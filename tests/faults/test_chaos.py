@@ -13,14 +13,14 @@ from click.testing import CliRunner
 from emulator_service import running_emulator_service
 from simple_house import simple_model
 
+from benchmarks.chaos import troubles as kinds
+from benchmarks.chaos.episode import Setting, run_episode
+from benchmarks.chaos.episodes import OPTIONS, TESTCASE, run_chaos
+from benchmarks.chaos.judging import jumps, wrong_inputs, wrong_steps
+from benchmarks.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.research.chaos import troubles as kinds
-from thermoforce_mpc.research.chaos.episode import Setting, run_episode
-from thermoforce_mpc.research.chaos.episodes import OPTIONS, TESTCASE, run_chaos
-from thermoforce_mpc.research.chaos.judging import jumps, wrong_inputs, wrong_steps
-from thermoforce_mpc.research.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.journal.journal import Entry, read_journal, read_run
 from thermoforce_mpc.simulation.journal.told_steps import told_loops, told_steps

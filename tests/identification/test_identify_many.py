@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from houses import House, record
 
+from benchmarks.bench.identify_many import plain_fit
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.estimation.modes import mode_priors
@@ -15,7 +16,6 @@ from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.identification.pipeline import BuildingRecords, identify_many
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
-from thermoforce_mpc.research.bench.identify_many import plain_fit
 
 LIGHT = House(tau_h=(0.3, 2.0, 30.0), gain_K=(3.0, 15.0))
 COOLED = House(sign=-1)

@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from houses import House, random_levels, record
 
+from benchmarks.bench.operator import run_operator_bench
+from benchmarks.bench.operator_data import cut, read_hourly_pairs, read_run
+from benchmarks.bench.operator_score import score_pairs
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator import linear_operator
-from thermoforce_mpc.research.bench.operator import run_operator_bench
-from thermoforce_mpc.research.bench.operator_data import cut, read_hourly_pairs, read_run
-from thermoforce_mpc.research.bench.operator_score import score_pairs
 
 pytestmark = pytest.mark.slow
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
+from benchmarks.interventions.pair_probing import probe_pair
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -14,7 +15,6 @@ from thermoforce_mpc.identification.probing.design import Designer
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.research.interventions.pair_probing import probe_pair
 from thermoforce_mpc.scenario.settings import validate
 
 

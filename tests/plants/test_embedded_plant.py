@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from one_zone_kpis import compute_kpis
 
+from benchmarks.bench.plants_together import advance_together
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
@@ -17,7 +18,6 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, 
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.research.bench.plants_together import advance_together
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.bench import saving as bench
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, Names, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.research.bench import saving as bench
 from thermoforce_mpc.whatif.days import days_of
 from thermoforce_mpc.whatif.saving import verified_saving
 

@@ -54,9 +54,9 @@ def command(
       tf-mpc chaos
       tf-mpc chaos --episodes 200 --seed 7 --jobs 4 --json chaos.json --keep chaos
     """
+    from benchmarks.chaos.episodes import run_chaos
     from thermoforce_mpc.cli.bench import show
     from thermoforce_mpc.model.thermal_model import load_model
-    from thermoforce_mpc.research.chaos.episodes import run_chaos
 
     found = run_chaos(
         episodes=episodes,

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.interventions.pool import simulate_all
 from thermoforce_mpc.errors import PlantError, WeatherError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.plants.energyplus.engine import is_available, weather_file
 from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, Recorder, run_engine
 from thermoforce_mpc.plants.energyplus.zone import ZoneSpec, zone_model
-from thermoforce_mpc.research.interventions.pool import simulate_all
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 

@@ -1,0 +1,144 @@
+"""ThermoForce: free response of T − F by a frozen forecaster, plus a monotone operator identified on the probe pair."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.interventions.dataset import Window
+from benchmarks.interventions.methods.base import Training, best, clearly_better
+from benchmarks.interventions.methods.curve import curved, with_curve
+from thermoforce_mpc.data import Array, Observation
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.estimation.records import Pair
+from thermoforce_mpc.model.operator.features import N_FEATURES
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.rollout import forced_rollout
+from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.protocols import FreeResponse
+
+# Candidate centres of the priors, h: an air-heated zone responds within hours, its structure within a day.
+_TIME_CONSTANTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
+    1: ((0.3,), (0.6,), (1.0,), (1.5,), (1.8,), (2.1,), (2.4,), (2.8,), (3.5,), (5.0,), (10.0,), (20.0,)),
+    2: ((1.2, 20.0), (0.8, 6.0)),
+    3: ((0.5, 2.0, 20.0), (1.0, 5.0, 30.0)),
+}
+# A single mode fitted freely gets a time constant between those of room air and structure. So it is fixed at each
+# centre and chosen on the validation windows. With several modes the time constants are estimated.
+_LOG_SD: dict[int, float] = {1: 0.02, 2: 1.0, 3: 1.0}
+# Wide prior (mean, sd): full power into the air changes its temperature by kelvins per hour.
+_START_SLOPE_K_PER_H = (5.0, 10.0)
+
+
+class SuperpositionPredictor:
+    """`Predictor`: thermal model plus free response (paper eq:compose); the input of the model is v(u)."""
+
+    def __init__(self, model: ThermalModel, free_response: FreeResponse, note: str, exponent: float = 1.0) -> None:
+        self.model, self.note, self.exponent = model, note, exponent
+        self._predictor = Predictor(model.operator, free_response)
+
+    @property
+    def modulated(self) -> bool:
+        """Whether m(x) was trained and kept; otherwise m = 1."""
+        return bool(self.model.only.card.scores.get("modulation_kept", 0.0))
+
+    def respond(self, window: Window, u: Array) -> Array:
+        """See `Predictor.respond`."""
+        history = with_curve(window.history, self.exponent)
+        context = self._predictor.context(Observation(history, window.boundary))
+        return context.predict(curved(u, self.exponent)[:, None]).total_C[:, 0]
+
+
+class LinearEffect:
+    """`Predictor` of effects for the choice of settings: with m = 1 they do not depend on history or free response.
+
+    It returns the forced response from rest, K, so only differences of its predictions are meaningful.
+    """
+
+    def __init__(self, model: ThermalModel, note: str, exponent: float) -> None:
+        self.model, self.note, self.exponent = model, note, exponent
+
+    def respond(self, window: Window, u: Array) -> Array:
+        """See `Predictor.respond`; here without the free response, which is the same for all plans."""
+        operator = self.model.only.operator.resampled(window.boundary.step_s)
+        features = np.zeros((u.shape[1], N_FEATURES))
+        rest = np.zeros(operator.order)
+        return np.asarray(forced_rollout(operator, rest, curved(u, self.exponent), features).sum(axis=-1))
+
+
+def identified(
+    training: Training,
+    time_constants_h: tuple[float, ...],
+    *,
+    modulation: Literal["neural", "linear"] = "neural",
+    gamma: float = 0.75,
+    exponent: float = 1.0,
+    **options: Any,
+) -> ThermalModel:
+    """Identify from the probe pair with the given prior centres and input v(u) with the given exponent."""
+    pair = training.probe.pair
+    settings: dict[str, Any] = {
+        "order": len(time_constants_h),
+        "time_constants_h": time_constants_h,
+        "time_constant_log_sd": _LOG_SD[len(time_constants_h)],
+        "start_slope_K_per_h": _START_SLOPE_K_PER_H,
+        "heat_input": "identity",
+        "modulation": modulation,
+        "gamma": gamma,
+        "seed": training.seed,
+    }
+    return identify(
+        pairs=[Pair(with_curve(pair.a, exponent), with_curve(pair.b, exponent), label=pair.label)],
+        config=IdentificationConfig(**(settings | options)),
+        mode=training.climate.spec.mode,
+        floor_area_m2=training.climate.spec.floor_area_m2,
+        source=f"{training.days} probe days on EnergyPlus {training.climate.name}",
+    )
+
+
+def build_thermoforce(
+    training: Training,
+    free_response: FreeResponse,
+    *,
+    orders: tuple[int, ...],
+    modulation: Literal["neural", "linear"] = "neural",
+    gamma: float = 0.75,
+    exponents: tuple[float, ...] = (1.0,),
+    doubt_network: bool = True,
+) -> SuperpositionPredictor:
+    """Identify with each order, prior centre and exponent, and keep the best on the validation windows.
+
+    The choice is made with m = 1. If requested, a neural m(x) is then trained at the chosen setting. It is kept only if
+    it is also clearly better on the validation windows; without `doubt_network` this check is skipped.
+    """
+    candidates = {}
+    settings = {}
+    for taus, exponent in product([taus for order in orders for taus in _TIME_CONSTANTS_H[order]], exponents):
+        name = f"{taus}, exponent {exponent:g}"
+        model = identified(training, taus, modulation="linear", gamma=gamma, exponent=exponent)
+        candidates[name], settings[name] = LinearEffect(model, name, exponent), taus
+    name = best(candidates, training.validation)
+    linear, exponent = candidates[name], candidates[name].exponent
+    model = linear.model
+    if modulation == "neural":
+        trained = identified(training, settings[name], gamma=gamma, exponent=exponent)
+        network = SuperpositionPredictor(trained, free_response, name, exponent)
+        if network.modulated and (not doubt_network or clearly_better(network, linear, training.validation)):
+            model = trained
+    chosen = SuperpositionPredictor(model, free_response, "", exponent)
+    chosen.note = describe(model.only.operator)
+    if modulation == "neural":
+        chosen.note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
+    if len(exponents) > 1:
+        chosen.note += f", exponent {exponent:g}"
+    return chosen
+
+
+def describe(operator: OperatorParameters) -> str:
+    """Time constants and gains in one line."""
+    hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
+    gains = ", ".join(f"{gain:+.1f} K" for gain in operator.steady_gains_K)
+    return f"order {operator.order} ({hours}; {gains})"

@@ -1,0 +1,147 @@
+"""Evaluation of a checkpoint on held-out synthetic series: error against simple forecasts, and calibration.
+
+It shows whether training worked and how much history the model needs. `tf-mpc bench free-response` evaluates the
+forecaster on series of buildings.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.pretraining.model import CONTEXT, HORIZON, QUANTILES
+from benchmarks.pretraining.series import draw_batch
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import BackboneError, ConfigError
+
+CONTEXTS = (48, 96, 168, 336, 512)
+_SEASON = 24
+# Streams 1 and 2 of a seed are used for training and validation.
+_STREAM = 3
+# Errors are scaled by the standard deviation of the context, so nearly constant contexts are excluded.
+_LEAST_SCALE = 1e-3
+
+
+@dataclass(frozen=True)
+class ContextScore:
+    """Scores at one context length, pooled over series and the first `steps` steps ahead.
+
+    Errors are mean absolute ones over the standard deviation of each series' context. `coverage` holds the share of
+    values at or below each of the model's quantiles, which should be the quantile's level.
+    """
+
+    context: int
+    series: int
+    steps: int
+    model: float
+    persistence: float
+    seasonal_naive: float
+    inside_80: float
+    coverage: tuple[float, ...]
+
+
+def evaluate(folder: Path, *, series: int = 1024, seed: int = 0, steps: int = 24) -> dict[str, Any]:
+    """Score the checkpoint in `folder` at several context lengths on the same held-out series.
+
+    Args:
+        folder: config.json and model.safetensors of a Chronos-Bolt checkpoint.
+        series: number of series.
+        seed: seed of the series; it may equal the training seed, since another stream is used.
+        steps: number of forecast steps that are scored, at most `HORIZON`.
+
+    Returns:
+        `contexts`: a list of `ContextScore` as dicts; `milliseconds`: median time of one forecast of `steps` steps.
+
+    Raises:
+        BackboneError: there is no checkpoint in `folder`, or it cannot be loaded.
+        ConfigError: `series` or `steps` is out of range.
+    """
+    if not 1 <= steps <= HORIZON:
+        raise ConfigError(f"steps is {steps}: the model forecasts 1 to {HORIZON} at once")
+    if series < 1:
+        raise ConfigError(f"series is {series}: draw at least one")
+    pipeline = _load(folder)
+    past, future = _held_out(np.random.default_rng([seed, _STREAM]), series, steps)
+    scores = [_score(pipeline, past[:, -length:], future) for length in CONTEXTS]
+    return {
+        "seed": seed,
+        "contexts": [asdict(score) for score in scores],
+        "milliseconds": _milliseconds(pipeline, past[:1], steps),
+    }
+
+
+def _load(folder: Path) -> Any:
+    import torch
+    from chronos import BaseChronosPipeline
+
+    if not (folder / "config.json").is_file():
+        raise BackboneError(f"{folder}: no config.json there; give the folder of a checkpoint")
+    try:
+        pipeline = BaseChronosPipeline.from_pretrained(str(folder), device_map="cpu", dtype=torch.float32)
+    except Exception as error:  # the libraries below raise anything from KeyError to their own types
+        raise BackboneError(f"{folder} cannot be loaded: {type(error).__name__}: {error}") from error
+    pipeline.model.eval()
+    return pipeline
+
+
+def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array]:
+    """Contexts (series, CONTEXT) and following values (series, steps) of series whose shortest context has no gaps.
+
+    The same series serve all context lengths, so padded ones are drawn again.
+    """
+    pasts: list[Array] = []
+    futures: list[Array] = []
+    while sum(map(len, pasts)) < series:
+        batch = draw_batch(rng, 256, CONTEXT, HORIZON)
+        past, future = batch.context, batch.future[:, :steps]
+        usable = np.isfinite(past).all(axis=1) & np.isfinite(future).all(axis=1)
+        usable &= past[:, -min(CONTEXTS) :].std(axis=1) > _LEAST_SCALE
+        pasts.append(past[usable])
+        futures.append(future[usable])
+    return np.concatenate(pasts)[:series], np.concatenate(futures)[:series]
+
+
+def _score(pipeline: Any, past: Array, future: Array) -> ContextScore:
+    n, steps = future.shape
+    # All context lengths share one scale, that of the shortest context, which contains no future values.
+    scale = past[:, -min(CONTEXTS) :].std(axis=1, keepdims=True)
+    quantiles = _quantiles(pipeline, past, steps)
+    day = past[:, -_SEASON:]
+    naive = np.tile(day, (1, -(-steps // _SEASON)))[:, :steps]
+    below = future[:, None, :] <= quantiles
+
+    def error(forecast: Array) -> float:
+        return float((np.abs(future - forecast) / scale).mean())
+
+    return ContextScore(
+        context=int(past.shape[1]),
+        series=int(n),
+        steps=int(steps),
+        model=error(quantiles[:, QUANTILES.index(0.5)]),
+        persistence=error(np.repeat(past[:, -1:], steps, axis=1)),
+        seasonal_naive=error(naive),
+        inside_80=float(((future >= quantiles[:, 0]) & (future <= quantiles[:, -1])).mean()),
+        coverage=tuple(float(share) for share in below.mean(axis=(0, 2))),
+    )
+
+
+def _quantiles(pipeline: Any, past: Array, steps: int) -> Array:
+    """The model's nine quantiles, sorted, shape (n, 9, steps)."""
+    import torch
+
+    with torch.no_grad():
+        found, _ = pipeline.predict_quantiles(torch.from_numpy(past.astype(np.float32)), steps, QUANTILES)
+    return np.asarray(np.sort(found.numpy().transpose(0, 2, 1), axis=1), dtype=np.float64)
+
+
+def _milliseconds(pipeline: Any, past: Array, steps: int, repeats: int = 30) -> float:
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        _quantiles(pipeline, past, steps)
+        seconds.append(time.perf_counter() - began)
+    return float(np.median(seconds)) * 1e3

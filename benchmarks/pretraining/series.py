@@ -1,0 +1,156 @@
+"""Synthetic control-free temperature series: simulated rooms without control, and series of no physical origin.
+
+No data of a measured building or of the real test case are used; the shipped forecaster was trained on these series
+only. All series of a batch are generated together, step by step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.pretraining.climate import random_weather
+from benchmarks.pretraining.occupants import held_by_others, random_people
+from thermoforce_mpc.data import Array
+
+# Steps in hours and how often each is drawn.
+_STEPS_H = (0.25, 0.5, 1.0)
+_STEP_SHARE = (0.2, 0.3, 0.5)
+_SHARE_OF_ROOMS = 0.75
+# Shares of rooms with an external thermostat, and of sensors that record the mean of a step.
+_SHARE_HELD = 0.15
+_SHARE_OF_MEANS = 0.25
+_BURN_IN = 200
+_SHARE_PADDED = 0.3
+_SHORTEST_CONTEXT = 32
+
+
+@dataclass(frozen=True)
+class Batch:
+    """`context` (B, C), padded with NaN on the left if short, and `future` (B, H), °C, float32."""
+
+    context: Array
+    future: Array
+
+
+def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) -> Batch:
+    """Draw `size` series and cut them into context and future."""
+    length = context + horizon
+    n_rooms = round(_SHARE_OF_ROOMS * size)
+    rooms = _rooms(rng, n_rooms, length)
+    others = _others(rng, size - n_rooms, length)
+    series = _measured(rng, np.concatenate([rooms, others]))
+    past, future = series[:, :context].copy(), series[:, context:]
+    padded = rng.random(size) < _SHARE_PADDED
+    starts = rng.integers(0, context - _SHORTEST_CONTEXT, size)
+    past[(np.arange(context) < starts[:, None]) & padded[:, None]] = np.nan
+    order = rng.permutation(size)
+    return Batch(past[order].astype(np.float32), future[order].astype(np.float32))
+
+
+def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
+    """Rooms with one to four time constants, driven by weather, people and leftover control, °C, shape (n, length)."""
+    total = length + _BURN_IN
+    step_h = rng.choice(_STEPS_H, n, p=_STEP_SHARE)
+    hour = rng.uniform(0, 24, n)[:, None] + step_h[:, None] * np.arange(total)
+    outdoor, sun = random_weather(rng, hour, step_h)
+    people = random_people(rng, hour)
+    drive = np.stack(
+        [
+            outdoor,
+            sun * np.exp(rng.normal(-0.2, 0.8, n))[:, None],
+            people * np.exp(rng.normal(-0.7, 0.8, n))[:, None],
+            _leftover_control(rng, n, total) * np.exp(rng.normal(-1.5, 1.0, n))[:, None],
+        ],
+        axis=-1,
+    )  # (n, total, 4)
+    # Time constants from room air (half an hour) to a massive structure (ten days); light houses have fewer.
+    tau_h = np.exp(np.stack([rng.uniform(np.log(a), np.log(b), n) for a, b in ((0.4, 2), (2, 8), (8, 40), (40, 240))]))
+    tau_h = tau_h.T
+    order = rng.integers(1, 5, n)
+    weights = rng.gamma(0.8, 1.0, (n, 4, 4))  # drive by mode
+    # Light houses lack slow modes, heavy ones fast modes: keep `order` neighbouring modes.
+    first = (rng.random(n) * (5 - order)).astype(int)
+    mode = np.arange(4)
+    kept = (mode >= first[:, None]) & (mode < (first + order)[:, None])
+    weights *= kept[:, None, :]
+    weights[:, 0] /= np.maximum(weights[:, 0].sum(axis=-1, keepdims=True), 1e-9)  # steady-state gain of T_out is 1
+    # Sun and people act faster than T_out: more weight on fast modes, smaller steady-state gain.
+    weights[:, 1:] *= (tau_h[:, None, :] / 24.0) ** 0.3
+    keep = np.exp(-step_h[:, None] / tau_h)
+    state = np.repeat(outdoor.mean(axis=1)[:, None], 4, axis=1) * weights[:, 0]
+    T = np.empty((n, total))
+    gain = 1.0 - keep
+    pushed = np.einsum("ntd,ndm->ntm", drive, weights)
+    for t in range(total):
+        state = keep * state + gain * pushed[:, t]
+        T[:, t] = state.sum(axis=1)
+    T += _fading_transient(rng, tau_h, kept, step_h, total)
+    held = rng.random(n) < _SHARE_HELD
+    T[held] = held_by_others(rng, T[held], hour[held], step_h[held])
+    mean = rng.random(n) < _SHARE_OF_MEANS
+    T[mean, 1:] = 0.5 * (T[mean, 1:] + T[mean, :-1])
+    drift = rng.normal(0, 0.02, n)[:, None] * (rng.random(n) < 0.2)[:, None] * hour / 24
+    return np.asarray((T + drift + rng.uniform(0, 18, n)[:, None])[:, _BURN_IN:])
+
+
+def _fading_transient(
+    rng: np.random.Generator, tau_h: Array, kept: NDArray[np.bool_], step_h: Array, total: int
+) -> Array:
+    """Decay after heating has stopped or a window was shut: a constant level, then a decay with the modes of the room.
+
+    Shape (n, total), K, zero for most rooms. The decay starts in the first 85 % of the series, so that it seldom starts
+    within the part to be forecast.
+    """
+    n = int(step_h.size)
+    size = np.exp(rng.normal(1.0, 0.9, n)) * rng.choice([1.0, -1.0], n, p=[0.7, 0.3]) * (rng.random(n) < 0.3)
+    share = rng.gamma(1.0, 1.0, kept.shape) * kept
+    share /= share.sum(axis=1, keepdims=True)
+    moment = rng.uniform(_BURN_IN - 100, 0.85 * total, n)
+    since_h = np.maximum(np.arange(total) - moment[:, None], 0.0) * step_h[:, None]
+    out = np.zeros((n, total))
+    for mode in range(kept.shape[1]):
+        out += share[:, mode, None] * np.exp(-since_h / tau_h[:, mode, None])
+    return size[:, None] * out
+
+
+def _leftover_control(rng: np.random.Generator, n: int, total: int) -> Array:
+    """On/off pattern around zero, as an imperfect operator leaves in T − F, shape (n, total)."""
+    stay = rng.uniform(0.7, 0.97, n)[:, None]
+    flips = rng.random((n, total)) > stay
+    return np.asarray(np.where(np.cumsum(flips, axis=1) % 2 == 0, -1.0, 1.0))
+
+
+def _others(rng: np.random.Generator, n: int, length: int) -> Array:
+    """Smooth random functions (random Fourier features of a Gaussian process), seasons, trends and noise."""
+    t = np.arange(length)
+    scale = np.exp(rng.uniform(np.log(4), np.log(300), (n, 1, 1)))
+    # Heavier tails of the frequencies give rougher functions (Matérn instead of squared exponential).
+    freedom = rng.uniform(1.5, 8.0, (n, 1, 1))
+    frequency = (
+        rng.standard_normal((n, 24, 1)) / scale / np.sqrt(rng.chisquare(np.broadcast_to(freedom, (n, 24, 1))) / freedom)
+    )
+    smooth = np.cos(frequency * t + rng.uniform(0, 2 * np.pi, (n, 24, 1))).sum(axis=1) / np.sqrt(12)
+    period = rng.choice([24.0, 48.0, 96.0, 168.0], n)[:, None]
+    season = np.zeros((n, length))
+    for harmonic in range(1, 5):
+        size = rng.normal(0, 1.0 / harmonic, n)[:, None]
+        season += size * np.cos(2 * np.pi * harmonic * t / period + rng.uniform(0, 2 * np.pi, n)[:, None])
+    slope = rng.normal(0, 1.0, n)[:, None] * (rng.random(n) < 0.3)[:, None] * t / length
+    noise = rng.standard_normal((n, length)) * np.exp(rng.normal(-2.5, 1.0, n))[:, None]
+    share = rng.gamma(1.0, 1.0, (n, 2))
+    return np.asarray(share[:, :1] * smooth + share[:, 1:] * season + slope + noise)
+
+
+def _measured(rng: np.random.Generator, series: Array) -> Array:
+    """Add sensor effects: noise, rounding and rare gaps (NaN)."""
+    n, length = int(series.shape[0]), int(series.shape[1])
+    noisy = (
+        series + rng.standard_normal((n, length)) * np.where(rng.random(n) < 0.5, rng.uniform(0, 0.08, n), 0.0)[:, None]
+    )
+    grain = rng.choice([0.0, 0.01, 0.1, 0.5], n, p=[0.5, 0.2, 0.25, 0.05])[:, None]
+    rounded = np.where(grain > 0, np.round(noisy / np.maximum(grain, 1e-9)) * grain, noisy)
+    gap = (rng.random((n, length)) < 0.01) & (rng.random(n) < 0.1)[:, None]
+    return np.asarray(np.where(gap, np.nan, rounded))

@@ -1,0 +1,247 @@
+"""Training of the shipped forecaster: seeded, resumable, on a GPU if available, else on the CPU."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks.pretraining.model import CONTEXT, HORIZON, build_model
+from benchmarks.pretraining.series import draw_batch
+from thermoforce_mpc.errors import ConfigError
+
+# Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
+_LARGEST_Z = 8.0
+_WARM_UP = 200
+_CLIP = 1.0
+# Computed at import, since the files may change during a long run.
+_CODE_HASH = hashlib.sha256(
+    b"".join(
+        (Path(__file__).parent / f"{name}.py").read_bytes()
+        for name in ("series", "climate", "occupants", "model", "training")
+    )
+).hexdigest()
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Training options; `steps` also sets the length of the learning-rate schedule.
+
+    `start_sha256` is the hash of the weights that a later stage starts from, empty for a random start; a later stage
+    needs smaller learning rates (`rate_scale`). It may have more encoder layers than those weights; the new ones start
+    with zero output. `bfloat16` computes matrix products in that precision, weights stay in single precision.
+    """
+
+    steps: int = 12_000
+    batch: int = 128
+    seed: int = 0
+    muon_lr: float = 0.02
+    adamw_lr: float = 3e-3
+    weight_decay: float = 0.01
+    save_every: int = 500
+    validation_batches: int = 4
+    rate_scale: float = 1.0
+    start_sha256: str = ""
+    d_model: int = 64
+    encoder_layers: int = 2
+    bfloat16: bool = False
+
+
+def pretrain(
+    folder: Path,
+    config: TrainingConfig,
+    report: Callable[[str], None] = print,
+    *,
+    start: Path | None = None,
+    force: bool = False,
+) -> Path:
+    """Train, or resume from `folder/state.pt`; writes `folder/checkpoint` with weights and `training.json`.
+
+    The batch of step k depends only on the seed and k, so an interrupted run ends with the same weights as an
+    uninterrupted one (on the same machine and number of threads).
+
+    Args:
+        start: folder of a checkpoint to start from instead of random weights; `config.start_sha256` must be its
+            `weights_sha256`.
+        force: overwrite a run in `folder`.
+
+    Raises:
+        ConfigError: `folder` holds a finished run, or one of another configuration or code, and `force` is not set;
+            or `start` is not the checkpoint that `config` names.
+    """
+    state_path = folder / "state.pt"
+    if config.start_sha256 != (weights_sha256(start) if start else ""):
+        raise ConfigError(f"start_sha256 of the configuration is not the hash of the start checkpoint {start}")
+    if force:
+        state_path.unlink(missing_ok=True)
+    torch.manual_seed(config.seed)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    model = build_model(config.d_model, 4 * config.d_model, config.encoder_layers)
+    if start is not None:
+        _start_from(model, start)
+    model = model.to(device)
+    matrices, rest = _split_parameters(model)
+    optimisers = [
+        torch.optim.Muon(matrices, lr=config.muon_lr, weight_decay=config.weight_decay),
+        torch.optim.AdamW(rest, lr=config.adamw_lr, weight_decay=config.weight_decay),
+    ]
+    curve: list[dict[str, float]] = []
+    first = 0
+    folder.mkdir(parents=True, exist_ok=True)
+    if state_path.exists():
+        state = torch.load(state_path, map_location=device, weights_only=True)
+        _check_resumable(state, config, folder)
+        model.load_state_dict(state["model"])
+        for optimiser, saved in zip(optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
+        first, curve = int(state["step"]), list(state["curve"])
+        report(f"resuming at step {first}")
+    rates = [config.rate_scale * config.muon_lr, config.rate_scale * config.adamw_lr]
+    began, running = time.perf_counter(), 0.0
+    model.train()
+    for step in range(first, config.steps):
+        for optimiser, rate in zip(optimisers, rates, strict=True):
+            for group in optimiser.param_groups:
+                group["lr"] = rate * _schedule(step, config.steps)
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=config.bfloat16):
+            loss = batch_loss(model, np.random.default_rng([config.seed, 1, step]), config.batch)
+        for optimiser in optimisers:
+            optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), _CLIP)
+        for optimiser in optimisers:
+            optimiser.step()
+        running = 0.98 * running + 0.02 * loss.item() if step > first else loss.item()
+        done = step + 1
+        if done % config.save_every == 0 or done == config.steps:
+            validation = _validation_loss(model, config)
+            curve.append({"step": done, "training": running, "validation": validation})
+            speed = (done - first) / (time.perf_counter() - began)
+            report(
+                f"step {done}/{config.steps}  training {running:.3f}  validation {validation:.3f}  {speed:.1f} steps/s"
+            )
+            state = {
+                "model": model.state_dict(),
+                "optimisers": [optimiser.state_dict() for optimiser in optimisers],
+                "step": done,
+                "curve": curve,
+                "config": asdict(config),
+                "code": code_hash(),
+            }
+            torch.save(state, state_path.with_suffix(".new"))
+            state_path.with_suffix(".new").replace(state_path)
+            record = {
+                "config": asdict(config),
+                "code_sha256": code_hash(),
+                "parameters": sum(p.numel() for p in model.parameters()),
+                "device": device,
+                "torch": torch.__version__,
+                "curve": curve,
+            }
+            save_checkpoint(model, folder / "checkpoint", record)
+    return folder / "checkpoint"
+
+
+def code_hash() -> str:
+    """SHA-256 of the sources of series, model and training, as they were at import."""
+    return _CODE_HASH
+
+
+def weights_sha256(checkpoint: Path) -> str:
+    """SHA-256 of a checkpoint's weight file; raises `ConfigError` when there is none."""
+    path = checkpoint / "model.safetensors"
+    if not path.is_file():
+        raise ConfigError(f"{checkpoint} holds no model.safetensors to start from")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _start_from(model: Any, checkpoint: Path) -> None:
+    from safetensors.torch import load_file
+
+    weights = {name: tensor.float() for name, tensor in load_file(checkpoint / "model.safetensors").items()}
+    own = model.state_dict(keep_vars=True)
+    wrong = [name for name, tensor in weights.items() if name in own and own[name].shape != tensor.shape]
+    if not wrong:
+        # Tied tensors are stored once: a missing one must be an alias of a stored one or belong to a new layer.
+        missing, unexpected = model.load_state_dict(weights, strict=False)
+        stored = {own[name].data_ptr() for name in weights if name not in unexpected}
+        foreign = [name for name in missing if own[name].data_ptr() not in stored]
+        layers = {name.split(".")[2] for name in weights if name.startswith("encoder.block.")}
+        new = [name for name in foreign if name.startswith("encoder.block.") and name.split(".")[2] not in layers]
+        with torch.no_grad():
+            for name in new:
+                if name.endswith((".o.weight", ".wo.weight")):
+                    own[name].zero_()  # residual block: zero output at the start
+        wrong = [*(name for name in foreign if name not in new or not layers), *unexpected]
+    if wrong:
+        raise ConfigError(f"{checkpoint} is of another architecture: {', '.join(wrong)[:200]}")
+
+
+def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path) -> None:
+    advice = "give another folder, or use --force to overwrite it"
+    if state["config"] != asdict(config):
+        changed = [key for key, value in asdict(config).items() if state["config"].get(key) != value]
+        raise ConfigError(f"{folder} holds a run with other {', '.join(changed) or 'options'}: {advice}")
+    if state["code"] != code_hash():
+        raise ConfigError(f"{folder} holds a run made by another version of the training code: {advice}")
+    if int(state["step"]) >= config.steps:
+        raise ConfigError(f"{folder} holds a finished run of {config.steps} steps: {advice}")
+
+
+def batch_loss(model: Any, rng: np.random.Generator, size: int) -> Tensor:
+    """Quantile loss on one random batch of `size` series."""
+    batch = draw_batch(rng, size, CONTEXT, HORIZON)
+    context = torch.from_numpy(batch.context).to(model.device)
+    future = torch.from_numpy(batch.future).to(model.device)
+    _, (loc, scale) = model.instance_norm(context)
+    future = torch.where(((future - loc) / scale).abs() > _LARGEST_Z, torch.nan, future)
+    loss: Tensor = model(context=context, target=future).loss
+    return loss
+
+
+def save_checkpoint(model: Any, folder: Path, record: dict[str, Any]) -> None:
+    """Write config.json, half-precision model.safetensors and training.json."""
+    from copy import deepcopy
+
+    from transformers.utils import logging
+
+    logging.disable_progress_bar()
+    deepcopy(model).half().save_pretrained(folder, safe_serialization=True)
+    (folder / "training.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def _validation_loss(model: Any, config: TrainingConfig) -> float:
+    model.eval()
+    with torch.no_grad():
+        losses = [
+            batch_loss(model, np.random.default_rng([config.seed, 2, i]), 128).item()
+            for i in range(config.validation_batches)
+        ]
+    model.train()
+    return float(np.mean(losses))
+
+
+def _split_parameters(model: Any) -> tuple[list[Tensor], list[Tensor]]:
+    """Hidden matrices for Muon; embeddings, the patch layers' inputs, norms and biases for AdamW."""
+    matrices: list[Tensor] = []
+    rest: list[Tensor] = []
+    for name, parameter in model.named_parameters():
+        inner = parameter.ndim == 2 and name.startswith(("encoder.block", "decoder.block"))
+        (matrices if inner and "relative_attention_bias" not in name else rest).append(parameter)
+    return matrices, rest
+
+
+def _schedule(step: int, steps: int) -> float:
+    """Learning-rate factor: linear warm-up, then a cosine to zero."""
+    if step < _WARM_UP:
+        return (step + 1) / _WARM_UP
+    return 0.5 * (1.0 + math.cos(math.pi * (step - _WARM_UP) / max(steps - _WARM_UP, 1)))

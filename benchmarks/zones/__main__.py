@@ -1,0 +1,46 @@
+"""`python -m benchmarks.zones HOUSE ...`: effects of single valves in emulated houses of rooms."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks.zones.effects import PairScore, score_pairs
+from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
+from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.composition import build_plant
+from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
+
+_PERIOD, _PROBING_DAYS = "cold_week", 3.0
+
+
+def main(houses: Sequence[str]) -> None:
+    """Identify each house with the default configuration from three days of probing, and print its scores."""
+    print(f"{'house':18}" + "".join(f"{name:>9}" for name in ("own", "across", "sign", "across")))
+    for house in houses:
+        days = {"days": _PROBING_DAYS, "most_days": _PROBING_DAYS}
+        scenario = load_scenario(None, {"testcase": house, "period": _PERIOD, "identification": days})
+        testcase = validate_scenario(scenario)
+        plant = build_plant(scenario.plant, testcase, scenario.seed)
+        assert isinstance(plant, HouseOfRooms)
+        model = run_identification(identification_task(scenario, testcase), plant)
+        scores = score_pairs(plant, model, plant.period(_PERIOD).start_s)
+        own, across = ([s for s in scores if s.own is mine] for mine in (True, False))
+        shown = (_pooled(own), _pooled(across), _signs(own), _signs(across))
+        print(f"{house:18}" + "".join(f"{value:9.2f}" for value in shown), flush=True)
+
+
+def _pooled(scores: Sequence[PairScore]) -> float:
+    """Error over RMS of the effect, all pairs together."""
+    return float(np.sqrt(sum(s.rmse_K**2 for s in scores) / sum(s.effect_rms_K**2 for s in scores)))
+
+
+def _signs(scores: Sequence[PairScore]) -> float:
+    return float(np.nanmean([s.sign_right for s in scores]))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

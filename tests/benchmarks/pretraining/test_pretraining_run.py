@@ -1,0 +1,216 @@
+"""Training learns, resumes to the same weights and overwrites nothing unasked; evaluation tells good from bad."""
+
+import json
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("chronos")
+
+import torch
+from click.testing import CliRunner
+
+from benchmarks.pretraining import training
+from benchmarks.pretraining.__main__ import main
+from benchmarks.pretraining.evaluation import CONTEXTS, evaluate
+from benchmarks.pretraining.training import TrainingConfig, batch_loss, pretrain
+from thermoforce_mpc.errors import BackboneError, ConfigError
+
+SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "model/free_response/backbones/weights/bolt_thermal"
+SMALLER = [SHIPPED.with_name(f"bolt_thermal_{scale}") for scale in ("small", "tiny")]
+TINY = TrainingConfig(steps=4, batch=8, save_every=2, validation_batches=1)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    lines = []
+    pretrain(folder, TINY, lines.append)
+    return folder, lines
+
+
+def weights(folder):
+    from safetensors.torch import load_file
+
+    return load_file(folder / "checkpoint" / "model.safetensors")
+
+
+def test_a_run_leaves_a_loadable_checkpoint_and_its_curve(trained):
+    from chronos import BaseChronosPipeline
+
+    folder, lines = trained
+    pipeline = BaseChronosPipeline.from_pretrained(str(folder / "checkpoint"), device_map="cpu", dtype=torch.float32)
+    quantiles, _ = pipeline.predict_quantiles(torch.arange(100.0)[None], 24, [0.1, 0.5, 0.9])
+    assert quantiles.shape == (1, 24, 3)
+    assert torch.isfinite(quantiles).all()
+    record = json.loads((folder / "checkpoint" / "training.json").read_text())
+    assert [point["step"] for point in record["curve"]] == [2, 4]
+    assert len(lines) == 2
+
+
+def test_an_interrupted_run_ends_with_the_same_weights(trained, tmp_path, monkeypatch):
+    real = training.save_checkpoint
+
+    def interrupted(*args):
+        real(*args)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "save_checkpoint", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pretrain(tmp_path, TINY, lambda _: None)
+    monkeypatch.setattr(training, "save_checkpoint", real)
+    lines = []
+    pretrain(tmp_path, TINY, lines.append)
+    assert lines[0] == "resuming at step 2"
+    whole, resumed = weights(trained[0]), weights(tmp_path)
+    assert whole.keys() == resumed.keys()
+    for name, tensor in whole.items():
+        torch.testing.assert_close(resumed[name], tensor, rtol=0, atol=0)
+
+
+@pytest.mark.slow
+def test_a_finished_run_is_kept_unless_forced(trained):
+    folder, _ = trained
+    before = weights(folder)
+    with pytest.raises(ConfigError, match=r"finished run of 4 steps.*--force"):
+        pretrain(folder, TINY, lambda _: None)
+    pretrain(folder, TINY, lambda _: None, force=True)
+    after = weights(folder)
+    assert all(torch.equal(before[name], after[name]) for name in before)
+
+
+def test_a_run_of_other_options_is_not_continued(trained):
+    with pytest.raises(ConfigError, match="other batch"):
+        pretrain(trained[0], TrainingConfig(steps=4, batch=9, save_every=2, validation_batches=1), lambda _: None)
+
+
+@pytest.mark.slow
+def test_a_second_stage_starts_from_the_first_ones_weights(trained, tmp_path):
+    first = trained[0] / "checkpoint"
+    still = replace(TINY, steps=2, rate_scale=0.0, start_sha256=training.weights_sha256(first))
+    pretrain(tmp_path / "still", still, lambda _: None, start=first)
+    moved = replace(still, rate_scale=1.0)
+    pretrain(tmp_path / "moved", moved, lambda _: None, start=first)
+    before, unmoved, after = weights(trained[0]), weights(tmp_path / "still"), weights(tmp_path / "moved")
+    assert all(torch.equal(before[name], unmoved[name]) for name in before)
+    assert not all(torch.equal(before[name], after[name]) for name in before)
+
+
+def test_a_second_stage_says_what_it_starts_from(trained, tmp_path):
+    first = trained[0] / "checkpoint"
+    with pytest.raises(ConfigError, match="start_sha256"):
+        pretrain(tmp_path, TINY, lambda _: None, start=first)
+    with pytest.raises(ConfigError, match=r"no model\.safetensors"):
+        pretrain(tmp_path, TINY, lambda _: None, start=tmp_path)
+    from safetensors.torch import save_file
+
+    save_file({"shared.weight": torch.zeros(2, 64)}, tmp_path / "model.safetensors")
+    other = replace(TINY, start_sha256=training.weights_sha256(tmp_path))
+    with pytest.raises(ConfigError, match="another architecture"):
+        pretrain(tmp_path / "out", other, lambda _: None, start=tmp_path)
+
+
+@pytest.mark.slow
+def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, tmp_path):
+    first = trained[0] / "checkpoint"
+    deeper = replace(
+        TINY, steps=1, rate_scale=0.0, weight_decay=0.0, start_sha256=training.weights_sha256(first), encoder_layers=3
+    )
+    pretrain(tmp_path, deeper, lambda _: None, start=first)
+    before, after = weights(trained[0]), weights(tmp_path)
+    assert set(before) < set(after)
+    short, deep = (evaluate(folder / "checkpoint", series=8)["contexts"][-1] for folder in (trained[0], tmp_path))
+    assert deep["model"] == pytest.approx(short["model"], rel=1e-3)
+    narrow = replace(deeper, d_model=32)
+    with pytest.raises(ConfigError, match="another architecture"):
+        pretrain(tmp_path / "narrow", narrow, lambda _: None, start=first)
+
+
+@pytest.mark.slow
+def test_the_loss_falls():
+    """Twenty-five steps on one fixed batch: gradients reach the weights through both optimisers."""
+    from benchmarks.pretraining.model import build_model
+
+    torch.manual_seed(0)
+    model = build_model()
+    matrices, rest = training._split_parameters(model)
+    assert len(matrices) > 10
+    assert {id(p) for p in matrices + rest} == {id(p) for p in model.parameters()}
+    optimisers = [torch.optim.Muon(matrices, lr=0.01), torch.optim.AdamW(rest, lr=2e-3)]
+    losses = []
+    for _ in range(25):
+        loss = batch_loss(model, np.random.default_rng(0), 8)
+        for optimiser in optimisers:
+            optimiser.zero_grad()
+        loss.backward()
+        for optimiser in optimisers:
+            optimiser.step()
+        losses.append(loss.item())
+    assert np.mean(losses[-5:]) < 0.7 * losses[0]
+
+
+@pytest.mark.slow
+def test_the_shipped_checkpoint_beats_plain_forecasts_on_held_out_series(trained):
+    shipped = evaluate(SHIPPED, series=256, seed=5)["contexts"]
+    assert [row["context"] for row in shipped] == list(CONTEXTS)
+    for row in shipped:
+        assert row["series"] == 256
+        assert list(row["coverage"]) == sorted(row["coverage"])
+    longest = shipped[-1]
+    assert longest["model"] < 0.7 * min(longest["persistence"], longest["seasonal_naive"])
+    assert 0.72 < longest["inside_80"] < 0.88
+    small, tiny = (evaluate(folder, series=256, seed=5)["contexts"][-1] for folder in SMALLER)
+    assert 1.0 < small["model"] / longest["model"] < 1.15
+    assert 1.0 < tiny["model"] / small["model"] < 1.15
+    # Four steps of training are no training: the same yardstick must tell.
+    untrained = evaluate(trained[0] / "checkpoint", series=64, seed=5)["contexts"][-1]
+    assert untrained["model"] > 1.3 * longest["model"]
+
+
+@pytest.mark.parametrize("folder", [SHIPPED, *SMALLER])
+def test_a_shipped_checkpoint_is_small_and_says_where_it_comes_from(folder):
+    assert (folder / "model.safetensors").stat().st_size < 4e6
+    training = json.loads((folder / "training.json").read_text())
+    assert training["curve"][-1]["step"] == training["config"]["steps"]
+    assert json.loads((folder / "evaluation.json").read_text())["contexts"][-1]["context"] == CONTEXTS[-1]
+    assert "Synthetic series only" in (folder / "DATA_CARD.md").read_text()
+
+
+def test_evaluation_names_what_is_wrong(tmp_path):
+    with pytest.raises(BackboneError, match=r"no config\.json"):
+        evaluate(tmp_path)
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(BackboneError, match="cannot be loaded"):
+        evaluate(tmp_path)
+    with pytest.raises(ConfigError, match="1 to 64"):
+        evaluate(tmp_path, steps=65)
+    with pytest.raises(ConfigError, match="at least one"):
+        evaluate(tmp_path, series=0)
+
+
+@pytest.mark.slow
+def test_command_line_trains_evaluates_and_refuses(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "_WARM_UP", 1)
+    run = CliRunner().invoke(main, ["train", "--out", str(tmp_path), "--steps", "1", "--batch", "4"])
+    assert run.exit_code == 0, run.output
+    again = CliRunner().invoke(main, ["train", "--out", str(tmp_path), "--steps", "1", "--batch", "4"])
+    assert again.exit_code == 2
+    assert "finished run" in again.output
+    scored = CliRunner().invoke(main, ["evaluate", str(tmp_path / "checkpoint"), "--series", "8"])
+    assert scored.exit_code == 0, scored.output
+    written = json.loads((tmp_path / "checkpoint" / "evaluation.json").read_text())
+    assert len(written["contexts"]) == len(CONTEXTS)
+    missing = CliRunner().invoke(main, ["evaluate", str(tmp_path / "nothing")])
+    assert missing.exit_code == 2
+    assert "nothing" in missing.output
