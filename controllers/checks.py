@@ -40,7 +40,7 @@ class ControllerConfigError(ConfigError):
     """The options or the model do not fit the controller."""
 
 
-def said(error: Exception) -> str:
+def message_of(error: Exception) -> str:
     """Message of an error, with the class name if it is not an exception of this package."""
     return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
 

@@ -76,9 +76,9 @@ def _on_model(
     if model is None:
         raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
     if isinstance(model, str):
-        from controllers.mpc.no_model import StandingBack
+        from controllers.mpc.no_model import NoModelController
 
-        return StandingBack(model, config, testcase.layout, testcase.step_s, name=name)
+        return NoModelController(model, config, testcase.layout, testcase.step_s, name=name)
     if model.names != testcase.layout.names:
         raise ControllerConfigError(
             f"the model is of {model.names}, test case '{testcase.name}' of {testcase.layout.names}"

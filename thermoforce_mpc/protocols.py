@@ -21,7 +21,7 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.execution.asking import Asking
+from thermoforce_mpc.execution.cooperative import Computation
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -129,12 +129,12 @@ class FollowingFreeResponse(FreeResponse, Protocol):
 
 
 @runtime_checkable
-class AskingFreeResponse(FreeResponse, Protocol):
+class ComputedFreeResponse(FreeResponse, Protocol):
     """Free response that asks for its work, so that many forecasts share one pass (`thermoforce_mpc.execution`)."""
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> Asking[tuple[FreeForecast, object]]:
+    ) -> Computation[tuple[FreeForecast, object]]:
         """Forecast as `FollowingFreeResponse.follow` does, as a computation."""
         ...
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.bench.do_mpc_building import DoMpcBuilding
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
@@ -48,7 +48,7 @@ def building_problem(operator: BuildingOperator, rng: np.random.Generator) -> MP
     n = round(_HORIZON_H * HOUR_S / _STEP_S)
     hour = (np.arange(n) * _STEP_S / HOUR_S + rng.uniform(0.0, 24.0)) % 24.0
     one = np.ones(A)
-    machinery = Machinery(
+    machinery = EquipmentLayout(
         operator.actuators, ("heat pump",), one, one, 0.0 * one, np.zeros(A, np.intp), one / (0.75 * A)
     )
     occupied = (hour > 7.0) & (hour < 20.0)

@@ -27,7 +27,7 @@ from benchmarks.chaos.troubles import (
     Trouble,
 )
 
-# A client may take a request that is refused (400) three times on end for a wrong one.
+# A client may take a request that is refused (400) three consecutive times for a wrong one.
 _MOST_400_ON_END = 2
 _ABSURD: tuple[Any, ...] = (
     [],

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from controllers.checks import said
+from controllers.checks import message_of
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import LIMIT_TOLERANCE_KW, Answer, Member, Settled
 from thermoforce_mpc.data import Array
@@ -109,7 +109,7 @@ class Conversation:
                 answer = question(member)
                 return (None, "did not answer") if answer is None else self._fit(answer, member)
             except Exception as error:
-                return None, f"did not answer ({said(error)})"
+                return None, f"did not answer ({message_of(error)})"
 
         members = list(self.members.values())
         self.messages += len(members)

@@ -12,7 +12,7 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape
 from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_solution
-from controllers.optimisation.sparse_qp import Programme
+from controllers.optimisation.sparse_qp import SparseQP
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
@@ -94,10 +94,10 @@ class QPMember:
             problem = replace(
                 problem, power_per_u_W=problem.power_per_u_W + problem.power_per_u2_W, power_per_u2_W=None
             )
-        self._programme = Programme(operator, shape)
-        self._problem = self._programme.as_solved(problem)
-        self._drive = self._programme.drive(self._problem)
-        self.data = self._with_power(self._programme.numbers(self._problem, self._drive))
+        self._sparse_qp = SparseQP(operator, shape)
+        self._problem = self._sparse_qp.as_solved(problem)
+        self._drive = self._sparse_qp.drive(self._problem)
+        self.data = self._with_power(self._sparse_qp.numbers(self._problem, self._drive))
         self._piqp = Piqp(config)
         self.largest_kW = self._largest_kW() if largest_kW is None else largest_kW
 
@@ -125,16 +125,16 @@ class QPMember:
                 continue
             power_kW = self._problem.power_W(solution.u).sum(axis=0) / POWER_UNIT_W
             if (power_kW <= limit_kW + LIMIT_TOLERANCE_KW).all():
-                modes = self._programme.modes(self._problem, self._drive, solution.u)
+                modes = self._sparse_qp.modes(self._problem, self._drive, solution.u)
                 return Settled(solution, float(self._problem.cost_under(solution.u, modes)), power_kW)
         return None
 
     def _checked(self, x: Array, data: QPData) -> Solution:
-        own = x[: self._programme.n_variables]
-        u = self._programme.levels(own)
+        own = x[: self._sparse_qp.n_variables]
+        u = self._sparse_qp.levels(own)
 
         def modes_of(levels: Array) -> Array:
-            return self._programme.modes(self._problem, self._drive, levels)
+            return self._sparse_qp.modes(self._problem, self._drive, levels)
 
         return checked_solution(self._problem, modes_of, u, data.objective(x), "settled", 0)
 
@@ -151,7 +151,7 @@ class QPMember:
         """The programme with the power of each step, kW, as further variables."""
         n, width = self._problem.n_steps, q.linear.size
         self.of_power = width + np.arange(n)
-        power = self._programme.power(self._problem)
+        power = self._sparse_qp.power(self._problem)
         eye = sparse.identity(n, format="csc")
         A = sparse.vstack(
             [sparse.hstack([q.A, sparse.csc_matrix((q.A.shape[0], n))]), sparse.hstack([power, -eye])], format="csc"

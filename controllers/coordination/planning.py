@@ -12,13 +12,13 @@ from controllers.coordination.admm import Coordination, coordinate
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement
-from controllers.many.batch import Planned, Together, known_of
+from controllers.many.batch import BatchPlanner, Planned, known_of
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solve, failed
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution.asking import Answerer, Ask, Asking, Outcome, Result, altered, answered, together
+from thermoforce_mpc.execution.cooperative import Computation, Handler, Outcome, Request, Result, altered, gather, run
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -68,11 +68,11 @@ def plan_shared(
     for name in {**observations, **largest_kW}:
         if not (np.isfinite(largest_kW.get(name, np.nan)) and largest_kW[name] >= 0.0):
             raise DataError(f"largest_kW: needs a power of at least 0 kW for building '{name}'")
-    planner = Together(known_of(models, config), grace_s)
+    planner = BatchPlanner(known_of(models, config), grace_s)
     solves = _SharedSolves(shared, dict(largest_kW), coordination, executor, planner.answer)
     wanted = [(name, observation, (states or {}).get(name)) for name, observation in observations.items()]
     computations = [_labelled(name, planner.planning(name, observation, state)) for name, observation, state in wanted]
-    plans = answered(together(computations, last=_is_solve), solves)
+    plans = run(gather(computations, last=_is_solve), solves)
     told = {
         name: planner.planned(observation, plan, state, seconds)
         for (name, observation, _), ((plan, state), seconds) in zip(wanted, plans, strict=True)
@@ -91,14 +91,15 @@ class _Of:
         return self.solve()
 
 
-def _is_solve(ask: Ask) -> bool:
-    return isinstance(ask.call, _Of)
+def _is_solve(request: Request) -> bool:
+    return isinstance(request.call, _Of)
 
 
-def _labelled(name: str, computation: Asking[Result]) -> Asking[Result]:
+def _labelled(name: str, computation: Computation[Result]) -> Computation[Result]:
     """The computation, its solves told with the name of the building."""
     return altered(
-        computation, lambda ask: replace(ask, call=_Of(name, ask.call)) if isinstance(ask.call, Solve) else ask
+        computation,
+        lambda request: replace(request, call=_Of(name, request.call)) if isinstance(request.call, Solve) else request,
     )
 
 
@@ -110,17 +111,17 @@ class _SharedSolves:
     largest_kW: dict[str, float]
     coordination: Coordination | None
     executor: Executor | None
-    others: Answerer
+    others: Handler
     agreement: Agreement | None = field(default=None)
 
-    def __call__(self, asks: list[Ask]) -> Sequence[Outcome]:
-        """Outcomes in the order of `asks`."""
-        of = {i: ask.call for i, ask in enumerate(asks) if isinstance(ask.call, _Of)}
-        rest = [i for i in range(len(asks)) if i not in of]
-        found = dict(zip(rest, self.others([asks[i] for i in rest]), strict=True)) if rest else {}
+    def __call__(self, requests: list[Request]) -> Sequence[Outcome]:
+        """Outcomes in the order of `requests`."""
+        of = {i: request.call for i, request in enumerate(requests) if isinstance(request.call, _Of)}
+        rest = [i for i in range(len(requests)) if i not in of]
+        found = dict(zip(rest, self.others([requests[i] for i in rest]), strict=True)) if rest else {}
         if of:
             found |= self._agreed(of)
-        return [found[i] for i in range(len(asks))]
+        return [found[i] for i in range(len(requests))]
 
     def _agreed(self, of: Mapping[int, _Of]) -> dict[int, Outcome]:
         members, why = dict[int, QPMember](), dict[int, str]()

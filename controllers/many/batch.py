@@ -11,14 +11,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 
-from controllers.checks import ControllerConfigError, check_later, checked_state, said
+from controllers.checks import ControllerConfigError, check_later, checked_state, message_of
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.state import MPCState
 from controllers.safety.deadline import BoundedCalls
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution.asking import Answering, Asking, answered, timed, together
+from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, gather, run, timed
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Buildings whose computations are open at a time: enough to fill the forecaster's batches, few enough for memory.
@@ -84,7 +84,7 @@ class Planned:
         return self.plan.blocks[-1]
 
 
-class Together:
+class BatchPlanner:
     """Plans buildings together, in this process.
 
     Args:
@@ -95,7 +95,7 @@ class Together:
     def __init__(self, known: Known, grace_s: float) -> None:
         self._known, self._grace_s = known, grace_s
         self._built: dict[str, ThermoForceMPC | Exception] = {}
-        self.answer = Answering(BoundedCalls(_ABANDONED), strangers=True)
+        self.answer = DirectHandler(BoundedCalls(_ABANDONED), strangers=True)
 
     @property
     def controllers(self) -> int:
@@ -106,20 +106,22 @@ class Together:
         """The plans in the order of `wanted`; no error of a building is raised."""
         ahead = iter(wanted)
         while some := list(islice(ahead, AT_A_TIME)):
-            plans = answered(together([self.planning(*one) for one in some]), self.answer)
+            plans = run(gather([self.planning(*one) for one in some]), self.answer)
             for (name, observation, _), ((plan, state), seconds) in zip(some, plans, strict=True):
                 yield name, self.planned(observation, plan, state, seconds)
 
-    def planning(self, name: str, observation: Observation, state: object) -> Asking[tuple[tuple[Plan, object], float]]:
+    def planning(
+        self, name: str, observation: Observation, state: object
+    ) -> Computation[tuple[tuple[Plan, object], float]]:
         """Plan and next state of one building, and what they cost, s; raises no error of the building."""
         return timed(self._planned(name, observation, state))
 
-    def _planned(self, name: str, observation: Observation, state: object) -> Asking[tuple[Plan, object]]:
+    def _planned(self, name: str, observation: Observation, state: object) -> Computation[tuple[Plan, object]]:
         """Plan and next state of one building; where there can be no plan, native control, and the state as it was."""
         try:
             plan = yield from self._controller(name).planning(observation, state)
         except Exception as error:  # of the building's data, model or options, which are the caller's
-            return self.handed_over(name, observation, said(error)), self._usable(name, observation, state)
+            return self.handed_over(name, observation, message_of(error)), self._usable(name, observation, state)
         return plan, plan.state
 
     def _usable(self, name: str, observation: Observation, state: object) -> MPCState | None:

@@ -13,8 +13,8 @@ from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 
-from controllers.checks import ControllerConfigError, said
-from controllers.many.batch import AT_A_TIME, Planned, Together, Wanted, known_of
+from controllers.checks import ControllerConfigError, message_of
+from controllers.many.batch import AT_A_TIME, BatchPlanner, Planned, Wanted, known_of
 from controllers.many.worker import Answer, PlanningProcess, Plans
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import Observation
@@ -88,7 +88,7 @@ class Portfolio:
                 "grace of 0 or more that ends, and a deadline above 0"
             )
         known = known_of(models, config)
-        self._here = Together(known, grace_s)
+        self._here = BatchPlanner(known, grace_s)
         self._deadline_s = deadline_s
         names, workers = list(known), min(workers, max(1, len(known)))
         shares = [{name: known[name] for name in names[i::workers]} for i in range(workers)] if workers > 1 else []
@@ -160,7 +160,7 @@ class Portfolio:
         except BrokenProcessPool:
             reason = "its process died while planning it"
         except Exception as error:  # likewise
-            reason = said(error)
+            reason = message_of(error)
         if len(wanted) == 1:
             return self._left(wanted, reason)
         return [one for part in _halves(wanted) for one in self._again(worker, part, until_s)]

@@ -24,18 +24,18 @@ from dataclasses import dataclass, replace
 from typing import IO, NamedTuple
 
 from controllers.checks import PackedState
-from controllers.many.batch import Known, Planned, Together, Wanted
+from controllers.many.batch import BatchPlanner, Known, Planned, Wanted
 from thermoforce_mpc.execution.local import Remembering, one_thread_each
 
 
-class Parcel(NamedTuple):
+class SharedFile(NamedTuple):
     """What was written: in the file `path`, or, where there was no room for it, `data`."""
 
     path: str
     data: bytes = b""
 
 
-def sent(write: Callable[[IO[bytes]], None], folder: str) -> Parcel:
+def sent(write: Callable[[IO[bytes]], None], folder: str) -> SharedFile:
     """What `write` writes to a file it is given; `write` is called again where `folder` has no room."""
     try:
         handle, path = tempfile.mkstemp(dir=folder)
@@ -45,14 +45,14 @@ def sent(write: Callable[[IO[bytes]], None], folder: str) -> Parcel:
         except BaseException:
             os.unlink(path)
             raise
-        return Parcel(path)
+        return SharedFile(path)
     except OSError:
         memory = io.BytesIO()
         write(memory)
-        return Parcel("", memory.getvalue())
+        return SharedFile("", memory.getvalue())
 
 
-def received(parcel: Parcel) -> memoryview:
+def received(parcel: SharedFile) -> memoryview:
     """The content; its file is gone then. Raises `FileNotFoundError` where it was already."""
     if not parcel.path:
         return memoryview(parcel.data)
@@ -63,7 +63,7 @@ def received(parcel: Parcel) -> memoryview:
 
 
 Plans = list[tuple[str, Planned]]
-Answer = tuple[Parcel, int]
+Answer = tuple[SharedFile, int]
 """A parcel of states, then of plans with the names of these states, which begin at the number."""
 
 
@@ -149,7 +149,7 @@ class PlanningProcess:
 
 
 # In the process.
-_together: Together | None = None
+_planner: BatchPlanner | None = None
 _folder = ""
 # The last state of each building, and its name.
 _kept: dict[str, tuple[str, object]] = {}
@@ -157,9 +157,9 @@ _kept: dict[str, tuple[str, object]] = {}
 
 def _begin(known: Known, grace_s: float, folder: str) -> None:
     """An interrupt is for the parent, whose end is that of the process."""
-    global _together, _folder
+    global _planner, _folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _together, _folder = Together(known, grace_s), folder
+    _planner, _folder = BatchPlanner(known, grace_s), folder
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 
@@ -171,10 +171,10 @@ def _follow_parent() -> None:
         os._exit(1)
 
 
-def _plans_of(given: Parcel) -> Answer:
-    assert _together is not None
-    before, begin = _together.controllers, 0
-    plans = list(_together.plans(_unpacked(pickle.loads(received(given)))))
+def _plans_of(given: SharedFile) -> Answer:
+    assert _planner is not None
+    before, begin = _planner.controllers, 0
+    plans = list(_planner.plans(_unpacked(pickle.loads(received(given)))))
 
     def write(file: IO[bytes]) -> None:
         nonlocal begin
@@ -183,7 +183,7 @@ def _plans_of(given: Parcel) -> Answer:
         pickle.dump(packed, file, pickle.HIGHEST_PROTOCOL)
 
     parcel = sent(write, _folder)
-    if _together.controllers > before:
+    if _planner.controllers > before:
         # Controllers stay for good: looking through them for garbage costs a twentieth of all plans.
         gc.collect()
         gc.freeze()

@@ -22,7 +22,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
 @dataclass(frozen=True)
-class OwnContext:
+class SingleActuatorContext:
     """Prediction of a zone by its own actuator: `forced_K` (r,), `free` (Q, N) and `features` (N, 4)."""
 
     forced_K: Array
@@ -31,14 +31,14 @@ class OwnContext:
     boundary: Boundary
 
 
-def own_context(context: PredictionContext, a: int) -> OwnContext:
+def single_actuator_context(context: PredictionContext, a: int) -> SingleActuatorContext:
     """The prediction of actuator `a` on its home zone."""
     z = context.operator.home[a]
     free = FreeForecast(context.free.levels, context.free.quantiles_C[:, z], context.free.note)
-    return OwnContext(context.forced_K[z, a], free, context.features[z], context.boundary)
+    return SingleActuatorContext(context.forced_K[z, a], free, context.features[z], context.boundary)
 
 
-def own_records(model: ThermalModel, history: Record, forced_K: Array | None) -> tuple[Record, ...]:
+def single_actuator_records(model: ThermalModel, history: Record, forced_K: Array | None) -> tuple[Record, ...]:
     """The record of each actuator on its home zone (A,).
 
     Args:
@@ -54,7 +54,7 @@ def own_records(model: ThermalModel, history: Record, forced_K: Array | None) ->
 def _own_record(
     model: ThermalModel, history: Record, forced_K: Array | None, a: int, beyond: Mapping[int, NDArray[np.bool_]]
 ) -> Record:
-    """See `own_records`; `beyond`: steps (n,) beyond the capacity of each machine that feeds several."""
+    """See `single_actuator_records`; `beyond`: steps (n,) beyond the capacity of each machine that feeds several."""
     z = model.operator.home[a]
     m = model.machine_of[a]
     part = history.part(z, [a], [] if m in beyond else [m])

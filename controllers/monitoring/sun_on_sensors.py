@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from controllers.checks import said
+from controllers.checks import message_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -67,7 +67,7 @@ class Sunlit:
         try:
             return SunState(now_s, tuple(self._after(z, before, history) for z, before in enumerate(state.found)))
         except Exception as error:  # what is learned for later must not cost the plan of now
-            return SunState(now_s, state.found, f"sun on the sensors could not be looked for ({said(error)})")
+            return SunState(now_s, state.found, f"sun on the sensors could not be looked for ({message_of(error)})")
 
     def of_zones(self, state: SunState) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), by the model or by a look."""

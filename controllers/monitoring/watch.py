@@ -28,7 +28,7 @@ from functools import cache, partial
 import numpy as np
 
 from controllers.monitoring import watch_effect
-from controllers.monitoring.single_actuator import OwnContext
+from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
 from controllers.monitoring.watch_tests import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
@@ -85,7 +85,7 @@ class Watch:
         """Whether a prediction is to be put down at `time_s`."""
         return self.config.enabled and round(time_s / self.step_s) % self.every == 0
 
-    def issued(self, track: Track, context: OwnContext, operator: OperatorParameters) -> Track:
+    def issued(self, track: Track, context: SingleActuatorContext, operator: OperatorParameters) -> Track:
         """The track with the prediction of `context` put down, made with `operator`."""
         at = np.array(self.leads) - 1
         free, now = context.free, float(context.boundary.time_s[0])

@@ -214,7 +214,7 @@ class Sensor:
         return _refusing(replace(state, distrust=jump, kind="jump", since=since[-longest:]), seen.time_s[-1:])
 
     def _steady(self, since: tuple[tuple[float, float, float], ...], limit_K: float) -> bool:
-        """Whether readings of `return_h` on end moved as those of a sensor do: neither in jumps nor not at all."""
+        """Whether consecutive readings of `return_h` moved as those of a sensor do: neither in jumps nor not at all."""
         if since[-1][0] - since[0][0] < self.config.return_h * HOUR_S - 1.0:
             return False
         readings = np.array([T for _, T, _ in since])

@@ -9,7 +9,7 @@ import numpy as np
 
 from controllers.monitoring.zone_sensor import Sensor
 from controllers.monitoring.zone_sensor_state import Sensed, SensorState
-from controllers.safety.fallback_policy import Held
+from controllers.safety.fallback_policy import Override
 from thermoforce_mpc.data import Array, Layout, Observation, Record
 from thermoforce_mpc.model.predictor import PredictionContext
 
@@ -35,12 +35,12 @@ class Zones:
         """Which readings are believed again, in words."""
         return "; ".join(zone.news for zone in self.each if zone.news)
 
-    def held(self, layout: Layout) -> dict[int, Held]:
+    def held(self, layout: Layout) -> dict[int, Override]:
         """The actuators of zones that are not known any more, and why."""
-        return {a: Held(None, self.each[z].why) for a, z in enumerate(layout.home) if self.each[z].lost}
+        return {a: Override(None, self.each[z].why) for a, z in enumerate(layout.home) if self.each[z].lost}
 
 
-class Sensing:
+class ZoneSensors:
     """Judges the readings of all zones; it holds no state.
 
     Args:

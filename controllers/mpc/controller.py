@@ -11,19 +11,19 @@ import numpy as np
 from controllers.actuation.actuator import ActuationState
 from controllers.actuation.choice import choose_actuation
 from controllers.actuation.room_setpoints import room_blocks, within_C
-from controllers.checks import ControllerConfigError, check_names, said
+from controllers.checks import ControllerConfigError, check_names, message_of
 from controllers.monitoring.meters import Meters
-from controllers.monitoring.single_actuator import own_records
+from controllers.monitoring.single_actuator import single_actuator_records
 from controllers.monitoring.sun_on_sensors import Sunlit
 from controllers.monitoring.watch import Watch
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensor import Sensor
 from controllers.monitoring.zone_sensor_state import SensorState
-from controllers.monitoring.zone_sensors import Sensing, Zones
+from controllers.monitoring.zone_sensors import Zones, ZoneSensors
 from controllers.mpc.config import FreeResponseConfig, MPCConfig
-from controllers.mpc.fallback import FallingBack
-from controllers.mpc.formulation import Assembly
-from controllers.mpc.margins import OF_LOOPS, Missed, learned_K, of_plans
+from controllers.mpc.fallback import FallbackController
+from controllers.mpc.formulation import Formulation
+from controllers.mpc.margins import OF_LOOPS, LearnedMargin, learned_K, of_plans
 from controllers.mpc.model_watch import WatchedPredictions
 from controllers.mpc.planner import Planners, build_solver
 from controllers.mpc.reason import reason_of, with_news
@@ -31,10 +31,10 @@ from controllers.mpc.state import MPCState
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution, Solve, Solver
 from controllers.safety.deadline import BoundedCalls, Overdue
-from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan, Held
-from controllers.safety.overrides import shut
+from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan, Override
+from controllers.safety.overrides import gate_reason
 from thermoforce_mpc.data import HOUR_S, Array, Block, Observation, Plan, PlanStatus, Record
-from thermoforce_mpc.execution.asking import Answering, Ask, Asking, answered, asked, timed, within
+from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
@@ -55,7 +55,7 @@ _OFFSET_K = 0.3
 _SOLVERS_ABANDONED = 3
 
 
-class ThermoForceMPC(FallingBack):
+class ThermoForceMPC(FallbackController):
     """Receding-horizon control over the superposition of a free and a forced response (paper eq:compose).
 
     ```python
@@ -126,20 +126,20 @@ class ThermoForceMPC(FallingBack):
                 )
         super().__init__(name, step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback, c.guard)
         self._actuation_why = "; ".join(dict.fromkeys(self._told(a, choice.why) for a, choice in enumerate(choices)))
-        self._assembly = Assembly(c, model, self._actuators)
+        self._formulation = Formulation(c, model, self._actuators)
         self._adaptations = tuple(OnlineAdaptation(zone, c.adaptation) for zone in self._zones)
-        self._answer = Answering(BoundedCalls(len(layout.names.zones) + _SOLVERS_ABANDONED))
+        self._answer = DirectHandler(BoundedCalls(len(layout.names.zones) + _SOLVERS_ABANDONED))
         given = free_response or [_build_free_response(c.free_response, free) for free in model.free]
         methods = given if isinstance(given, Sequence) else [given] * len(layout.names.zones)
         free_responses = [self._with_substitutes(method) for method in methods]
         zones = layout.names.zones
         check_names("sensors", c.sensors, "zone", zones)
-        self._sensing = Sensing([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
+        self._sensing = ZoneSensors([Sensor(c.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
         self._sunlit = Sunlit(model, [c.sensor_of(zone).enabled for zone in zones])
         self._meters = Meters(layout, c.meter, c.meters)
         self._planners = Planners(model, self._actuators, free_responses, c.estimator, self._solver_of())
         watches = [
-            Watch(c.watch, zone, n_steps, partial(self._assembly.expected_power_W, a))
+            Watch(c.watch, zone, n_steps, partial(self._formulation.expected_power_W, a))
             for a, zone in enumerate(self._zones)
         ]
         self._watched = WatchedPredictions(watches, self._planners.of, model)
@@ -171,7 +171,7 @@ class ThermoForceMPC(FallingBack):
             DataError: a bound or price of the boundary is missing.
         """
         nothing = np.zeros(len(self._layout.names.zones))
-        return self._assembly.problem(self._planners.base.operator, context, history, 0.0, nothing)
+        return self._formulation.problem(self._planners.base.operator, context, history, 0.0, nothing)
 
     @property
     def actuation_in_words(self) -> str:
@@ -190,9 +190,9 @@ class ThermoForceMPC(FallingBack):
                 now or is too short, its step or that of the history is not `step_s`, or `state` is not from an earlier
                 plan of this controller.
         """
-        return answered(self.planning(observation, state), self._answer)
+        return run(self.planning(observation, state), self._answer)
 
-    def planning(self, observation: Observation, state: object = None) -> Asking[Plan]:
+    def planning(self, observation: Observation, state: object = None) -> Computation[Plan]:
         """`plan` as a computation that asks for its forecasts and its solve, so that many plans are made together.
 
         It changes nothing but caches: one controller may make the plans of several buildings of the same model.
@@ -204,7 +204,7 @@ class ThermoForceMPC(FallingBack):
             adaptation=(None,) * actuators,
             watch=(WatchState(),) * actuators,
             offset_K=np.zeros(zones),
-            missed=Missed.nothing(zones),
+            missed=LearnedMargin.nothing(zones),
             kept=np.zeros(len(self._layout.names.machines)),
             sensors=(SensorState(),) * zones,
             meters=self._meters.begin,
@@ -214,7 +214,7 @@ class ThermoForceMPC(FallingBack):
             before, rooms, news = self._in_rooms(before, observation)
             return with_news((yield from self._decided(rooms, before, actuation)), news)
         except Exception as error:  # whatever is wrong, the building is not left without control
-            return self._released(before, actuation, f"no decision was made ({said(error)})")
+            return self._released(before, actuation, f"no decision was made ({message_of(error)})")
 
     def _in_rooms(self, before: MPCState, observation: Observation) -> tuple[MPCState, Observation, str]:
         """The observation without the sun on sensors, which is looked for each night, and what was found."""
@@ -228,13 +228,13 @@ class ThermoForceMPC(FallingBack):
 
     def _decided(
         self, observation: Observation, before: MPCState, actuation: tuple[ActuationState, ...]
-    ) -> Asking[Plan]:
+    ) -> Computation[Plan]:
         """The plan after `before`, with the actuators now at `actuation` (A,)."""
         actuators = len(self._zones)
         if before.failures >= self.config.fallback.cold_after:  # what it kept may be what fails
             before = replace(before, predictor=None)
-        closed = [shut(self.config.gate, zone.card.competence) for zone in self._zones]
-        held = {a: Held(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
+        closed = [gate_reason(self.config.gate, zone.card.competence) for zone in self._zones]
+        held = {a: Override(PlanStatus.GATE, why) for a, why in enumerate(closed) if why}
         history = self._meters.believed(before.meters, observation.history)
         boundary, filled = completed(observation.boundary, history, before.boundary)
         meters, metered = self._meters.judged(before.meters, history, boundary)
@@ -267,7 +267,7 @@ class ThermoForceMPC(FallingBack):
         held = zones_now.held(self._layout) | held
         for a, watch in enumerate(now.watch):
             if watch.alarm:
-                held[a] = Held(PlanStatus.WATCH, self._watched.reason(watch, observation.time_s))
+                held[a] = Override(PlanStatus.WATCH, self._watched.reason(watch, observation.time_s))
         if any(watch.alarm for watch in now.watch):
             shadowed = self._watched.shadowed(self._ahead(observation), now)
             now = yield from within(self.config.deadline.forecast_s, shadowed)
@@ -287,8 +287,8 @@ class ThermoForceMPC(FallingBack):
             return None
 
     def _planned(
-        self, observation: Observation, now: MPCState, held: Mapping[int, Held], zones: Zones, filled: str
-    ) -> Asking[Plan]:
+        self, observation: Observation, now: MPCState, held: Mapping[int, Override], zones: Zones, filled: str
+    ) -> Computation[Plan]:
         """Predict, solve and check; the fallback policy acts where one of them fails."""
         history, limits = observation.history, self.config.deadline
 
@@ -309,20 +309,20 @@ class ThermoForceMPC(FallingBack):
             contexting = planner.predictor.contexting(self._ahead(observation), predictor)
             context = yield from within(limits.forecast_s, contexting)
             learned = (now.peak_W, now.offset_K, now.missed, now.kept)
-            problem = self._assembly.problem(planner.operator, context, history, *learned)
+            problem = self._formulation.problem(planner.operator, context, history, *learned)
         except Exception as error:  # any exception of a forecaster leads to the fallback policy
-            return fallen_back(f"no prediction ({said(error)})", "not started", {})
+            return fallen_back(f"no prediction ({message_of(error)})", "not started", {})
         now = replace(now, adaptation=adaptation, predictor=context.state)
         now = replace(now, sensors=self._sensing.anchored(now.sensors, history, context))
         now = self._watched.put_down(now, context, planner)
         try:
             solve = Solve(planner.solver, problem, self._guess(now.good, observation))
-            solution, solve_s = yield from timed(asked(Ask(planner.solver, solve, seconds=limits.solve_s)))
+            solution, solve_s = yield from timed(perform(Request(planner.solver, solve, seconds=limits.solve_s)))
             refused = solution.problem if not solution.ok else problem.unfit(solution.u)
         except Exception as error:  # likewise for solvers
             if isinstance(error, Overdue):
                 self._planners.renew_solver(planner)
-            return fallen_back(f"the solver failed ({said(error)})", "raised", context.seconds)
+            return fallen_back(f"the solver failed ({message_of(error)})", "raised", context.seconds)
         seconds = {**context.seconds, "solve": solve_s}
         if refused:
             return fallen_back(refused, solution.status, seconds)
@@ -338,7 +338,7 @@ class ThermoForceMPC(FallingBack):
         if not self.config.adaptation.enabled:
             return now.adaptation
         forced_K = now.predictor.forced.forced_K if now.predictor and now.predictor.forced else None
-        records = own_records(self._planners.base.model, history, forced_K)
+        records = single_actuator_records(self._planners.base.model, history, forced_K)
         return tuple(
             adaptation.update(before, record)
             for adaptation, before, record in zip(self._adaptations, now.adaptation, records, strict=True)
@@ -351,7 +351,7 @@ class ThermoForceMPC(FallingBack):
 
     def _solver_of(self) -> Callable[[BuildingOperator], Solver]:
         """What builds the solver of an operator; overridden where something else than an optimisation decides."""
-        return partial(build_solver, self.config, machinery=self._assembly.machinery)
+        return partial(build_solver, self.config, machinery=self._formulation.machinery)
 
     def _guess(self, good: GoodPlan | None, observation: Observation) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""
@@ -374,7 +374,7 @@ class ThermoForceMPC(FallingBack):
         found = before.offset_K + weight * np.where(np.isfinite(error), error, 0.0)
         return np.clip(found, -_OFFSET_K, _OFFSET_K)
 
-    def _missed(self, before: MPCState, observation: Observation) -> Missed:
+    def _missed(self, before: MPCState, observation: Observation) -> LearnedMargin:
         """What was learned of the bounds after the last step, where a plan decided it."""
         good, now, allowed_K = before.good, observation.boundary, self.config.backoff_violation_K
         known = before.missed.meeting(now.lower_C, now.upper_C)
@@ -386,7 +386,7 @@ class ThermoForceMPC(FallingBack):
         T_C = observation.T_zone_C
         lower_C, upper_C = now.lower_C[:, 0], now.upper_C[:, 0]
         beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
-        spare = self._assembly.spare(observation.history.u[:, -1])
+        spare = self._formulation.spare(observation.history.u[:, -1])
         if by_loops:
             spare &= known.set_back(slice(None), lower_C, upper_C)
         return replace(known, reserve_K=learned_K(known.reserve_K, beyond_K, spare, self.step_s, learning))
@@ -396,7 +396,7 @@ class ThermoForceMPC(FallingBack):
         good = before.good
         if good is None or good.age(observation.time_s, self.step_s) != 1:
             return before.kept
-        return self._assembly.kept_capacity(before.kept, self._planners.base.operator, observation.history)
+        return self._formulation.kept_capacity(before.kept, self._planners.base.operator, observation.history)
 
     def _peak_W(self, before: MPCState, observation: Observation) -> float:
         """Highest mean power of the building over a step since the first plan, W."""
@@ -409,7 +409,7 @@ class ThermoForceMPC(FallingBack):
         self,
         observation: Observation,
         now: MPCState,
-        held: Mapping[int, Held],
+        held: Mapping[int, Override],
         zones: Zones,
         operator: BuildingOperator,
         problem: MPCProblem,
@@ -462,7 +462,7 @@ class ThermoForceMPC(FallingBack):
         return self._with_guard(observation, acted, demands, held, now, zones.T_C)
 
     def _room_blocks(
-        self, observation: Observation, a: int, u: float, T_end_C: Array, T_now_C: Array, missed: Missed
+        self, observation: Observation, a: int, u: float, T_end_C: Array, T_now_C: Array, missed: LearnedMargin
     ) -> tuple[Block, ...]:
         """Room set-points of the first step for actuator `a`, from the temperatures of all zones (Z,)."""
         z, bounds = self._layout.home[a], observation.boundary

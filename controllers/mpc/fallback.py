@@ -14,8 +14,8 @@ from dataclasses import replace
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.actuation.actuators import Demand
 from controllers.mpc.state import MPCState
-from controllers.safety.base import Acting
-from controllers.safety.fallback_policy import FallbackConfig, Held
+from controllers.safety.base import ActuatedController
+from controllers.safety.fallback_policy import FallbackConfig, Override
 from controllers.safety.overrides import GuardConfig, guard_level
 from thermoforce_mpc.data import Array, Layout, Observation, Plan, PlanStatus
 
@@ -30,7 +30,7 @@ _LADDER = (
 )
 
 
-class FallingBack(Acting):
+class FallbackController(ActuatedController):
     """A controller whose plans may fail, or be overruled, for one actuator or for all."""
 
     def __init__(
@@ -43,7 +43,7 @@ class FallingBack(Acting):
         fallback: FallbackConfig,
         guard: GuardConfig,
     ) -> None:
-        """Set up what acts; `guard`: options of the comfort guard, the others as in `Acting`."""
+        """Set up what acts; `guard`: options of the comfort guard, the others as in `ActuatedController`."""
         super().__init__(name, step_s, n_steps, layout, actuations, fallback)
         self._guard = guard
 
@@ -52,7 +52,7 @@ class FallingBack(Acting):
         observation: Observation,
         plan: Plan,
         demands: Sequence[Demand],
-        held: Mapping[int, Held],
+        held: Mapping[int, Override],
         T_zone_C: Array,
     ) -> Plan:
         """The plan with the blocks of `demands` (A,), of those `held` what native control or the rule does instead.
@@ -79,7 +79,7 @@ class FallingBack(Acting):
         observation: Observation,
         plan: Plan,
         demands: Sequence[Demand],
-        held: Mapping[int, Held],
+        held: Mapping[int, Override],
         now: MPCState,
         T_zone_C: Array,
     ) -> Plan:
@@ -117,7 +117,9 @@ class FallingBack(Acting):
         acting = tuple(PlanStatus.GUARD if a in found else status for a, status in enumerate(plan.acting))
         return replace(guarded, status=PlanStatus.GUARD, acting=acting, why=why)
 
-    def _stood_back(self, observation: Observation, now: MPCState, held: Mapping[int, Held], T_zone_C: Array) -> Plan:
+    def _stood_back(
+        self, observation: Observation, now: MPCState, held: Mapping[int, Override], T_zone_C: Array
+    ) -> Plan:
         """A step of native control or of the on/off rule (`fallback.stand_back`) for all; nothing is planned."""
         demands: list[Demand] = []
         told, acting = [], []
@@ -160,7 +162,7 @@ class FallingBack(Acting):
         self,
         observation: Observation,
         now: MPCState,
-        held: Mapping[int, Held],
+        held: Mapping[int, Override],
         T_zone_C: Array,
         doubtful: Sequence[bool],
         reason: str,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.margins import Missed, backoff_K, is_fast, learned_share, reserve_K
-from controllers.optimisation.machines import Machinery
+from controllers.mpc.margins import LearnedMargin, backoff_K, is_fast, learned_share, reserve_K
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -22,7 +22,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 _FULLY_USED = 0.95
 
 
-class Assembly:
+class Formulation:
     """Assembles instances of one controller.
 
     Args:
@@ -39,7 +39,7 @@ class Assembly:
             _measured(power).at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else _measured(power)
             for power, fed in ((power, layout.fed_by(m)) for m, power in enumerate(model.power))
         )
-        self.machinery = Machinery(
+        self.machinery = EquipmentLayout(
             layout.names.actuators,
             layout.names.machines,
             np.array([actuation.highest for actuation in each]),
@@ -67,7 +67,7 @@ class Assembly:
         history: Record,
         peak_W: float,
         offset_K: Array,
-        missed: Missed | None = None,
+        missed: LearnedMargin | None = None,
         kept: Array | None = None,
     ) -> MPCProblem:
         """Return the instance of one step.
@@ -117,7 +117,7 @@ class Assembly:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        lower_C, upper_C = self._bounds_C(operator, context, missed or Missed.nothing(len(operator.zones)))
+        lower_C, upper_C = self._bounds_C(operator, context, missed or LearnedMargin.nothing(len(operator.zones)))
         cap_kW = aims.power_cap_kW
         return MPCProblem(
             forced_state_K=context.forced_K,
@@ -195,7 +195,9 @@ class Assembly:
                 full = np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
                 yield m, fed, full, np.array([one.reference_W for one in maps])
 
-    def _bounds_C(self, operator: BuildingOperator, context: PredictionContext, missed: Missed) -> tuple[Array, Array]:
+    def _bounds_C(
+        self, operator: BuildingOperator, context: PredictionContext, missed: LearnedMargin
+    ) -> tuple[Array, Array]:
         """Comfort bounds at the end of each step with all margins inside, (Z, N) each, °C."""
         c, boundary = self._config, context.boundary
         rows = []

@@ -139,7 +139,7 @@ _SET_BACK_K = 0.5
 
 
 @dataclass(frozen=True)
-class Missed:
+class LearnedMargin:
     """What a run has learned of its bounds.
 
     Attributes:
@@ -151,15 +151,15 @@ class Missed:
     tightest_C: Array
 
     @classmethod
-    def nothing(cls, zones: int) -> Missed:
+    def nothing(cls, zones: int) -> LearnedMargin:
         """At the begin of a run."""
         return cls(np.zeros((2, zones)), np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)]))
 
-    def meeting(self, lower_C: Array, upper_C: Array) -> Missed:
+    def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
         """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
         lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
         tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
-        return Missed(self.reserve_K, np.stack(tightest_C))
+        return LearnedMargin(self.reserve_K, np.stack(tightest_C))
 
     def set_back(self, z: int | slice, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
         """Where bounds of zone `z` (N,), or of zones at an instant, °C, are wider than at their tightest, (2, N).

@@ -1,6 +1,6 @@
 """The watch inside an MPC: what it is given before and after each plan, and predictions in the shadow.
 
-Each actuator is watched on its home zone (`own_records`), so that control of one may be handed back alone.
+Each actuator is watched on its home zone (`single_actuator_records`), so that control of one may be handed back alone.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from controllers.checks import said
-from controllers.monitoring.single_actuator import own_context, own_records
+from controllers.checks import message_of
+from controllers.monitoring.single_actuator import single_actuator_context, single_actuator_records
 from controllers.monitoring.watch import Watch
 from controllers.monitoring.watch_state import Track, WatchState
 from controllers.mpc.planner import Planner
 from controllers.mpc.reason import with_news
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
-from thermoforce_mpc.execution.asking import Asking, together
+from thermoforce_mpc.execution.cooperative import Computation, gather
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -50,15 +50,15 @@ class WatchedPredictions:
     def judged(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
         """The state with the predictions that came due judged; where control returns, with the model that held.
 
-        `forced_K` (Z, A, n + 1, r): forced states until now, see `own_records`.
+        `forced_K` (Z, A, n + 1, r): forced states until now, see `single_actuator_records`.
         """
-        records = own_records(self._model, history, forced_K)
+        records = single_actuator_records(self._model, history, forced_K)
         for a, (watch, record) in enumerate(zip(self._watches, records, strict=True)):
             before = now.watch[a]
             try:
                 found = watch.judged(before, record, now.adaptation[a], now.predictor)
             except Exception as error:  # what watches must not stop what it watches
-                news = f"predictions could not be judged ({said(error)})"
+                news = f"predictions could not be judged ({message_of(error)})"
                 now = replace(now, watch=_with(now.watch, a, replace(before, news=news)))
                 continue
             if before.alarm and not found.alarm:
@@ -76,11 +76,13 @@ class WatchedPredictions:
                 continue
             if context.operator.home[a] in context.unmeasured:
                 continue  # what stands in for a temperature is no prediction
-            issued = watch.issued(states[a].tracks[0], own_context(context, a), planner.operator.of_actuator(a))
+            issued = watch.issued(
+                states[a].tracks[0], single_actuator_context(context, a), planner.operator.of_actuator(a)
+            )
             states[a] = replace(states[a], tracks=(issued,))
         return replace(now, watch=tuple(states))
 
-    def shadowed(self, observation: Observation, now: MPCState) -> Asking[MPCState]:
+    def shadowed(self, observation: Observation, now: MPCState) -> Computation[MPCState]:
         """The state with new predictions of the models that are judged while another controller acts.
 
         `observation` has the boundary forecast of the horizon.
@@ -89,11 +91,11 @@ class WatchedPredictions:
         for a, watch in enumerate(self._watches):
             if not states[a].alarm or not watch.due(observation.time_s):
                 continue
-            tracks = yield from together([self._predicted(observation, now, a, track) for track in states[a].tracks])
+            tracks = yield from gather([self._predicted(observation, now, a, track) for track in states[a].tracks])
             states[a] = replace(states[a], tracks=tuple(tracks))
         return replace(now, watch=tuple(states))
 
-    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Asking[Track]:
+    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Computation[Track]:
         planner = self._planner(_with(now.adaptation, a, track.adaptation))
         try:
             context = yield from planner.predictor.contexting(observation, track.predictor)
@@ -101,7 +103,7 @@ class WatchedPredictions:
             return track
         if context.operator.home[a] in context.unmeasured:
             return track
-        issued = self._watches[a].issued(track, own_context(context, a), planner.operator.of_actuator(a))
+        issued = self._watches[a].issued(track, single_actuator_context(context, a), planner.operator.of_actuator(a))
         return replace(issued, predictor=context.state)
 
     def asked(self, observation: Observation, plan: Plan) -> Plan:

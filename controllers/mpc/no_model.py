@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from controllers.actuation.actuator import Actuation, ActuationState
 from controllers.checks import check_names
 from controllers.mpc.config import MPCConfig
-from controllers.safety.base import Acting
+from controllers.safety.base import ActuatedController
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
 
 
 @dataclass(frozen=True)
-class StandingBackState:
+class NoModelState:
     """States of the actuators between two steps (A,), and the time of the last plan, s."""
 
     actuation: tuple[ActuationState, ...] = ()
@@ -25,7 +25,7 @@ class StandingBackState:
         return {"actuators": len(self.actuation)}
 
 
-class StandingBack(Acting):
+class NoModelController(ActuatedController):
     """Takes the place of an MPC that has no model; its plans have the status `gate`."""
 
     def __init__(self, reason: str, config: MPCConfig, layout: Layout, step_s: float, *, name: str) -> None:
@@ -55,7 +55,7 @@ class StandingBack(Acting):
         Raises:
             DataError: the boundary forecast does not fit `horizon_s` and `step_s`, or `state` is another controller's.
         """
-        _, states = self._begun(observation, state, StandingBackState)
+        _, states = self._begun(observation, state, NoModelState)
         demands, who = zip(*(fallback.standing_back(observation) for fallback in self._fallbacks), strict=True)
         acting = self._actuators.realise(demands, self._step_s, states)
         told = "; ".join(self._told(a, one) for a, one in enumerate(who))
@@ -63,5 +63,5 @@ class StandingBack(Acting):
             told = who[0]
         told = "; ".join([told, *self._excluded(acting)])
         why = f"gate: no model could be identified ({self.reason}): {told}"
-        after = StandingBackState(acting.states, observation.time_s)
+        after = NoModelState(acting.states, observation.time_s)
         return Plan(acting.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)

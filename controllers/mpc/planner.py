@@ -10,7 +10,7 @@ from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.candidate_search import CandidateSearch
 from controllers.optimisation.ipopt import IpoptSolver
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.milp import MilpSolver
 from controllers.optimisation.problem import ProblemShape, blocked_moves
 from controllers.optimisation.qp import QPSolver
@@ -23,7 +23,7 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 
-def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: Machinery) -> Solver:
+def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
     """The solver named in `config`, or for `auto` the fastest one that fits the problem, over the horizon of `config`.
 
     Raises:

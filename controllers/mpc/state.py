@@ -11,7 +11,7 @@ from controllers.monitoring.meters import MeterState
 from controllers.monitoring.sun_on_sensors import SunState
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensor_state import SensorState
-from controllers.mpc.margins import Missed
+from controllers.mpc.margins import LearnedMargin
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
@@ -28,7 +28,7 @@ class MPCState:
     recent mean error of the zone temperatures planned for the end of a step. `missed`: what was learned of the bounds.
     `kept` (M,): share of each machine's capacity that plans leave unused. `sensors` (Z,): what is known of the zone
     sensors, and `sun` of the sun on them; `meters`: of weather sensors and meters. `boundary`: the last forecast of the
-    boundary conditions without gaps. `failures`: failed plans on end. `last_s`: time of the last plan, s.
+    boundary conditions without gaps. `failures`: consecutive failed plans. `last_s`: time of the last plan, s.
     """
 
     first_s: float
@@ -39,7 +39,7 @@ class MPCState:
     adaptation: tuple[AdaptationState | None, ...] = (None,)
     watch: tuple[WatchState, ...] = (WatchState(),)
     offset_K: Array = field(default_factory=lambda: np.zeros(1))
-    missed: Missed = field(default_factory=lambda: Missed.nothing(1))
+    missed: LearnedMargin = field(default_factory=lambda: LearnedMargin.nothing(1))
     kept: Array = field(default_factory=lambda: np.zeros(1))
     sensors: tuple[SensorState, ...] = (SensorState(),)
     meters: tuple[MeterState, ...] = ()

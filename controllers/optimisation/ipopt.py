@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.machines import Machinery
-from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape, straightened
-from controllers.optimisation.solution import Solution, checked_iterate, checked_solution, failed
+from controllers.optimisation.machines import EquipmentLayout
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape, convex_relaxation
+from controllers.optimisation.solution import Solution, accept_suboptimal, checked_solution, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import step_function
@@ -174,7 +174,7 @@ class IpoptSolver:
         cold = np.broadcast_to(0.3 * highest, problem.power_per_u_W.shape)
         guesses = [cold if guess is None else guess]
         if self._relaxed:
-            relaxed = self._relaxed.solve(straightened(problem), guess)
+            relaxed = self._relaxed.solve(convex_relaxation(problem), guess)
             guesses += [relaxed.u] if relaxed.ok else []
         if guess is not None:
             guesses.append(cold)
@@ -233,7 +233,7 @@ class IpoptSolver:
         moves[S] -= x[A * m : (A + S.size) * m].reshape(m, S.size).T
         u = moves[:, self.shape.move_of_step]
         if status not in _ACCEPTED:
-            return checked_iterate(p, modes_of, u, previous, failed(status, iterations, f"Ipopt ended with {status}"))
+            return accept_suboptimal(p, modes_of, u, previous, failed(status, iterations, f"Ipopt ended with {status}"))
         solution = checked_solution(p, modes_of, u, float(result["f"]), status, iterations)
         return solution if status == _OPTIMAL else replace(solution, optimal=False, problem=f"Ipopt: {status}")
 
@@ -265,7 +265,7 @@ class IpoptSolver:
         return np.concatenate([part.ravel(order="F") for part in parts])
 
 
-def _on_share(heat: ca.SX, machinery: Machinery, a: int) -> ca.SX:
+def _on_share(heat: ca.SX, machinery: EquipmentLayout, a: int) -> ca.SX:
     """Share of each step that actuator `a` is on, as an expression of its levels; more where its machine asks."""
     alone = not machinery.shared[machinery.machine_of[a]]
     slope = max(1.0 / machinery.lowest_level[a], machinery.share[a] if alone else 0.0)

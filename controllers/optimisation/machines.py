@@ -13,7 +13,7 @@ from thermoforce_mpc.data import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Machinery:
+class EquipmentLayout:
     """A actuators and M machines.
 
     Attributes:
@@ -81,10 +81,10 @@ class Machinery:
                 raise ControllerConfigError(f"actuators that exclude one another: {group} are not two or more of {A}")
 
     @staticmethod
-    def one(u_max: float = 1.0, lowest_level: float = 1.0, u_min: float = 0.0) -> Machinery:
+    def one(u_max: float = 1.0, lowest_level: float = 1.0, u_min: float = 0.0) -> EquipmentLayout:
         """One machine with one actuator."""
         one = np.ones(1)
-        return Machinery(
+        return EquipmentLayout(
             ("actuator",), ("machine",), u_max * one, lowest_level * one, u_min * one, np.zeros(1, np.intp), 0.0 * one
         )
 

@@ -23,7 +23,7 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.qp_backends import Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_solution, failed
-from controllers.optimisation.sparse_qp import Programme
+from controllers.optimisation.sparse_qp import SparseQP
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import OUTDOOR
@@ -138,7 +138,7 @@ class MilpSolver:
                 "feedback: false"
             )
         self.operator, self.shape = operator, shape
-        self._programme = Programme(operator, shape)
+        self._sparse_qp = SparseQP(operator, shape)
         self._choose, self._relax = Highs(config), Piqp(qp or QPConfig())
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
@@ -148,20 +148,20 @@ class MilpSolver:
         """
         if not problem.finite():
             return failed("not started", 0, "the problem holds numbers that are not finite")
-        solved = self._programme.as_solved(problem)
-        drive = self._programme.drive(solved)
-        programme = self._programme.numbers(solved, drive)
+        solved = self._sparse_qp.as_solved(problem)
+        drive = self._sparse_qp.drive(solved)
+        programme = self._sparse_qp.numbers(solved, drive)
         try:
-            answer = self._choose(programme, self._programme.choices, self._start(programme))
+            answer = self._choose(programme, self._sparse_qp.choices, self._start(programme))
         except Exception as error:  # a failed solve is a value
             return failed("highs:raised", 0, f"highs: raised {type(error).__name__}: {error}")
         status = f"highs:{answer.status}"
         if not answer.x.size:
             return failed(status, answer.nodes, f"highs: ended with {answer.status} and no plan")
-        u, claimed = self._programme.levels(answer.x), programme.objective(answer.x)
+        u, claimed = self._sparse_qp.levels(answer.x), programme.objective(answer.x)
 
         def modes_of(u: Array) -> Array:
-            return self._programme.modes(solved, drive, u)
+            return self._sparse_qp.modes(solved, drive, u)
 
         solution = checked_solution(solved, modes_of, u, claimed, status, answer.nodes)
         if not solution.ok:
@@ -180,12 +180,12 @@ class MilpSolver:
 
     def _start(self, programme: QPData) -> Array | None:
         """The relaxation's levels with their choices rounded: what HiGHS improves on; None where it fails."""
-        choices = self._programme.choices
+        choices = self._sparse_qp.choices
         relaxed = self._relax(programme) if choices.size else None
         if relaxed is None or not relaxed.solved:
             return None
         start = relaxed.x
-        start[choices] = self._programme.rounded(start)
+        start[choices] = self._sparse_qp.rounded(start)
         return start
 
     def _held(self, problem: MPCProblem, u: Array) -> Array:

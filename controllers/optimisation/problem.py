@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.running import running_share
@@ -66,7 +66,7 @@ class ProblemShape:
     """
 
     move_of_step: NDArray[np.intp]
-    machinery: Machinery = field(default_factory=Machinery.one)
+    machinery: EquipmentLayout = field(default_factory=EquipmentLayout.one)
     peak: bool = False
     capped: bool = False
     held_steps: int | None = None
@@ -182,7 +182,7 @@ class MPCProblem:
     power_fixed_W: Array
     power_per_u_W: Array
     step_s: float
-    machinery: Machinery
+    machinery: EquipmentLayout
     weights: Weights
     terminal_price_per_K: Array
     peak_so_far_W: float = 0.0
@@ -398,7 +398,7 @@ class MPCProblem:
         return ""
 
 
-def straightened(problem: MPCProblem) -> MPCProblem:
+def convex_relaxation(problem: MPCProblem) -> MPCProblem:
     """The problem with the power replaced by its convex envelope in u: every actuator switches at `u_max`."""
     return replace(problem, held_steps=0)
 

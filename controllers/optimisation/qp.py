@@ -12,8 +12,8 @@ import numpy as np
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
-from controllers.optimisation.solution import Solution, checked_iterate, checked_solution, failed
-from controllers.optimisation.sparse_qp import Drive, Programme
+from controllers.optimisation.solution import Solution, accept_suboptimal, checked_solution, failed
+from controllers.optimisation.sparse_qp import Drive, SparseQP
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
@@ -34,7 +34,7 @@ class QPSolver:
                 "duty with a model of feedback: false, solver: milp, or solver: ipopt"
             )
         self.operator, self.shape, self.config = operator, shape, config
-        self._programme = Programme(operator, shape)
+        self._sparse_qp = SparseQP(operator, shape)
         self._solve_with: dict[QPBackend, Callable[[QPData], SolverResult]] = {
             "piqp": Piqp(config),
             "clarabel": Clarabel(config),
@@ -47,9 +47,9 @@ class QPSolver:
         """
         if not problem.finite():
             return failed("not started", 0, "the problem holds numbers that are not finite")
-        problem = self._programme.as_solved(problem)
-        drive = self._programme.drive(problem)
-        qp_data = self._programme.numbers(problem, drive)
+        problem = self._sparse_qp.as_solved(problem)
+        drive = self._sparse_qp.drive(problem)
+        qp_data = self._sparse_qp.numbers(problem, drive)
         failures: list[str] = []
         solution, iterate = failed("not started", 0, "no solver"), None
         for backend in self.config.backends:
@@ -74,12 +74,12 @@ class QPSolver:
         status = f"{backend}:{answer.status}"
 
         def modes_of(u: Array) -> Array:
-            return self._programme.modes(problem, drive, u)
+            return self._sparse_qp.modes(problem, drive, u)
 
         if not answer.solved:
             ended = failed(status, answer.iterations, f"ended with {answer.status}")
             if answer.x.size != qp_data.linear.size or not np.isfinite(answer.x).all():
                 return ended
-            return checked_iterate(problem, modes_of, self._programme.levels(answer.x), guess, ended)
-        u, claimed = self._programme.levels(answer.x), qp_data.objective(answer.x)
+            return accept_suboptimal(problem, modes_of, self._sparse_qp.levels(answer.x), guess, ended)
+        u, claimed = self._sparse_qp.levels(answer.x), qp_data.objective(answer.x)
         return checked_solution(problem, modes_of, u, claimed, status, answer.iterations)

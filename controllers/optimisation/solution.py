@@ -46,7 +46,7 @@ class Solve:
 class Solution:
     """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
 
-    `optimal` is False for levels that passed them without being the solver's optimum (`checked_iterate`).
+    `optimal` is False for levels that passed them without being the solver's optimum (`accept_suboptimal`).
 
     `u` (A, N): levels, empty when not ok; `status`: the solver's own status; `problem`: reason of a failure; `gap`:
     how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
@@ -95,7 +95,7 @@ def checked_solution(
     return Solution(True, u, status, iterations)
 
 
-def checked_iterate(
+def accept_suboptimal(
     problem: MPCProblem,
     modes_of: Callable[[Array], Array],
     u: Array,

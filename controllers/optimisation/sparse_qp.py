@@ -10,7 +10,7 @@ with d_k = m(x_k) v(1, T_out,k). Pairs of one zone with the same poles obey it t
 sides: one variable and one equation per step for all actuators of a zone instead of r of each for every pair.
 
 Levels below 0: u = v − n with n ≥ 0 of its own price. An optimum with both positive does not exist while neither heat
-nor cold has a negative price, see `Assembly.problem`. Choices in the first moves: b = 1 if an actuator is on; a held
+nor cold has a negative price, see `Formulation.problem`. Choices in the first moves: b = 1 if an actuator is on; a held
 level has lowest · b ≤ v ≤ u_max · b, and power and heat, affine in the level, have their fixed parts times b.
 """
 
@@ -41,7 +41,7 @@ class Drive:
     onset: Array
 
 
-class Programme:
+class SparseQP:
     """The programme of one operator and shape.
 
     Variables: moves v (A, moves), responses y (groups of pairs, N), slack s (Z, N), cooling moves n (signed actuators,

@@ -26,7 +26,7 @@ class _ActingState(Protocol):
 State = TypeVar("State", bound=_ActingState)
 
 
-class Acting:
+class ActuatedController:
     """A controller that acts through `Actuators`, and can leave one to native control or to the on/off rule."""
 
     def __init__(

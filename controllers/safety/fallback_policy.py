@@ -44,7 +44,7 @@ class FallbackConfig(StrictModel):
         description="on/off rule: set-points of heating and of cooling where comfort bounds are missing, °C",
     )
     cold_after: int = Field(
-        3, ge=1, description="failures on end after which forecasts and solves begin anew, without what they kept"
+        3, ge=1, description="consecutive failures after which forecasts and solves begin anew, without what they kept"
     )
 
     @model_validator(mode="after")
@@ -141,7 +141,7 @@ class FallbackPolicy:
 
 
 @dataclass(frozen=True)
-class Held:
+class Override:
     """Why an actuator is not left to the plan; `status` None: that of what acts instead."""
 
     status: PlanStatus | None

@@ -52,7 +52,7 @@ class GateConfig(StrictModel):
     enabled: bool = Field(True, description="do not act on a model whose held-out data condemn it")
 
 
-def shut(config: GateConfig, competence: Competence | None) -> str | None:
+def gate_reason(config: GateConfig, competence: Competence | None) -> str | None:
     """Return why a controller must not act on a model of this verdict; None where it may, or was not judged."""
     if not config.enabled or competence is None or competence.competent:
         return None

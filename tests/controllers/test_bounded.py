@@ -9,7 +9,7 @@ import pytest
 from waiting import LONG_S, wait_for
 
 from controllers.safety.deadline import BoundedCalls, Crashed, Overdue
-from thermoforce_mpc.execution.asking import Answering, Ask
+from thermoforce_mpc.execution.cooperative import DirectHandler, Request
 
 SOON_S = 0.05
 
@@ -69,10 +69,10 @@ def test_only_so_many_are_left_behind(released):
 
 
 def test_asks_of_one_list_share_their_time_and_those_of_strangers_do_not(released):
-    asks = [Ask("one", hanging(released), seconds=SOON_S), Ask("two", lambda: 1, seconds=SOON_S)]
-    late, starved = Answering(BoundedCalls(2))(asks)
+    asks = [Request("one", hanging(released), seconds=SOON_S), Request("two", lambda: 1, seconds=SOON_S)]
+    late, starved = DirectHandler(BoundedCalls(2))(asks)
     assert "no answer" in str(late.error)
     assert "no time is left" in str(starved.error)
-    late, other = Answering(BoundedCalls(2), strangers=True)(asks)
+    late, other = DirectHandler(BoundedCalls(2), strangers=True)(asks)
     assert "no answer" in str(late.error)
     assert other.value == 1

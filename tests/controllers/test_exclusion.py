@@ -13,7 +13,7 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_mode
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.no_model import StandingBack
+from controllers.mpc.no_model import NoModelController
 from controllers.optimisation.solution import Solution
 from controllers.registry import build_controller
 from controllers.rules.pi import PIController
@@ -169,8 +169,8 @@ def test_the_group_reaches_model_file_layout_and_programme(tmp_path):
     assert coils().layout.exclusive == ((HEAT, COOL),)
     model(exclusive=((HEAT, COOL),)).save(tmp_path / "model")
     assert load_model(tmp_path / "model").layout.exclusive == ((HEAT, COOL),)
-    assert mpc()._assembly.machinery.exclusive == ((HEAT, COOL),), "also to a model that was identified without it"
-    assert mpc(case=coils(exclusive=[]))._assembly.machinery.exclusive == ()
+    assert mpc()._formulation.machinery.exclusive == ((HEAT, COOL),), "also to a model that was identified without it"
+    assert mpc(case=coils(exclusive=[]))._formulation.machinery.exclusive == ()
 
 
 @pytest.mark.slow
@@ -253,7 +253,7 @@ def test_rules_and_standing_back_keep_the_group():
     config = mpc(fallback={"stand_back": "rule"}).config
     for build in (
         lambda where: PIController(PIController().config.model_copy(update={"kp": 8.0}), where),
-        lambda where: StandingBack("no data", config, where, HOUR_S, name="x"),
+        lambda where: NoModelController("no data", config, where, HOUR_S, name="x"),
         lambda where: Thermostat(
             Thermostat().config.model_copy(update={"setpoints_C": {"heating_coil": 21.5, "cooling_coil": 20.5}}), where
         ),

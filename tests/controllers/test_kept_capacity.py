@@ -123,6 +123,6 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
 
     context = mpc.predictor.context(observation)
     nothing = np.zeros(2)
-    problem = mpc._assembly.problem(mpc.planning_operator, context, observation.history, 0.0, nothing, kept=kept)
+    problem = mpc._formulation.problem(mpc.planning_operator, context, observation.history, 0.0, nothing, kept=kept)
     ahead_C = observation.boundary.T_out_C[:-1]
     np.testing.assert_allclose(problem.capacity[0], 0.88 / (1.0 - ahead_C / 50.0), rtol=1e-9)

@@ -23,7 +23,7 @@ from scipy.optimize import linprog
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.milp import ChoiceResult, Highs, MilpConfig, MilpSolver, held_level
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, every_step
 from controllers.optimisation.qp import QPSolver
@@ -41,7 +41,7 @@ def machine(rng: np.random.Generator, order: int = 2) -> BuildingOperator:
 
 
 def solver(operator: BuildingOperator, held_steps: int | None = 2, n_steps: int = N) -> MilpSolver:
-    shape = ProblemShape(every_step(n_steps), Machinery.one(lowest_level=0.3), held_steps=held_steps)
+    shape = ProblemShape(every_step(n_steps), EquipmentLayout.one(lowest_level=0.3), held_steps=held_steps)
     return MilpSolver(operator, shape, EXACT)
 
 
@@ -139,8 +139,8 @@ def test_the_plan_is_the_best_of_all_choices(signs, machine_of, lowest, exclusiv
         assert float(problem.cost(operator, solution.u)) == pytest.approx(best, rel=1e-6)
         assert solution.gap <= 1e-6
         assert ((solution.u[machinery.held] == 0.0) | (solution.u[machinery.held] >= 0.3 - 1e-9)).all()
-        drive = relaxed._programme.drive(problem)
-        below = replace(problem, held_steps=0).cost_under(bound.u, relaxed._programme.modes(problem, drive, bound.u))
+        drive = relaxed._sparse_qp.drive(problem)
+        below = replace(problem, held_steps=0).cost_under(bound.u, relaxed._sparse_qp.modes(problem, drive, bound.u))
         gained.append(best - float(below))
     assert min(gained) > -1e-6
     assert max(gained) > 1e-3, "a choice that costs nothing tests nothing"
@@ -175,13 +175,13 @@ def test_later_steps_are_relaxed_and_reported_as_the_held_level_of_the_same_heat
     milp = solver(operator, held_steps=2)
     solution = milp.solve(problem)
     shares = []
-    choose = milp._programme.levels
-    milp._programme.levels = lambda x: shares.append(choose(x)) or shares[-1]  # type: ignore[method-assign]
+    choose = milp._sparse_qp.levels
+    milp._sparse_qp.levels = lambda x: shares.append(choose(x)) or shares[-1]  # type: ignore[method-assign]
     milp.solve(problem)
-    drive = milp._programme.drive(problem)
-    solved = milp._programme.as_solved(problem)
+    drive = milp._sparse_qp.drive(problem)
+    solved = milp._sparse_qp.as_solved(problem)
     np.testing.assert_allclose(
-        problem.modes_K(operator, solution.u), milp._programme.modes(solved, drive, shares[0]), atol=1e-9
+        problem.modes_K(operator, solution.u), milp._sparse_qp.modes(solved, drive, shares[0]), atol=1e-9
     )
     np.testing.assert_allclose(solution.u[:, :2], shares[0][:, :2])
     assert np.abs(solution.u[:, 2:] - shares[0][:, 2:]).max() > 0.01, "part load gives another heat than a share"
@@ -313,9 +313,9 @@ def test_it_starts_from_the_relaxation_rounded_within_lowest_levels_and_exclusio
 def test_auto_chooses_it_for_levels_that_are_held():
     rng = np.random.default_rng(8)
     config, operator = MPCConfig(step_s=3600.0, horizon_h=12.0), machine(rng)
-    built = build_solver(config, operator, Machinery.one(lowest_level=0.3))
+    built = build_solver(config, operator, EquipmentLayout.one(lowest_level=0.3))
     assert isinstance(built, MilpSolver)
     assert built.shape.n_held == 1
-    assert isinstance(build_solver(config, single(random_operator(rng, 2)), Machinery.one()), QPSolver)
+    assert isinstance(build_solver(config, single(random_operator(rng, 2)), EquipmentLayout.one()), QPSolver)
     with pytest.raises(ControllerConfigError, match=r"known for a lowest level of 0\.3, not 0\.5"):
-        build_solver(config, operator, Machinery.one(lowest_level=0.5))
+        build_solver(config, operator, EquipmentLayout.one(lowest_level=0.5))

@@ -11,7 +11,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.controller import MPCState
-from controllers.mpc.margins import OF_LOOPS, Missed, learned_K, of_plans
+from controllers.mpc.margins import OF_LOOPS, LearnedMargin, learned_K, of_plans
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -59,21 +59,23 @@ def test_what_loops_miss_is_learned_faster_and_further():
 def test_bounds_are_set_back_where_they_are_wider_than_at_their_tightest():
     """Also over a weekend in which they are never tight."""
     lower, upper = np.array([15.0, 15.0, 21.0, 20.8]), np.array([28.0, 24.0, 24.0, 24.2])
-    weekday = Missed.nothing(1).meeting(lower[None], upper[None])
+    weekday = LearnedMargin.nothing(1).meeting(lower[None], upper[None])
     assert weekday.set_back(0, lower, upper).tolist() == [[True, True, False, False], [True, False, False, False]]
     weekend = np.full((1, 4), 15.0), np.full((1, 4), 28.0)
     assert weekday.meeting(*weekend).set_back(0, weekend[0][0], weekend[1][0]).all()
-    assert not Missed.nothing(1).meeting(*weekend).set_back(0, weekend[0][0], weekend[1][0]).any(), "none was tighter"
+    assert not LearnedMargin.nothing(1).meeting(*weekend).set_back(0, weekend[0][0], weekend[1][0]).any(), (
+        "none was tighter"
+    )
 
 
 def test_bounds_that_are_not_known_are_not_met():
     unknown = np.array([[np.nan, 21.0]]), np.array([[np.nan, np.nan]])
-    assert Missed.nothing(1).meeting(*unknown).tightest_C.tolist() == [[21.0], [np.inf]]
+    assert LearnedMargin.nothing(1).meeting(*unknown).tightest_C.tolist() == [[21.0], [np.inf]]
 
 
 def test_a_reserve_for_loops_holds_where_bounds_are_set_back():
     lower, upper = np.array([15.0, 21.0]), np.array([28.0, 24.0])
-    known = replace(Missed.nothing(1).meeting(lower[None], upper[None]), reserve_K=np.array([[0.4], [0.2]]))
+    known = replace(LearnedMargin.nothing(1).meeting(lower[None], upper[None]), reserve_K=np.array([[0.4], [0.2]]))
     assert known.inside_K(0, lower, upper, by_loops=True).tolist() == [[0.4, 0.0], [0.2, 0.0]]
     assert known.inside_K(0, lower, upper, by_loops=False).tolist() == [[0.4, 0.4], [0.2, 0.2]]
 
@@ -120,8 +122,8 @@ def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
     seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
     context = mpc.predictor.context(seen)
     plain, kept = (
-        mpc._assembly.problem(mpc.model.operator, context, seen.history, 0.0, np.zeros(1), missed)
-        for missed in (None, replace(Missed.nothing(1), reserve_K=np.array([[0.2], [0.0]])))
+        mpc._formulation.problem(mpc.model.operator, context, seen.history, 0.0, np.zeros(1), missed)
+        for missed in (None, replace(LearnedMargin.nothing(1), reserve_K=np.array([[0.2], [0.0]])))
     )
     np.testing.assert_allclose(kept.lower_C - plain.lower_C, 0.2)
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)

@@ -68,7 +68,7 @@ def test_in_a_fast_zone_the_end_of_a_step_meets_the_bound_that_held_during_it(ga
     boundary: Boundary = house.forecast(mpc.horizon_s, HOUR_S)
     history: Record = house.past(HOUR_S)
     context = mpc.predictor.context(Observation(history, boundary))
-    problem = mpc._assembly.problem(mpc.model.operator, context, history, 0.0, np.zeros(1))
+    problem = mpc._formulation.problem(mpc.model.operator, context, history, 0.0, np.zeros(1))
     drops = np.flatnonzero((boundary.lower_C[0, :-1] == 21.0) & (boundary.lower_C[0, 1:] == 15.0))
     assert drops.size
     assert (problem.lower_C[0, drops] >= 21.0).all() == held

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
@@ -141,7 +141,7 @@ def test_a_failed_solve_does_not_spoil_the_next():
 def test_a_problem_that_is_not_convex_is_refused_with_advice():
     pair = random_operator(np.random.default_rng(0), 1)
     with pytest.raises(ControllerConfigError, match=r"use actuation mode duty .*or solver: ipopt"):
-        QPSolver(single(pair), ProblemShape(every_step(N), Machinery.one(lowest_level=0.3)), QPConfig())
+        QPSolver(single(pair), ProblemShape(every_step(N), EquipmentLayout.one(lowest_level=0.3)), QPConfig())
     heat = MachineLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match="not convex"):
         QPSolver(single(replace(pair, heat_input=HeatInput(heat=heat))), ProblemShape(every_step(N)), QPConfig())

@@ -15,9 +15,9 @@ from controllers.actuation.room_setpoints import room_blocks
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.margins import Missed
+from controllers.mpc.margins import LearnedMargin
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, ProblemShape, Weights, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
@@ -45,7 +45,7 @@ def both_ways(rng: np.random.Generator, order: int):
     problem = random_problem(rng, order)
     warm = np.where(np.arange(N) < N // 2, rng.uniform(12, 16, N), rng.uniform(24, 28, N))
     cooling = Cooling(rng.uniform(0.1, 0.4, (1, N)), rng.uniform(500, 1500, (1, N)))
-    machinery = Machinery.one(u_min=LOWEST)
+    machinery = EquipmentLayout.one(u_min=LOWEST)
     return replace(
         problem, forced_state_K=np.zeros((1, 1, order)), T_free_C=warm[None], cooling=cooling, machinery=machinery
     )
@@ -54,7 +54,7 @@ def both_ways(rng: np.random.Generator, order: int):
 def test_the_signed_programme_is_solved_to_its_optimum_and_never_heats_and_cools_at_once():
     rng = np.random.default_rng(3)
     operator = single(signed(random_operator(rng, 2)))
-    solver = QPSolver(operator, ProblemShape(every_step(N), Machinery.one(u_min=LOWEST)), QPConfig())
+    solver = QPSolver(operator, ProblemShape(every_step(N), EquipmentLayout.one(u_min=LOWEST)), QPConfig())
     directions = set()
     for _ in range(5):
         problem = both_ways(rng, 2)
@@ -78,7 +78,7 @@ def test_the_peak_counts_power_in_both_directions():
     rng = np.random.default_rng(4)
     operator, problem = single(signed(random_operator(rng, 2))), both_ways(rng, 2)
     problem = replace(problem, weights=Weights(5.0, 1e-6, 2e-2))
-    shape = ProblemShape(every_step(N), Machinery.one(u_min=LOWEST), peak=True)
+    shape = ProblemShape(every_step(N), EquipmentLayout.one(u_min=LOWEST), peak=True)
     ours, reference = (solver.solve(problem) for solver in both_solvers(operator, shape))
     assert ours.ok, ours.problem
     assert reference.ok, reference.problem
@@ -231,13 +231,13 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
     night = Observation(office.past(mpc.step_s), office.forecast(mpc.horizon_s, mpc.step_s))
     assert night.boundary.lower_C[0, 0] == 15.0
 
-    def first_band(missed: Missed) -> tuple[float, float]:
+    def first_band(missed: LearnedMargin) -> tuple[float, float]:
         known = missed.meeting(night.boundary.lower_C, night.boundary.upper_C)
         first, *_ = mpc._room_blocks(night, 0, 0.1, np.array([16.1]), np.array([15.2]), known)
         return first.band_C[0]
 
-    assert first_band(Missed.nothing(1))[0] == pytest.approx(15.03)
-    assert first_band(replace(Missed.nothing(1), reserve_K=np.array([[1.0], [0.0]])))[0] == pytest.approx(16.03)
+    assert first_band(LearnedMargin.nothing(1))[0] == pytest.approx(15.03)
+    assert first_band(replace(LearnedMargin.nothing(1), reserve_K=np.array([[1.0], [0.0]])))[0] == pytest.approx(16.03)
 
 
 @pytest.mark.parametrize("solver", ["auto", "ipopt"])

@@ -6,7 +6,7 @@ from simple_house import SimpleHouse
 
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.no_model import StandingBack
+from controllers.mpc.no_model import NoModelController
 from controllers.rules.native import NativeController
 from controllers.rules.thermostat import Setback, Thermostat, ThermostatConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Names, Observation, Record
@@ -57,7 +57,7 @@ def test_options_of_an_actuator_that_there_is_not_are_refused():
     with pytest.raises(ControllerConfigError, match=f"setpoints_C: {says}"):
         Thermostat(ThermostatConfig(setpoints_C={"livingroom": 19.0}))
     with pytest.raises(ControllerConfigError, match=f"actuations: {says}"):
-        StandingBack("", MPCConfig(actuations={"livingroom": {}}), Layout.single("heating"), 900.0, name="")
+        NoModelController("", MPCConfig(actuations={"livingroom": {}}), Layout.single("heating"), 900.0, name="")
 
 
 def test_a_silent_sensor_hands_over_to_native_control():

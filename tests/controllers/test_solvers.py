@@ -10,7 +10,7 @@ from mpc_problems import N, linear_programme_optimum, multi_start_optimum, rando
 
 from controllers.optimisation.candidate_search import CandidateSearch, SearchConfig
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
 from thermoforce_mpc.model.operator.building import single
 
@@ -41,7 +41,7 @@ def test_the_numpy_objective_counts_the_fixed_part_while_on():
 def test_ipopt_is_never_worse_than_the_candidates_when_levels_are_held():
     rng = np.random.default_rng(3)
     operator = single(random_operator(rng, 2))
-    ipopt = IpoptSolver(operator, ProblemShape(every_step(N), Machinery.one(lowest_level=0.3)), IpoptConfig())
+    ipopt = IpoptSolver(operator, ProblemShape(every_step(N), EquipmentLayout.one(lowest_level=0.3)), IpoptConfig())
     search = CandidateSearch(operator, N, SearchConfig())
     for _ in range(5):
         problem = random_problem(rng, 2, lowest=0.3, curvature=1e-6)

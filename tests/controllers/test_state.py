@@ -12,7 +12,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.no_model import StandingBack
+from controllers.mpc.no_model import NoModelController
 from controllers.optimisation.solution import Solution
 from controllers.rules.native import NativeController
 from controllers.rules.pi import PIConfig, PIController
@@ -182,7 +182,7 @@ LONG = {"mode": "duty", "min_on_s": 7200.0, "min_off_s": 7200.0}
 ACTING = {
     "mpc": lambda: mpc(actuation=LONG),
     "pi": lambda: PIController(PIConfig(step_s=HOUR_S, actuation=LONG)),
-    "standing back": lambda: StandingBack(
+    "standing back": lambda: NoModelController(
         "",
         MPCConfig(step_s=None, actuation=LONG, fallback={"stand_back": "rule"}),
         Layout.single("heating"),

@@ -10,11 +10,11 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.monitoring.single_actuator import own_records
+from controllers.monitoring.single_actuator import single_actuator_records
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.watch_tests import applied_levels
 from controllers.mpc.model_watch import _later
-from controllers.mpc.no_model import StandingBack
+from controllers.mpc.no_model import NoModelController
 from controllers.mpc.state import MPCState
 from controllers.optimisation.solution import Solution
 from controllers.rules.pi import PIController
@@ -299,7 +299,7 @@ def test_the_state_of_a_building_of_another_size_is_refused():
     alone = Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
     kinds = (
         lambda layout: mpc() if layout else mpc(simple_model()),
-        lambda layout: StandingBack("", mpc().config, layout or Layout.single("heating"), HOUR_S, name=""),
+        lambda layout: NoModelController("", mpc().config, layout or Layout.single("heating"), HOUR_S, name=""),
         lambda layout: PIController(None, layout),
         lambda layout: Thermostat(None, layout),
     )
@@ -314,16 +314,18 @@ def test_the_state_of_a_building_of_another_size_is_refused():
 def test_what_the_other_actuator_did_is_taken_out_of_a_zones_record():
     model, seen = two_model(), two_observation()
     forced_K = mpc(model).predictor.followed(seen.history).forced_K
-    apart = own_records(model, seen.history, forced_K)[RADIATOR]
+    apart = single_actuator_records(model, seen.history, forced_K)[RADIATOR]
     np.testing.assert_array_equal(apart.T_zone_C[0], seen.history.T_zone_C[0])
     pair = model.operator.pairs[0][0]
     coupled = replace(model, operator=replace(model.operator, pairs=((pair, pair), (None, pair))))
     forced_K = mpc(coupled).predictor.followed(seen.history).forced_K
-    own = own_records(coupled, seen.history, forced_K)[RADIATOR]
+    own = single_actuator_records(coupled, seen.history, forced_K)[RADIATOR]
     np.testing.assert_allclose(own.T_zone_C[0], seen.history.T_zone_C[0] - forced_K[0, FLOOR].sum(axis=-1))
     assert np.abs(own.T_zone_C - seen.history.T_zone_C[:1]).max() > 0.5
     assert own.names.actuators == ("radiator",)
-    assert np.isnan(own_records(coupled, seen.history, None)[RADIATOR].T_zone_C).all(), "not known, so not judged"
+    assert np.isnan(single_actuator_records(coupled, seen.history, None)[RADIATOR].T_zone_C).all(), (
+        "not known, so not judged"
+    )
 
 
 @pytest.mark.parametrize("kind", [Thermostat, PIController])
@@ -358,8 +360,8 @@ def test_what_a_shared_machine_uses_is_in_no_actuators_record():
     seen = two_observation()
     boiler = replace(seen.history.names, machines=("boiler",))
     both = replace(seen.history, power_W=seen.history.power_W[:1], T_return_C=seen.history.T_return_C[:1], names=boiler)
-    assert np.isnan(own_records(two_model(shared=True), both, None)[RADIATOR].power_W).all()
-    own = own_records(two_model(), seen.history, None)[FLOOR]
+    assert np.isnan(single_actuator_records(two_model(shared=True), both, None)[RADIATOR].power_W).all()
+    own = single_actuator_records(two_model(), seen.history, None)[FLOOR]
     np.testing.assert_array_equal(own.power_W[0], seen.history.power_W[1])
 
 
@@ -381,8 +383,8 @@ def test_what_a_shared_machine_cannot_give_accuses_no_actuator(metered):
         model = replace(model, operator=operator)
     else:
         model = replace(model, shares=(0.7, 0.7))
-    assert own_records(model, seen.slice(0, 0), None)[RADIATOR].n_steps == 0
-    own = own_records(model, seen, None)[RADIATOR]
+    assert single_actuator_records(model, seen.slice(0, 0), None)[RADIATOR].n_steps == 0
+    own = single_actuator_records(model, seen, None)[RADIATOR]
     expected = u[RADIATOR].copy()
     expected[12:24] = np.nan
     np.testing.assert_array_equal(own.u[0], expected)

@@ -12,7 +12,7 @@ from mpc_problems import N, machinery_of, random_building, random_building_probl
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.candidate_search import CandidateSearch, SearchConfig
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
@@ -91,7 +91,7 @@ def test_the_order_of_zones_actuators_and_machines_does_not_change_the_plan():
     zones, actuators, machines = [2, 0, 1], [3, 1, 0, 2], [1, 2, 0]
     other = permuted(operator, zones, actuators)
     m = problem.machinery
-    machinery = Machinery(
+    machinery = EquipmentLayout(
         other.actuators,
         tuple(m.machines[i] for i in machines),
         m.u_max[actuators],
@@ -135,7 +135,7 @@ def test_zones_that_share_nothing_are_planned_as_if_alone():
             problem,
             **{name: getattr(problem, name)[one] for name in rows},
             **{name: getattr(problem, name)[one, one] for name in ("forced_state_K", "terminal_price_per_K")},
-            machinery=Machinery.one(),
+            machinery=EquipmentLayout.one(),
             weights=Weights(float(np.asarray(problem.weights.comfort)[z]), 1e-6),
         )
         solution = QPSolver(single(pair), ProblemShape(every_step(N)), QPConfig()).solve(alone)
@@ -190,11 +190,11 @@ def test_a_machine_of_one_actuator_needs_no_variable_of_its_own():
     operator = random_building(rng, 2, (1, 1))
     own = QPSolver(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))), QPConfig())
     shared = QPSolver(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))), QPConfig())
-    assert own._programme.n_variables == 6 * N
-    assert shared._programme.n_variables == 7 * N
+    assert own._sparse_qp.n_variables == 6 * N
+    assert shared._sparse_qp.n_variables == 7 * N
     assert QPSolver(
         single(random_operator(rng, 3)), ProblemShape(every_step(N)), QPConfig()
-    )._programme.n_variables == (3 * N)
+    )._sparse_qp.n_variables == (3 * N)
 
 
 def test_capacity_is_kept_where_it_would_be_exceeded():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linprog, minimize
 
-from controllers.optimisation.machines import Machinery
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem, Weights
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -43,7 +43,7 @@ def random_problem(
         power_fixed_W=rng.uniform(1000, 2000, (1, n)),
         power_per_u_W=rng.uniform(2000, 3000, (1, n)),
         step_s=3600.0,
-        machinery=Machinery.one(lowest_level=lowest),
+        machinery=EquipmentLayout.one(lowest_level=lowest),
         weights=Weights(5.0, curvature),
         terminal_price_per_K=np.zeros((1, 1, order)),
     )
@@ -122,16 +122,16 @@ def random_building(
     return BuildingOperator(*names, tuple(rows), home)
 
 
-def machinery_of(operator: BuildingOperator, machine_of: tuple[int, ...], **options) -> Machinery:
+def machinery_of(operator: BuildingOperator, machine_of: tuple[int, ...], **options) -> EquipmentLayout:
     """Machines for the actuators of a building, by default in blocks and without limit of capacity."""
     ones = np.ones(len(operator.actuators))
     names = tuple(f"machine {m}" for m in range(max(machine_of) + 1))
     defaults = {"u_max": ones, "lowest_level": ones, "u_min": 0 * ones, "share": 0 * ones}
-    return Machinery(operator.actuators, names, machine_of=np.array(machine_of), **(defaults | options))
+    return EquipmentLayout(operator.actuators, names, machine_of=np.array(machine_of), **(defaults | options))
 
 
 def random_building_problem(
-    rng: np.random.Generator, operator: BuildingOperator, machinery: Machinery, n: int = N, **options
+    rng: np.random.Generator, operator: BuildingOperator, machinery: EquipmentLayout, n: int = N, **options
 ) -> MPCProblem:
     """Zones that are too cold at first and too warm later."""
     (Z, A, r), M = operator.shape, len(machinery.machines)

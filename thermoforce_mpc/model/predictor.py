@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.limits import ROUNDING
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution.asking import Asking, answered, timed, together
+from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
 from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
 from thermoforce_mpc.model.free_response.checks import checked_forecast
@@ -231,9 +231,11 @@ class Predictor:
                 the weather, the forecast of the weather does not begin now, is of one instant or has gaps, or the
                 estimate or the forecast is not fit to plan with.
         """
-        return answered(self.contexting(observation, state))
+        return run(self.contexting(observation, state))
 
-    def contexting(self, observation: Observation, state: PredictorState | None = None) -> Asking[PredictionContext]:
+    def contexting(
+        self, observation: Observation, state: PredictorState | None = None
+    ) -> Computation[PredictionContext]:
         """`context` as a computation: the forecasts of all zones are asked for together."""
         boundary = observation.boundary
         observation.check_begin()
@@ -254,7 +256,7 @@ class Predictor:
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         measured, states = np.flatnonzero(known).tolist(), list(kept)
         forecasts = [following(self._free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
-        found, forecast_s = yield from timed(together(forecasts))
+        found, forecast_s = yield from timed(gather(forecasts))
         answers = []
         for z, (answer, states[z]) in zip(measured, found, strict=True):
             answers.append(checked_forecast(answer, boundary.n_steps, self._free_responses[z].name))

@@ -7,7 +7,7 @@ import pytest
 from forecasting import LEVELS, boundary_of, history_of, hours
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.execution.asking import Asking
+from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, fit_linear_weather
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
@@ -29,7 +29,7 @@ class Fixed:
         rows = last + (LEVELS - 0.5)[:, None] * self.spread_K / 0.4 + np.zeros(boundary.n_steps)
         return FreeForecast(LEVELS, rows, f"fixed {self.offset_K:g}")
 
-    def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Asking[list[FreeForecast]]:
+    def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Computation[list[FreeForecast]]:
         yield from ()
         self.asked = getattr(self, "asked", [])
         self.asked.append(len(tasks))
@@ -204,7 +204,7 @@ def test_trials_see_nothing_of_what_they_forecast() -> None:
     seen: list[tuple[Array, Record, Boundary]] = []
 
     class Watching(Fixed):
-        def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Asking[list[FreeForecast]]:
+        def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Computation[list[FreeForecast]]:
             seen.extend(tasks)
             return super().forecasting(tasks)
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution.asking import Asking, answered
+from thermoforce_mpc.execution.cooperative import Computation, run
 from thermoforce_mpc.model.free_response.checks import checked_free
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.protocols import FreeResponse
@@ -115,12 +115,12 @@ class CalibratedFreeResponse:
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> tuple[FreeForecast, CalibratedState]:
         """See `FollowingFreeResponse.follow`; raises what the wrapped method raises."""
-        return answered(self.following(free_C, history, boundary, state))
+        return run(self.following(free_C, history, boundary, state))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> Asking[tuple[FreeForecast, CalibratedState]]:
-        """See `AskingFreeResponse.following`; raises what the wrapped method raises."""
+    ) -> Computation[tuple[FreeForecast, CalibratedState]]:
+        """See `ComputedFreeResponse.following`; raises what the wrapped method raises."""
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
         last = state if isinstance(state, CalibratedState) else CalibratedState()

@@ -11,7 +11,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.execution.asking import Ask, Asking, answered, asked
+from thermoforce_mpc.execution.cooperative import Computation, Request, perform, run
 from thermoforce_mpc.model.free_response.backbones.base import Context
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
@@ -101,16 +101,16 @@ class ChronosFreeResponse:
 
         Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
         """
-        return answered(self.forecasting(tasks))
+        return run(self.forecasting(tasks))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> Asking[tuple[FreeForecast, object]]:
-        """See `AskingFreeResponse.following`; raises what `forecast` raises."""
+    ) -> Computation[tuple[FreeForecast, object]]:
+        """See `ComputedFreeResponse.following`; raises what `forecast` raises."""
         (found,) = yield from self.forecasting([(free_C, history, boundary)])
         return found, None
 
-    def forecasting(self, tasks: Sequence[Task]) -> Asking[list[FreeForecast]]:
+    def forecasting(self, tasks: Sequence[Task]) -> Computation[list[FreeForecast]]:
         """`forecast_many` as a computation: it asks the backbone for the quantiles of all its contexts."""
         inputs: list[list[Resolution] | FreeForecast] = []
         for i, task in enumerate(tasks):
@@ -119,7 +119,7 @@ class ChronosFreeResponse:
         contexts = [one.context for resolutions in inputs if isinstance(resolutions, list) for one in resolutions]
         found: Iterator[Array] = iter(())
         if contexts:
-            found = iter((yield from asked(Ask(self._model, self._passed, contexts))))
+            found = iter((yield from perform(Request(self._model, self._passed, contexts))))
         answers = []
         for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
             if isinstance(of_task, FreeForecast):

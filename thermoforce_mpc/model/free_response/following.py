@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import cast
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.execution.asking import Ask, Asking, asked
-from thermoforce_mpc.protocols import AskingFreeResponse, FollowingFreeResponse, FreeResponse
+from thermoforce_mpc.execution.cooperative import Computation, Request, perform
+from thermoforce_mpc.protocols import ComputedFreeResponse, FollowingFreeResponse, FreeResponse
 
 Answer = tuple[FreeForecast, object]
 
@@ -23,10 +23,10 @@ def follow(method: FreeResponse, free_C: Array, history: Record, boundary: Bound
 
 def following(
     method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
-) -> Asking[Answer]:
+) -> Computation[Answer]:
     """`follow` as a computation that asks; a method that does not ask is one ask itself."""
     # By name: checks of a protocol cost more than all else here.
     if hasattr(method, "following"):
-        return (yield from cast(AskingFreeResponse, method).following(free_C, history, boundary, state))
-    answer: Answer = yield from asked(Ask(method, lambda: follow(method, free_C, history, boundary, state)))
+        return (yield from cast(ComputedFreeResponse, method).following(free_C, history, boundary, state))
+    answer: Answer = yield from perform(Request(method, lambda: follow(method, free_C, history, boundary, state)))
     return answer

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.execution.asking import Asking, answered
+from thermoforce_mpc.execution.cooperative import Computation, run
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse, Task
 from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fits_linear_weather
@@ -86,12 +86,12 @@ class ResidualFreeResponse:
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> tuple[FreeForecast, Weights | None]:
         """See `FollowingFreeResponse.follow`; raises as `forecast` does."""
-        return answered(self.following(free_C, history, boundary, state))
+        return run(self.following(free_C, history, boundary, state))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> Asking[tuple[FreeForecast, Weights | None]]:
-        """See `AskingFreeResponse.following`; raises as `forecast` does."""
+    ) -> Computation[tuple[FreeForecast, Weights | None]]:
+        """See `ComputedFreeResponse.following`; raises as `forecast` does."""
         weights = state if isinstance(state, Weights) else None
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
@@ -117,9 +117,9 @@ class ResidualFreeResponse:
         Candidates: the backbone alone, then with the weather model for independent errors and for a slow disturbance.
         Raises as `forecast` does.
         """
-        return answered(self._candidates(tasks))
+        return run(self._candidates(tasks))
 
-    def _candidates(self, tasks: Sequence[Task]) -> Asking[tuple[list[Array], str]]:
+    def _candidates(self, tasks: Sequence[Task]) -> Computation[tuple[list[Array], str]]:
         todo: list[Task] = []
         ahead: list[Array] = []
         for free, history, boundary in tasks:
@@ -133,7 +133,7 @@ class ResidualFreeResponse:
         k = len(_NAMES)
         return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
 
-    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Asking[Weights]:
+    def _learn(self, free: Array, history: Record, boundary: Boundary) -> Computation[Weights]:
         """Return weights from one-day trial forecasts over the last week, made with the measured weather."""
         step_s, now = boundary.step_s, float(history.time_s[-1])
         trial_steps = min(boundary.n_steps, round(_TRIAL_S / step_s))
@@ -148,7 +148,7 @@ class ResidualFreeResponse:
             share[:, trial_steps:] = learned[:, -1:]
         return Weights(share, len(errors) if len(errors) >= _LEAST_TRIALS else 0, now, step_s)
 
-    def _trial_errors(self, free: Array, history: Record, steps: int) -> Asking[tuple[list[Array], Array]]:
+    def _trial_errors(self, free: Array, history: Record, steps: int) -> Computation[tuple[list[Array], Array]]:
         """Return the errors of the candidates' medians, (3, steps) per trial, K, and the trials' instants, s."""
         step_s = history.step_s
         last = history.n_steps - steps

@@ -16,7 +16,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError, ThermoForceError
-from thermoforce_mpc.execution.asking import Asking, answered
+from thermoforce_mpc.execution.cooperative import Computation, run
 from thermoforce_mpc.model.free_response.checks import checked_forecast, checked_free
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
@@ -34,13 +34,13 @@ _FROM_WEATHER_MODEL_K = 5.0
 _FROM_LAST_K = 20.0
 # Widest half of a forecast's interval, as a multiple of the change that is allowed.
 _WIDEST = 3.0
-# Failures on end after which a method that learns begins anew.
+# Consecutive failures after which a method that learns begins anew.
 _COLD_AFTER = 3
 
 
 @dataclass(frozen=True)
 class SubstituteState:
-    """State of the method, and the number of its failures on end."""
+    """State of the method, and the number of its consecutive failures."""
 
     inner: object = None
     failures: int = 0
@@ -83,12 +83,12 @@ class WithSubstitutes:
         Raises:
             DataError: no temperature was measured, or neither the method nor a substitute gave a forecast.
         """
-        return answered(self.following(free_C, history, boundary, state))
+        return run(self.following(free_C, history, boundary, state))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> Asking[tuple[FreeForecast, SubstituteState]]:
-        """See `AskingFreeResponse.following`; raises as `follow` does."""
+    ) -> Computation[tuple[FreeForecast, SubstituteState]]:
+        """See `ComputedFreeResponse.following`; raises as `follow` does."""
         free = checked_free(free_C, history)
         before = state if isinstance(state, SubstituteState) else SubstituteState()
         inner = before.inner if before.failures < _COLD_AFTER else None

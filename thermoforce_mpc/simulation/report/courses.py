@@ -12,7 +12,7 @@ from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, in_force
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
 
-# Bytes of the courses of all runs of a page, before base64 adds a third; of more, blocks on end are averaged.
+# Bytes of the courses of all runs of a page, before base64 adds a third; of more, consecutive blocks are averaged.
 MOST_BYTES = 800_000
 # Coarsest roundings: K, W, level, W/m², price and cost per kWh and m².
 RESOLUTION = {"T": 0.002, "W": 5.0, "u": 1e-4, "sun": 0.1, "price": 1e-4, "cost": 1e-4, "Kh": 0.002}
@@ -20,7 +20,7 @@ RESOLUTION = {"T": 0.002, "W": 5.0, "u": 1e-4, "sun": 0.1, "price": 1e-4, "cost"
 
 @dataclass(frozen=True)
 class Course:
-    """All n blocks of a run, or means over several on end.
+    """All n blocks of a run, or means over several consecutive ones.
 
     `start_s`, `duration_s`, `T_out_C`, `solar_W_m2` (n,); `T_zone_C`, `lower_C`, `upper_C` (Z, n), `u` (A, n) and
     `power_W`, `price_per_kWh` (M, n) as in `Sample`. `cost` (n,) per m² and `discomfort_Kh` (Z, n) are those until the

@@ -11,7 +11,7 @@ from thermoforce_mpc.simulation.closed_loop import RunResult
 
 @dataclass(frozen=True)
 class Spell:
-    """Steps on end with the status `watch`: from `start_s` to `end_s`, s, and the reasons of beginning and end.
+    """Consecutive steps with the status `watch`: from `start_s` to `end_s`, s, and the reasons of beginning and end.
 
     `why_back` is empty where the run ended first.
     """

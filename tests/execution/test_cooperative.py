@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from thermoforce_mpc.execution.asking import Answering, Ask, answered, asked, timed, together, within
+from thermoforce_mpc.execution.cooperative import DirectHandler, Request, gather, perform, run, timed, within
 
 DOUBLED = object()
 
@@ -20,8 +20,8 @@ def doubled(calls: list[list[float]], value: float):
             raise ValueError(f"{min(items)} is negative")
         return [2 * item for item in items]
 
-    (once,) = yield from asked(Ask(DOUBLED, call, [value]))
-    (twice,) = yield from asked(Ask(DOUBLED, call, [once]))
+    (once,) = yield from perform(Request(DOUBLED, call, [value]))
+    (twice,) = yield from perform(Request(DOUBLED, call, [once]))
     return twice
 
 
@@ -34,7 +34,7 @@ def caught(computation):
 
 def test_computations_side_by_side_share_each_call_and_keep_their_order():
     calls: list[list[float]] = []
-    assert answered(together([doubled(calls, value) for value in (1, 2, 3)])) == [4, 8, 12]
+    assert run(gather([doubled(calls, value) for value in (1, 2, 3)])) == [4, 8, 12]
     assert calls == [[1, 2, 3], [2, 4, 6]]
 
 
@@ -44,12 +44,12 @@ def test_those_that_ask_less_often_do_not_hold_up_the_others():
         return value
 
     calls: list[list[float]] = []
-    assert answered(together([at_once(7), doubled(calls, 1), at_once(8)])) == [7, 4, 8]
+    assert run(gather([at_once(7), doubled(calls, 1), at_once(8)])) == [7, 4, 8]
 
 
 def test_where_a_shared_call_fails_each_is_asked_alone():
     calls: list[list[float]] = []
-    found = answered(together([caught(doubled(calls, value)) for value in (1, -2, 3)]))
+    found = run(gather([caught(doubled(calls, value)) for value in (1, -2, 3)]))
     assert found == [4, "-2 is negative", 12]
     assert calls[1:4] == [[1], [-2], [3]]
 
@@ -59,10 +59,10 @@ def test_a_call_that_gives_too_few_answers_is_not_believed():
         return items[:1]
 
     def one(value):
-        (found,) = yield from asked(Ask(DOUBLED, call, [value]))
+        (found,) = yield from perform(Request(DOUBLED, call, [value]))
         return found
 
-    assert answered(together([one(1), one(2)])) == [1, 2]
+    assert run(gather([one(1), one(2)])) == [1, 2]
 
 
 @pytest.fixture
@@ -81,9 +81,9 @@ def test_the_cost_of_a_computation_is_its_own(clock):
 
     def one(n):
         clock[0] += 0.25 * n
-        return (yield from asked(Ask(DOUBLED, slow, [0] * n)))
+        return (yield from perform(Request(DOUBLED, slow, [0] * n)))
 
-    (_, short), (_, long) = answered(together([timed(one(1)), timed(one(4))]))
+    (_, short), (_, long) = run(gather([timed(one(1)), timed(one(4))]))
     assert (short, long) == (0.75, 3.0)
 
 
@@ -95,7 +95,7 @@ def test_time_is_counted_from_the_begin_of_a_computation(clock):
         clock[0] += 0.25
         return call()
 
-    answered(within(1.0, doubled([], 1.0)), Answering(bounded))
+    run(within(1.0, doubled([], 1.0)), DirectHandler(bounded))
     assert left == [1.0, 0.75]
     with pytest.raises(ValueError, match="negative"):
-        answered(within(1.0, doubled([], -1.0)), Answering(bounded))
+        run(within(1.0, doubled([], -1.0)), DirectHandler(bounded))
