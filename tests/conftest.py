@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from places import SHARED
 
 # One thread per process: the processes of pytest-xdist are as many as the cores. Read when torch is imported.
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -19,13 +20,10 @@ settings.register_profile(
 )
 settings.load_profile("same")
 
-ROOT = Path(__file__).resolve().parents[1]
-
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Reference data kept beside the project, where a developer has it; tests that need it skip where it is absent."""
-    folder = ROOT.parent / "shared"
-    if not (folder / "boptest_hp").is_dir():
-        pytest.skip(f"reference data not found at {folder}")
-    return folder
+    if not (SHARED / "boptest_hp").is_dir():
+        pytest.skip(f"reference data not found at {SHARED}")
+    return SHARED

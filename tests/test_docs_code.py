@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from pages import PAGES, ROOT, blocks
+from pages import PAGES, blocks
+from places import ROOT
 
 HERE = "tests/test_docs_code.py"
 FOLLOWED = [page for page in PAGES if any(block.run_by == HERE for block in blocks(page))]

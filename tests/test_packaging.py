@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from places import ROOT
 
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, shipped_folder
 
-ROOT = Path(__file__).parents[1]
 PACKAGES = ("thermoforce_mpc", "controllers", "boptest_client")
 
 

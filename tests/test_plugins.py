@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import ROOT, SUPPORT
 
 from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, Entry, build_controller
@@ -19,8 +20,6 @@ from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.variants import Variant
-
-ROOT = Path(__file__).parents[1]
 
 
 def distribution(where: Path, name: str, module: str, group: str = "controllers", **announced: str) -> None:
@@ -200,13 +199,12 @@ import simulated_building as sim
 from live_gateway import served
 from thermoforce_mpc.live import LiveBuilding, control
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from test_live import mpc
 house = sim.SimulatedBuilding()
 house.measurements().to_csv("house.csv", index=False)
 house.forecast().to_csv("tomorrow.csv")
 with served(house) as url:
     gateway = build_connection("gateway", {"url": url})
-    control(LiveBuilding(gateway, MeasurementMap.model_validate(sim.RULES), 3600.0), mpc(), clock=house, steps=3)
+    control(LiveBuilding(gateway, MeasurementMap.model_validate(sim.RULES), 3600.0), sim.mpc(), clock=house, steps=3)
 done = tf.run("north_house", controller="night_setback", baselines=["native"], period="cold_week", days=1,
               progress=False)
 from contextlib import closing
@@ -225,7 +223,7 @@ json.dump({"kpis": done.kpis, "levels": sorted(set(done.to_dataframe()["u_applie
 
 @pytest.mark.slow
 def test_the_example_package_runs(example, tmp_path):
-    paths = (ROOT, example, ROOT / "tests", ROOT / "tests" / "support")
+    paths = (ROOT, example, SUPPORT / "buildings", SUPPORT / "services")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300

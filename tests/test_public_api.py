@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from places import ROOT
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.weather import synthetic_weather
@@ -19,7 +19,6 @@ from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
-ROOT = Path(__file__).resolve().parents[1]
 NAMES = {"zone": "T_room", "outdoor": "T_out", "solar": "sun", "level": "u", "power": "P_el"}
 AHEAD = {"outdoor": "T_out", "solar": "sun"}
 LINEAR = tf.IdentificationConfig(modulation="linear")

@@ -19,6 +19,7 @@ import click
 import executed_tasks as functions
 import pytest
 from click.testing import CliRunner
+from places import ROOT, SUPPORT
 from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli.options import execution_options
@@ -26,8 +27,6 @@ from thermoforce_mpc.errors import ConfigError, EngineError
 from thermoforce_mpc.execution import DaskEngine, JsonResults, LocalEngine, Task, cluster, collect, execute, open_engine
 
 pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +268,7 @@ def test_a_scheduler_may_restart(tmp_path):
 
 def _dask(*words: str, **variables: str) -> subprocess.Popen[bytes]:
     more = ["--no-nanny"] if words[0] == "worker" else []
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support")])}
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(SUPPORT)])}
     call = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", *more]
     return subprocess.Popen(call, env={**env, "OMP_NUM_THREADS": "1", **variables}, stderr=subprocess.DEVNULL)
 

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import executed_tasks as functions
 import pytest
+from places import ROOT, SUPPORT
 from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, TaskFailed, collect, execute, local
 from thermoforce_mpc.execution.engine import Begun
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 class Watched:
@@ -231,7 +230,7 @@ def test_an_interrupted_campaign_is_taken_up(tmp_path, sent):
     """Ctrl-C ends the workers by SIGTERM and keeps what was finished; SIGKILL of the whole does so too."""
     script, log = tmp_path / "campaign.py", tmp_path / "log"
     script.write_text(_CAMPAIGN, encoding="utf-8")
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support")])}
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(SUPPORT)])}
     call = [sys.executable, str(script), str(tmp_path)]
     running = subprocess.Popen([*call, "hold"], env=env, stdout=subprocess.PIPE)
     try:

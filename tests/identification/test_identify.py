@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from houses import House, effect_rmse, random_levels, record
+from houses import House, effect_rmse, make_pair, record
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -19,12 +19,6 @@ from thermoforce_mpc.scenario.settings import validate
 HOUSE = House()
 LINEAR = IdentificationConfig(order=3, modulation="linear")
 QUICK = IdentificationConfig(epochs=40)
-
-
-def make_pair(house: House, seed: int, days: float = 1.6) -> Pair:
-    n = round(days * 24)
-    runs = [record(house, days, 3600.0, seed, u=random_levels(n, 10 * seed + k, hold=4)) for k in (1, 2)]
-    return Pair(*runs, label=str(seed))
 
 
 def test_three_days_of_one_run_tell_what_an_action_does():

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from places import ROOT
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "records.md"
+PAGE = ROOT / "docs" / "evidence" / "records.md"
 
 
 def guide_map(name: str) -> dict[str, Any]:

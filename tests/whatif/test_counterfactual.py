@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from support.simple_house import GAIN_K, POLE, SimpleHouse, outdoor_C, simple_model
+from simple_house import GAIN_K, POLE, SimpleHouse, outdoor_C, simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record

@@ -17,7 +17,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from executed_tasks import identified_at_once
-from pages import ROOT
+from places import ROOT
 from simple_house import simple_model
 
 from thermoforce_mpc.boundary.weather import synthetic_weather

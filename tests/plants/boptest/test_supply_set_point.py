@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SHARED
 
 from thermoforce_mpc.data import DAY_S, Block, Measurement
 from thermoforce_mpc.errors import ConfigError
@@ -99,7 +100,7 @@ def test_what_does_not_fit_is_refused_by_key(change, message):
         validate(TestCase, merge(content, change), "file")
 
 
-FMU = Path(__file__).resolve().parents[3] / "shared" / "boptest_more" / "fmu" / "twozone_apartment_hydronic.fmu"
+FMU = SHARED / "boptest_more" / "fmu" / "twozone_apartment_hydronic.fmu"
 
 
 def _why_not_here() -> str:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 from multizone_points import MULTIZONE
+from places import SHARED
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.scenario.scenario import load_testcase
 
-FOLDER = Path(__file__).resolve().parents[3] / "shared" / "boptest_more"
+FOLDER = SHARED / "boptest_more"
 NAMES = ("singlezone_commercial_hydronic", "twozone_apartment_hydronic")
 
 

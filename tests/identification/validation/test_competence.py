@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from houses import House, record, weather
+from houses import House, make_pair, record, weather
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
@@ -167,8 +167,6 @@ def test_what_misses_the_bar_by_a_hair_does_not_read_as_if_it_met_it(sd_K, known
 
 
 def test_what_cannot_be_judged_is_not_judged():
-    from test_identify import make_pair
-
     pairs_only = identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=LINEAR, floor_area_m2=190.0)
     assert pairs_only.only.card.competence is None
     assert ThermalModel.single(pairs_only.only.operator).only.card.competence is None

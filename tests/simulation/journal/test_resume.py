@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 from simple_house import SimpleHouse, simple_model
 from waiting import LONG_S, wait_for
 
@@ -227,7 +228,7 @@ def test_a_run_killed_in_a_later_part_goes_on_to_the_same_bytes(whole, tmp_path,
 @pytest.mark.slow
 def test_sigkill_and_sigterm_in_earnest(tmp_path):
     """The embedded plant in a process of its own: SIGKILL, then SIGTERM, then to the end."""
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
+    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = ["--controller", "thermostat", "--baselines", "native", "--days", "150", "--period", "10"]
 
     def start(*call: str) -> subprocess.Popen[str]:

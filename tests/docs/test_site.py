@@ -11,13 +11,13 @@ from pathlib import Path
 import click
 import markdown
 import pytest
+from places import ROOT
 
 import thermoforce_mpc as tf
 
-ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tools.site import check  # noqa: E402  (the tools stand beside the package)
+from tools.site import check
 
 
 @pytest.fixture(scope="module")

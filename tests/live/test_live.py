@@ -12,19 +12,17 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
 from click.testing import CliRunner
+from places import ROOT
 from simple_house import simple_model
-from simulated_building import RULES, START, SimulatedBuilding
+from simulated_building import RULES, START, SimulatedBuilding, mpc
 from waiting import LONG_S, wait_for
 
-from controllers.mpc.config import MPCConfig
-from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Block
 from thermoforce_mpc.errors import ConfigError, PlantError
@@ -35,12 +33,6 @@ from thermoforce_mpc.simulation.views.display import RunDisplay
 
 HOUR = pd.Timedelta("1h")
 START_S = (START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
-
-
-def mpc(**options):
-    base = {"step_s": 3600.0, "horizon_h": 12.0, "free_response": {"name": "rc"}, "gate": {"enabled": False}}
-    base |= {"free_response": {"name": "persistence"}, "guard": {"enabled": False}, "watch": {"enabled": False}}
-    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(base | options))
 
 
 def controlled(house, steps, rules=RULES, **settings):
@@ -515,7 +507,7 @@ def test_an_output_that_is_lost_ends_no_control(files, monkeypatch, error):
 def test_a_signal_to_end_gives_the_building_back(files, sent, code):
     """SIGHUP: the terminal was closed, or the connection to it lost."""
     words = [sys.executable, "-m", "thermoforce_mpc", "control", "--model", "model", "--map", "map.yaml", *OPTIONS]
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "OMP_NUM_THREADS": "1"}
+    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     levels = files / "levels.json"
     ours = signal.signal(sent, signal.SIG_DFL)  # inherited, and ignored where the tests run under nohup
     with subprocess.Popen([*words, "--delay", "0"], env=env, stdout=subprocess.DEVNULL) as running:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from places import ROOT
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
@@ -18,7 +18,7 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 pytestmark = pytest.mark.slow
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "own-data.md"
+PAGE = ROOT / "docs" / "how-to" / "own-data.md"
 
 
 def test_the_guide_leads_from_a_table_to_a_plan(tmp_path):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pandas as pd
-from simple_house import SimpleHouse
+from simple_house import SimpleHouse, simple_model
 
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.data import DAY_S, HOUR_S
 
 START = pd.Timestamp("2025-01-12", tz="UTC")
@@ -17,6 +19,14 @@ RULES = {
     "actuators": {"actuator": {"level": "u"}},
     "machines": {"machine": {"power": "P", "price": 0.25}},
 }
+
+
+def mpc(**options) -> ThermoForceMPC:
+    """A controller of that house, without gate, guard and watch."""
+    off = {"enabled": False}
+    base = {"step_s": 3600.0, "horizon_h": 12.0, "free_response": {"name": "persistence"}}
+    base |= {"gate": off, "guard": off, "watch": off}
+    return ThermoForceMPC(simple_model(), MPCConfig.model_validate(base | options))
 
 
 class SimulatedBuilding:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.identification import Pair
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,13 @@ def record(
         power_W=power,
         heat_W=heat if heat_measured else np.full(n, np.nan),
     )
+
+
+def make_pair(house: House, seed: int, days: float = 1.6) -> Pair:
+    """Two runs of a house under the same weather, with levels of their own."""
+    n = round(days * 24)
+    runs = [record(house, days, 3600.0, seed, u=random_levels(n, 10 * seed + k, hold=4)) for k in (1, 2)]
+    return Pair(*runs, label=str(seed))
 
 
 def effect_rmse(model, house: House, seed: int = 99, step_s: float = 3600.0, hours: int = 24) -> tuple[float, float]:

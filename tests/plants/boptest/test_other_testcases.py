@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from places import SUPPORT
 
 pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu")
@@ -24,7 +25,6 @@ from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
 
-SUPPORT = Path(__file__).parents[1] / "support"
 KPIS = {
     "bestest_air": {
         "AirZoneTemperature[1]": ["zon_reaTRooAir_y"],
@@ -44,7 +44,7 @@ DAYS = {"peak_heat_day": 341, "typical_heat_day": 51, "peak_cool_day": 289, "typ
 
 def build(name: str, script: str, folder: Path) -> Path:
     """An FMU of one of the rooms, with units, limits, boundary data, KPI signals and days as BOPTEST's have them."""
-    bare = FmuBuilder.build_FMU(SUPPORT / script, folder / f"{name}_bare.fmu")
+    bare = FmuBuilder.build_FMU(SUPPORT / "fmus" / script, folder / f"{name}_bare.fmu")
     points = DOCUMENTED[name][1]
     known = {**points.inputs, **points.measurements}
 

@@ -9,7 +9,8 @@ import shlex
 import click
 import pytest
 import yaml
-from pages import PAGES, ROOT, blocks
+from pages import PAGES, blocks
+from places import ROOT
 
 from thermoforce_mpc.cli import cli
 
