@@ -274,7 +274,7 @@ def test_low_levels_that_nobody_asked_for_are_a_fault_within_a_day():
     asked, seen = record([0.0] * 24, [0.13] * 24)
     found = {}
     for hour, (time_s, level) in enumerate(asked, start=1):
-        state = watch.asked(state, time_s, level)
+        state = watch.record_request(state, time_s, level)
         found[hour] = level_fault(state.asked, seen.slice(0, hour))
     assert found[6] == ""
     assert "0.00 was asked for on average in the last 8 h" in found[8]

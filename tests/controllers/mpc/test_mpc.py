@@ -270,9 +270,7 @@ def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its
     config = MPCConfig(step_s=None, horizon_h=24.0, free_response={"substitutes": False}, **options)
     mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
     seen = observation()
-    problem = mpc._formulation.problem(
-        model.operator, mpc.predictor.context(seen), seen.history, peak_W=0.0, offset_K=np.zeros(1)
-    )
+    problem = mpc.instance(mpc.predictor.context(seen), seen.history)
     np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[:, 1:], inside[0], atol=1e-9)
     np.testing.assert_allclose(seen.boundary.upper_C[:, 1:] - problem.upper_C, inside[1], atol=1e-9)
 
@@ -294,7 +292,7 @@ def test_planned_power_follows_the_return_water_expected_over_the_zone():
     plain = controller().plan(seen)
     mpc = ThermoForceMPC(powered, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
     context = mpc.predictor.context(seen)
-    problem = mpc._formulation.problem(mpc.model.operator, context, history, peak_W=0.0, offset_K=np.zeros(1))
+    problem = mpc.instance(context, history)
     zone = np.clip(context.free.median_C[0], seen.boundary.lower_C[0, 1:], seen.boundary.upper_C[0, 1:])
     above = 5.0 if (history.u > 0.02).any() else 9.0
     expected = model.only.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))

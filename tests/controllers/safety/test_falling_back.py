@@ -12,6 +12,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
 from controllers import ThermoForceMPC
+from controllers.monitoring.zone_sensors import ZoneSensors
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from controllers.optimisation.solution import Solution
@@ -215,10 +216,9 @@ def test_after_failures_on_end_it_starts_without_what_it_kept():
     assert [item is None for item in kept] == [True, False, False, True, False]
 
 
-def test_an_error_of_the_controller_itself_releases_the_building():
-    controller = mpc()
-    controller._sensing.judged = lambda *given: raising(ZeroDivisionError("a defect"))
-    plan = controller.plan(observation())
+def test_an_error_of_the_controller_itself_releases_the_building(monkeypatch):
+    monkeypatch.setattr(ZoneSensors, "validate", lambda *given: raising(ZeroDivisionError("a defect")))
+    plan = mpc().plan(observation())
     assert plan.status is PlanStatus.NATIVE
     assert plan.why == "no decision was made (ZeroDivisionError: a defect): native control"
     assert [block.u for block in plan.blocks] == [(None,)]
