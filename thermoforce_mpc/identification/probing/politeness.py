@@ -71,8 +71,8 @@ class Foresight:
         towards, behind = (high, low) if self._sign > 0 else (-low, -high)
         room_K = towards - self._sign * T_zone_C - rest
         least_K = behind - self._sign * T_zone_C - rest
-        wanted = max(level, least_K / max(float(self._weights[0]), 1e-6))
-        return float(np.clip(min(wanted, room_K / max(self.effect_K, 1e-6)), 0.0, highest))
+        raised = max(level, least_K / max(float(self._weights[0]), 1e-6))
+        return float(np.clip(min(raised, room_K / max(self.effect_K, 1e-6)), 0.0, highest))
 
     def _rest(self, T: float, T_out: float, solar: float) -> Array:
         """Regressors besides the level, (3,), in the direction of the actuator."""
