@@ -105,11 +105,11 @@ def held_C(T_zone_C: Array) -> Array:
 
     A zone that was never measured has the mean of the others, 0 where none was.
     """
-    known = np.isfinite(T_zone_C).any(axis=1)
+    measured = np.isfinite(T_zone_C).any(axis=1)
     held = np.zeros_like(T_zone_C)
-    if known.any():
-        held[known] = [_held(row) for row in T_zone_C[known]]
-        held[~known] = held[known].mean(axis=0)
+    if measured.any():
+        held[measured] = [_held(row) for row in T_zone_C[measured]]
+        held[~measured] = held[measured].mean(axis=0)
     return held
 
 

@@ -72,8 +72,8 @@ def identified_heat_input(
     if float(np.nansum(heat)) < 0.0:
         metered, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
         raise DataError(
-            f"the measured heat is that of {metered}, but the mode is {mode}: {metered} says nothing of what {mode} does; "
-            f"record while the building is in use for {mode}, or check the sign of the heat"
+            f"the measured heat is that of {metered}, but the mode is {mode}: {metered} says nothing of what "
+            f"{mode} does; record while the building is in use for {mode}, or check the sign of the heat"
         )
     fit = fit_heat(
         u,
