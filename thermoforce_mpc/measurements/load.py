@@ -108,8 +108,8 @@ def read_measurements(
     if isinstance(files, pd.DataFrame):
         tables = [raw_table(files, rules.time.column, columns, "table")]
     else:
-        given = [files] if isinstance(files, str | Path) else list(files)
-        paths = found_files(given, most_bytes)
+        patterns = [files] if isinstance(files, str | Path) else list(files)
+        paths = found_files(patterns, most_bytes)
         tables = [read_table(path, rules.time.column, columns, rules.csv) for path in paths]
     return _measured(tables, timed(tables, rules.time), rules, step_s)
 

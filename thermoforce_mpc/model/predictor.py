@@ -263,10 +263,8 @@ class Predictor:
         unmeasured = tuple(np.flatnonzero(~has_readings).tolist())
         free = _with_mean(FreeForecast.stacked(answers), has_readings)
         for z in unmeasured:
-            mean_note = (
-                f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
-            )
-            note = f"{note}, {mean_note}" if note else f"bridged {mean_note}"
+            remark = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
+            note = f"{note}, {remark}" if note else f"bridged {remark}"
         followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
         now_C = np.empty(len(zones))
         now_C[has_readings] = [row[np.isfinite(row)][-1] for row in free_C[has_readings]]
