@@ -108,8 +108,8 @@ class BoptestClient:
         endpoint, answer = f"GET {self.url}/testcases", self._transport.call("GET", "testcases").payload
         if not isinstance(answer, list):
             raise ProtocolError(endpoint, f"not a list of test cases: {answer!r:.120}")
-        found = [self._mapping(endpoint, item).get("testcaseid") for item in answer]
-        return tuple(sorted(self._text(endpoint, name, "testcaseid") for name in found))
+        names = [self._mapping(endpoint, item).get("testcaseid") for item in answer]
+        return tuple(sorted(self._text(endpoint, name, "testcaseid") for name in names))
 
     def name(self) -> str:
         """Name of the test case as reported by the service."""
@@ -144,12 +144,12 @@ class BoptestClient:
 
         def parse(answer: Any) -> Scenario:
             at = self._at("scenario")
-            told = self._mapping(at, answer)
+            values = self._mapping(at, answer)
             for name in Scenario.__dataclass_fields__:
                 kind = int if name == "seed" else str
-                if not (told.get(name) is None or (isinstance(told[name], kind) and told[name] is not True)):
-                    raise ProtocolError(at, f"{name} is {told[name]!r:.120}, expected {kind.__name__} or null")
-            return Scenario.from_json(told)
+                if not (values.get(name) is None or (isinstance(values[name], kind) and values[name] is not True)):
+                    raise ProtocolError(at, f"{name} is {values[name]!r:.120}, expected {kind.__name__} or null")
+            return Scenario.from_json(values)
 
         return self._get("scenario", parse)
 
@@ -168,9 +168,9 @@ class BoptestClient:
             return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
 
         # A refusal of a named period is an answer: the service does not know it.
-        found = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
+        values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
         self._transport.in_a_run = True
-        return found
+        return values
 
     def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
         """Start at `start_time_s` after `warmup_period_s` under embedded control; returns the first measurements."""
@@ -179,18 +179,18 @@ class BoptestClient:
         def parse(payload: Any) -> dict[str, float]:
             return self._timed("initialize", self._numbers("initialize", payload))
 
-        found = self._put("initialize", body, parse, refusals=0)
+        values = self._put("initialize", body, parse, refusals=0)
         self._transport.in_a_run = True
-        return found
+        return values
 
     def step(self) -> float:
         """Length of a step, s."""
 
         def parse(answer: Any) -> float:
-            found = self._number(self._at("step"), answer)
-            if not (math.isfinite(found) and found > 0.0):
+            step_s = self._number(self._at("step"), answer)
+            if not (math.isfinite(step_s) and step_s > 0.0):
                 raise ProtocolError(self._at("step"), f"not a length of a step: {answer!r:.120}")
-            return found
+            return step_s
 
         return self._get("step", parse)
 
@@ -226,11 +226,11 @@ class BoptestClient:
         except Moved:
             raise
         except _LOST as lost:
-            found = self._state_after(lost)
-            if not found:
+            end_state = self._state_after(lost)
+            if not end_state:
                 raise _NotSimulated(lost.endpoint, f"{lost.message}; the step was not simulated") from lost
             _LOG.warning("%s; the step was simulated, its end is read from the record", lost)
-            return self._timed("advance", found)
+            return self._timed("advance", end_state)
         if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
             _LOG.warning("advance: %s", answer.message)
         return {} if over else self._timed("advance", state)
@@ -247,8 +247,8 @@ class BoptestClient:
         self.time_s, self._step_s = time_s, step_s
         self._transport.in_a_run = True
         lost = ConnectionLost(self._at("advance"), "the process that controlled this test ended")
-        found = self._state_after(lost)
-        return self._timed("results", found) if found else {}
+        end_state = self._state_after(lost)
+        return self._timed("results", end_state) if end_state else {}
 
     def forecast(
         self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
@@ -414,14 +414,14 @@ class BoptestClient:
         at = self._at(what)
 
         def parse(payload: Any) -> dict[str, Point]:
-            told = {
+            entries = {
                 name: self._mapping(f"{at}: {name}", data)
                 for name, data in self._mapping(at, payload).items()
                 if name != "time"
             }
-            if not any("Unit" in data for data in told.values()):
+            if not any("Unit" in data for data in entries.values()):
                 raise ProtocolError(at, f"not a list of points: {payload!r:.120}")
-            return {name: Point.from_json(name, data) for name, data in told.items()}
+            return {name: Point.from_json(name, data) for name, data in entries.items()}
 
         return self._get(what, parse)
 

@@ -313,13 +313,13 @@ def _reason(content: Any, text: str) -> str:
 
 def _never_connected(error: BaseException) -> bool:
     """Whether the request failed before a connection was made (name not found, refused, no route)."""
-    seen: BaseException | None = error
-    while seen is not None:
+    cause: BaseException | None = error
+    while cause is not None:
         # Compared by name, since urllib3 is not a direct dependency.
-        if type(seen).__name__ in ("NewConnectionError", "NameResolutionError", "ConnectTimeoutError"):
+        if type(cause).__name__ in ("NewConnectionError", "NameResolutionError", "ConnectTimeoutError"):
             return True
-        reason = getattr(seen, "reason", None)
-        seen = reason if isinstance(reason, BaseException) else seen.__context__
+        reason = getattr(cause, "reason", None)
+        cause = reason if isinstance(reason, BaseException) else cause.__context__
     return False
 
 
