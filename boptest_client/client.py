@@ -165,7 +165,7 @@ class BoptestClient:
             answer = self._mapping(self._at("scenario"), payload)
             if scenario.time_period is None:
                 return {}
-            return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
+            return self._with_time("scenario", self._numbers("scenario", answer.get("time_period")))
 
         # A refusal of a named period is an answer: the service does not know it.
         values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
@@ -177,7 +177,7 @@ class BoptestClient:
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
 
         def parse(payload: Any) -> dict[str, float]:
-            return self._timed("initialize", self._numbers("initialize", payload))
+            return self._with_time("initialize", self._numbers("initialize", payload))
 
         values = self._put("initialize", body, parse, refusals=0)
         self._transport.in_a_run = True
@@ -230,10 +230,10 @@ class BoptestClient:
             if not end_state:
                 raise _NotSimulated(lost.endpoint, f"{lost.message}; the step was not simulated") from lost
             _LOG.warning("%s; the step was simulated, its end is read from the record", lost)
-            return self._timed("advance", end_state)
+            return self._with_time("advance", end_state)
         if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
             _LOG.warning("advance: %s", answer.message)
-        return {} if over else self._timed("advance", state)
+        return {} if over else self._with_time("advance", state)
 
     def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
         """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
@@ -248,7 +248,7 @@ class BoptestClient:
         self._transport.in_a_run = True
         lost = ConnectionLost(self._at("advance"), "the process that controlled this test ended")
         end_state = self._state_after(lost)
-        return self._timed("results", end_state) if end_state else {}
+        return self._with_time("results", end_state) if end_state else {}
 
     def forecast(
         self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
@@ -338,14 +338,14 @@ class BoptestClient:
             ).payload
             testid = self._text(f"POST {self.url}/{path}", self._mapping(path, answer).get("testid"), "testid")
         except UnknownTest as error:
-            offered = self._offered()
+            offered = self._available_testcases()
             raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
         except BaseException:
             self._transport.close()
             raise
         return testid
 
-    def _offered(self) -> str:
+    def _available_testcases(self) -> str:
         """Available test cases, for an error message; empty if the service does not list them."""
         try:
             return f"; the service offers {', '.join(self.testcases())}"
@@ -361,7 +361,7 @@ class BoptestClient:
                 raise ServiceTimeout(f"GET {self.url}/status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
             time.sleep(min(_POLL_S, timeout_s))
 
-    def _timed(self, what: str, state: dict[str, float]) -> dict[str, float]:
+    def _with_time(self, what: str, state: dict[str, float]) -> dict[str, float]:
         """The state in the answer to `what`, which must contain a finite 'time'."""
         if not math.isfinite(state.get("time", math.nan)):
             raise ProtocolError(self._at(what), "the measurements have no time")

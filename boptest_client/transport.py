@@ -132,7 +132,7 @@ class Transport:
             # The pauses that were asked for count too: a clock of tests may make them shorter.
             return max(state.seconds_since_start or 0.0, state.idle_for) >= patience_s
 
-        def tell(state: tenacity.RetryCallState) -> None:
+        def log_retry(state: tenacity.RetryCallState) -> None:
             error = state.outcome.exception() if state.outcome else None
             _LOG.warning("%s (asking again in %.2g s)", error, state.upcoming_sleep)
 
@@ -141,7 +141,7 @@ class Transport:
             stop=over,
             wait=tenacity.wait_exponential(multiplier=c.backoff_s, max=c.longest_pause_s),
             sleep=c.sleep,
-            before_sleep=tell,
+            before_sleep=log_retry,
             reraise=True,
         )
         return retrying(ask)

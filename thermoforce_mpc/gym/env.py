@@ -114,7 +114,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         self._view.begin(self.start_time, self._episodes.warmup_period, self.max_episode_length, self.scenario)
         self.objective_integrand, self.episode_rewards, self._trace = 0.0, [], []
         self._last, self._kpis, self._running = None, {}, True
-        return self._observed()
+        return self._observe()
 
     def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Apply `action` for one step; returns observation, reward, terminated, truncated and info.
@@ -143,7 +143,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         state = {"time": self._view.now_s} if self.render_mode is None else self._view.state()
         if self.render_mode is not None:
             self._trace.append((state, applied))
-        observation, info = self._observed()
+        observation, info = self._observe()
         terminated = bool(self.compute_terminated(state, reward))
         truncated = bool(self.compute_truncated(state, reward))
         self._running = not (terminated or truncated)
@@ -208,7 +208,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         """Release the plant; safe to call twice."""
         self._view.close()
 
-    def _observed(self) -> tuple[Observed, dict[str, Any]]:
+    def _observe(self) -> tuple[Observed, dict[str, Any]]:
         observation, self._last, missing = self._view.box.inside(self._view.observe(), self._last)
         kpis = self.get_kpis()
         info = {"time_s": self._view.now_s, "missing": missing}

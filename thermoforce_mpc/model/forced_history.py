@@ -108,12 +108,12 @@ def held_C(T_zone_C: Array) -> Array:
     measured = np.isfinite(T_zone_C).any(axis=1)
     held = np.zeros_like(T_zone_C)
     if measured.any():
-        held[measured] = [_held(row) for row in T_zone_C[measured]]
+        held[measured] = [_forward_filled(row) for row in T_zone_C[measured]]
         held[~measured] = held[measured].mean(axis=0)
     return held
 
 
-def _held(values: Array) -> Array:
+def _forward_filled(values: Array) -> Array:
     """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
     finite = np.isfinite(values)
     index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))

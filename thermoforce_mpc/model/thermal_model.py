@@ -193,7 +193,7 @@ class ThermalModel:
         """The model in a few lines: source, operator, effect of a day with its uncertainty, verdict, notes."""
         lines = [f"identified from {self.cards[0].source}"]
         for a, name in enumerate(self.operator.actuators):
-            lines += self._of_actuator(a, "" if self.names.single else f"{name}: ")
+            lines += self._actuator_lines(a, "" if self.names.single else f"{name}: ")
         if not self.names.single:
             pairs = len(list(self.operator.each()))
             lines.append(f"{pairs} pairs with an effect, {self.operator.n_trained} trained parameters in all")
@@ -212,14 +212,14 @@ class ThermalModel:
             lines += [f"{prefix}note: {note}" for note in card.notes]
         return "\n".join(lines)
 
-    def _of_actuator(self, a: int, who: str) -> list[str]:
+    def _actuator_lines(self, a: int, prefix: str) -> list[str]:
         zone = self.actuator(a)
         operator, uncertainty = zone.operator, zone.card.uncertainty
         hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
-        lines = [f"{who}operator of order {operator.order} ({hours}), {operator.parameters_in_words}"]
+        lines = [f"{prefix}operator of order {operator.order} ({hours}), {operator.parameters_in_words}"]
         if "step_response_24h_K" in uncertainty:
             effect, sd = uncertainty["step_response_24h_K"], uncertainty["step_response_24h_sd_K"]
-            lines.append(f"{who}a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
+            lines.append(f"{prefix}a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
         return lines
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:

@@ -159,7 +159,7 @@ def counterfactual(
     applied = np.clip(stretch.u, model.operator.lowest[:, None], 1.0)
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
-    low, high = _certified(model, levels - applied, record.step_s)
+    low, high = _certified_bounds(model, levels - applied, record.step_s)
     return Counterfactual(
         time_s=stretch.time_s[:-1],
         origin=record.origin,
@@ -192,7 +192,7 @@ def _without_gaps(free_C: Array, zone: str) -> Array:
     return np.asarray(np.interp(np.arange(free_C.size), finite, free_C[finite]))
 
 
-def _certified(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:
+def _certified_bounds(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:
     """Proven bounds of the effect of `change` (A, N) of the levels on all zones, each (Z, N), K."""
     n = change.shape[1]
     operator = model.operator.resampled(step_s)

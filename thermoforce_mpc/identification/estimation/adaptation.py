@@ -64,7 +64,7 @@ class AdaptationConfig(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> AdaptationConfig:
+    def _check_gain_bounds(self) -> AdaptationConfig:
         low, high = self.gain_bounds
         if not 0 < low <= 1 <= high:
             raise ValueError(f"gain_bounds must be positive and include 1, got {self.gain_bounds}")

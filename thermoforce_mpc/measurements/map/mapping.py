@@ -121,7 +121,7 @@ class MeasurementMap(StrictModel):
         return value
 
     @model_validator(mode="after")
-    def _joined(self) -> MeasurementMap:
+    def _check_references(self) -> MeasurementMap:
         for name, actuator in self.actuators.items():
             for key, choices in (("zone", self.zones), ("machine", self.machines)):
                 choice = getattr(actuator, key)

@@ -56,7 +56,7 @@ class _Issued:
     raw: Array
     adapted: Array
 
-    def kept(self, which: NDArray[np.bool_]) -> _Issued:
+    def select(self, which: NDArray[np.bool_]) -> _Issued:
         """Those of `which` (I,)."""
         return _Issued(self.time_s[which], self.raw[which], self.adapted[which])
 
@@ -132,7 +132,7 @@ class CalibratedFreeResponse:
         # One lead time per hour: those between are nearly identical.
         stride = max(1, round(_EVERY_S / boundary.step_s))
         hourly = slice(stride - 1, None, stride)
-        compared = _compared(last, lead_s[hourly], group_of[hourly], free, history)
+        compared = _scored(last, lead_s[hourly], group_of[hourly], free, history)
         scale = _width(compared.window[group_of], compared.steering[group_of])
         median, issued = raw.median_C, compared.issued
         if issued is None or not issued.time_s.size or now - issued.time_s[-1] >= _EVERY_S - 1.0:
@@ -153,7 +153,7 @@ class CalibratedFreeResponse:
         return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n, inner=inner)
 
 
-def _compared(
+def _scored(
     last: CalibratedState, lead_s: Array, group_of: NDArray[np.intp], free: Array, history: Record
 ) -> CalibratedState:
     """The state after comparing the values since the last call with what forecast them at `lead_s` (K,), s."""
@@ -185,7 +185,7 @@ def _compared(
     window = np.array([_quantile(values[:, group_of == index], _INSIDE) for index in range(_GROUPS)])
     return replace(
         last,
-        issued=issued.kept(np.asarray((ends[:, -1:] > now + 0.5).any(axis=1))),
+        issued=issued.select(np.asarray((ends[:, -1:] > now + 0.5).any(axis=1))),
         scores=_Scores(np.concatenate([scores.time_s[fresh], instants]), values),
         steering=steering,
         window=window,

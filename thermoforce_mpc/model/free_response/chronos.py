@@ -121,7 +121,7 @@ class ChronosFreeResponse:
         ]
         per_context: Iterator[Array] = iter(())
         if contexts:
-            per_context = iter((yield from perform(Request(self._model, self._passed, contexts))))
+            per_context = iter((yield from perform(Request(self._model, self._run_backbone, contexts))))
         answers = []
         for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
             if isinstance(of_task, FreeForecast):
@@ -131,7 +131,7 @@ class ChronosFreeResponse:
             answers.append(self._checked(np.sort(quantiles, axis=0), boundary))
         return answers
 
-    def _passed(self, contexts: Sequence[Context]) -> list[Array]:
+    def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
         """Quantiles of all contexts in one pass through the frozen backbone."""
         import torch
 
