@@ -15,7 +15,7 @@ from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError
 from thermoforce_mpc.execution.cluster_address import check_scheduler, is_missing
-from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, more_threads, perform, versions_and_threads
+from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, more_threads, perform
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
 from thermoforce_mpc.execution.environment import difference, environment
 from thermoforce_mpc.words import counted
@@ -184,7 +184,7 @@ class DaskEngine:
         Those that come later compare themselves, with each task.
         """
         threads = self._client.nthreads()
-        answers = self._client.run(versions_and_threads, on_error="return")
+        answers = self._client.run(look, on_error="return")
         for worker, (versions, omp_threads) in ((w, f) for w, f in answers.items() if isinstance(f, tuple)):
             differs = difference(environment(), versions)
             if differs:

@@ -28,7 +28,7 @@ class _Cancelled(BaseException):
     """The client no longer wants the task; raised where the task tells how far it is, so that it releases its plant."""
 
 
-def versions_and_threads() -> tuple[dict[str, str], str]:
+def look() -> tuple[dict[str, str], str]:
     """Environment and threads of a worker."""
     return environment(), threads()
 
