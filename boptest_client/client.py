@@ -255,7 +255,7 @@ class BoptestClient:
     ) -> dict[str, list[float]]:
         """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`.
 
-        Where it is not asked for `patiently`, a request that failed is not repeated.
+        Where `patiently` is false, a request that failed is not repeated.
         """
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
 
@@ -410,7 +410,7 @@ class BoptestClient:
         return f"{self.url}/{what}/{self.testid}"
 
     def _points(self, what: str) -> dict[str, Point]:
-        """Points of a list; one of them at least must tell its unit, which JSON of another kind does not."""
+        """Points of a list; one of them at least must have a unit, which JSON of another kind does not."""
         at = self._at(what)
 
         def parse(payload: Any) -> dict[str, Point]:
@@ -451,7 +451,7 @@ class BoptestClient:
         return {key: self._number(at, value) for key, value in self._mapping(at, answer).items()}
 
     def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
-        """Values of `names` at the instants 'time', which never fall; none where nothing is told."""
+        """Values of `names` at the instants 'time', which never fall; none where none are recorded."""
         endpoint = f"PUT {self._at(what)}"
         mapping = self._mapping(endpoint, answer)
         missing = [name for name in names if name not in mapping]

@@ -104,13 +104,13 @@ class Transport:
 
     def patiently(
         self,
-        ask: Callable[[], _Result],
+        request: Callable[[], _Result],
         *,
         passing: tuple[type[Exception], ...] = _PASSING,
         refusals: int = _REFUSALS,
         most_s: float = math.inf,
     ) -> _Result:
-        """The result of `ask`, repeated with growing pauses while it fails in a way that may pass.
+        """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
@@ -129,7 +129,7 @@ class Transport:
             return isinstance(error, passing) and not isinstance(error, Moved)
 
         def over(state: tenacity.RetryCallState) -> bool:
-            # The pauses that were asked for count too: a clock of tests may make them shorter.
+            # The requested pauses count too: a clock of tests may make them shorter.
             return max(state.seconds_since_start or 0.0, state.idle_for) >= patience_s
 
         def log_retry(state: tenacity.RetryCallState) -> None:
@@ -144,7 +144,7 @@ class Transport:
             before_sleep=log_retry,
             reraise=True,
         )
-        return retrying(ask)
+        return retrying(request)
 
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf

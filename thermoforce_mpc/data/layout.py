@@ -99,7 +99,7 @@ class Layout:
         return [(a, b) for group in self.exclusive for a in group for b in group if a != b]
 
     def excluded(self, wanted: Sequence[float | None]) -> dict[int, int]:
-        """The actuators that may not do what is asked of them, each with the one that excludes it.
+        """The actuators that may not do what is `wanted` of them, each with the one that excludes it.
 
         Native control of one leaves all of its group to native control, which alone knows what it does there. Otherwise
         the one that is wanted most acts (of equals the first), and the others are off.

@@ -261,7 +261,7 @@ def identify_many(
     """Identify buildings of any layouts and records of any lengths.
 
     A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
-    asked for, so that memory holds one; `research.bench.identify_many` shows where the time goes.
+    requested, so that memory holds one; `benchmarks.bench.identify_many` shows where the time goes.
 
     Args:
         buildings: records and options of each.
@@ -284,6 +284,6 @@ def identify_many(
             )
         except DataError as error:
             reason, refused = str(error), True
-        except Exception as error:  # told in its place; the others continue
+        except Exception as error:  # returned in its place; the others continue
             reason = f"{type(error).__name__}: {error}"
         yield Identified(building.name, model, reason, refused, perf_counter() - began)

@@ -236,7 +236,7 @@ class Predictor:
     def contexting(
         self, observation: Observation, state: PredictorState | None = None
     ) -> Computation[PredictionContext]:
-        """`context` as a computation: the forecasts of all zones are asked for together."""
+        """`context` as a computation: the forecasts of all zones are requested together."""
         boundary = observation.boundary
         observation.check_begin()
         if not boundary.n_steps:

@@ -14,7 +14,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
-if TYPE_CHECKING:  # pvlib is loaded only where the sun is asked for
+if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
 
 # Full sun on a facade, and the most that a vertical plane receives, W/m².

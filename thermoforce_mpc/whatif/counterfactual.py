@@ -30,14 +30,14 @@ class Counterfactual:
 
     Attributes:
         time_s: start of each step (N,), counted from `origin` where the record has time stamps.
-        u, u_other: levels applied and levels asked about (A, N).
+        u, u_other: levels applied and other levels (A, N).
         measured_C: temperature at the end of each step (Z, N), °C, NaN where it was not measured.
         effect_K: what the other levels change (Z, N), K.
         sd_K: standard deviation of the effect by the identification (Z, N), K; NaN where the model's card has none. The
             errors of all steps are taken to have one sign, so it is rather too wide.
         certified_low_K, certified_high_K: bounds that the certificate proves for the model's effect, whatever the
             weather and the state (Z, N), K.
-        energy_kWh, energy_other_kWh: by the model's power for levels applied and asked about (M,), NaN where a machine
+        energy_kWh, energy_other_kWh: by the model's power for levels applied and other levels (M,), NaN where a machine
             has no power model, or heats and cools and feeds several actuators.
     """
 
@@ -118,7 +118,7 @@ def counterfactual(
 
     Args:
         model: of this building.
-        record: what was measured, a day or more before `start` and over the stretch that is asked about.
+        record: what was measured, a day or more before `start` and over the stretch in question.
         u: other levels in [0, 1] (A, N), (N,) for one actuator, or one level for all.
         start: time stamp, or seconds as in the record; the nearest boundary of the record counts.
         hours: length of the stretch where `u` is one level.

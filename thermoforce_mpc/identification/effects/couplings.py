@@ -27,7 +27,7 @@ _NEIGHBOUR_SLOPE, _NEIGHBOUR_GAIN = 0.05, 0.3
 _SAME_ZONE_SLOPE_K_PER_H = 60.0
 # A neighbour's effect below this after a day at full level, K, is none.
 _LEAST_EFFECT_K = 0.02
-# Share of the prior standard deviation that must be left for a pair to count as not told by the record.
+# Share of the prior standard deviation that must be left for a pair to count as unknown from the record.
 _UNINFORMATIVE = 0.9
 
 

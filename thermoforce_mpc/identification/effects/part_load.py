@@ -34,7 +34,7 @@ _EXPONENT_SD = 0.1
 # Estimates are held inside these. Heat is a concave law of the level: per level, part load gives no less than full
 # level. Below 1 an estimate is noise, and would switch an electric heater for a loss that it cannot have.
 _HEAT_RANGE, _EXPONENT_RANGE = (1.0, 2.0), (1.0, 2.0)
-# The data tell an exponent where they leave less than this share of its prior's standard deviation.
+# The data determine an exponent where they leave less than this share of its prior's standard deviation.
 _INFORMATIVE = 0.7
 # Steps at part load from which their heat is estimated.
 _LEAST_STEPS = 4
@@ -134,8 +134,8 @@ def level_shape(
 ) -> tuple[dict[str, float], list[str]]:
     """What the temperature says of the heat over the level, as numbers for the card and notes in words.
 
-    The drives of `regressions` are levels. `config.part_load` asks for the cost of heat at part load,
-    `config.radiator_exponent` for the exponent; both empty where neither is asked for, or nothing was seen of it.
+    The drives of `regressions` are levels. `config.part_load` turns on the cost of heat at part load,
+    `config.radiator_exponent` for the exponent; both empty where neither is on, or the data hold nothing of it.
     """
     if config.radiator_exponent is not None:
         return _exponent(estimate(radiator(config.radiator_exponent), regressions, fit, priors, sign), config)

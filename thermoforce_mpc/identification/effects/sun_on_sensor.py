@@ -79,7 +79,7 @@ def sun_on_sensor(
     resolution_K: float = 0.0,
     others: Sequence[OtherActuator] = (),
 ) -> SunOnSensor | None:
-    """Return the likeliest sun in the readings of a zone sensor, with its probability; None where that cannot be told.
+    """Return the likeliest sun in the readings of a zone sensor, with its probability; None where the data cannot say.
 
     That is so without sun, and where one signed level heats and cools: such levels are means of what the building's own
     loops deliver to a room set-point, and within a step the temperature jumps in a way that no explanation has.

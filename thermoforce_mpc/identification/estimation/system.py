@@ -43,7 +43,7 @@ class Likeliest(Point):
 
 
 class System:
-    """Rows of the data, then the prior of each column; asked for many time constants and priors.
+    """Rows of the data, then the prior of each column; used at many time constants and priors.
 
     Columns (p,): gains [slope, G_2 … G_r] of the own actuator and of the others, shared free part, initial states run
     by run.

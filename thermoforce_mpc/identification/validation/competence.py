@@ -52,7 +52,7 @@ EFFECT_H = 8
 # Probing ends early at this relative standard deviation. It is stricter than what three days of probing give on the
 # heat pump test case (0.08 to 0.10), so that they stay three days there.
 WELL_KNOWN_SD = 0.05
-# Probing goes on beyond the days that were asked for while it is larger than this: a model that may act is still a poor
+# Probing goes on beyond the configured days while it is larger than this: a model that may act is still a poor
 # one, and another day of probing is cheap beside a season of its plans.
 SETTLED_SD = 0.3
 # Blocks of the paired test, h; a short held-out part is divided into this many at least.
@@ -189,7 +189,7 @@ def is_settled(verdict: Competence | None) -> bool:
 
 
 def is_well_known(verdict: Competence | None) -> bool:
-    """Return whether probing may end before the days asked for."""
+    """Return whether probing may end before the configured days are over."""
     return verdict is not None and verdict.competent and verdict.relative_sd <= WELL_KNOWN_SD
 
 

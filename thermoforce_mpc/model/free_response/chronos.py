@@ -111,7 +111,7 @@ class ChronosFreeResponse:
         return forecast, None
 
     def forecasting(self, tasks: Sequence[Task]) -> Computation[list[FreeForecast]]:
-        """`forecast_many` as a computation: it asks the backbone for the quantiles of all its contexts."""
+        """`forecast_many` as a computation: it requests the quantiles of all its contexts from the backbone."""
         inputs: list[list[Resolution] | FreeForecast] = []
         for i, task in enumerate(tasks):
             again = self._again(inputs[-1], tasks[i - 1], task) if i else None

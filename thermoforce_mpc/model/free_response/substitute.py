@@ -49,12 +49,12 @@ class SubstituteState:
 class WithSubstitutes:
     """`method`, or the first of linear weather model and persistence that gives a forecast fit to plan with.
 
-    `FreeForecast.doubt` says why another method took its place. The method is asked again at every step.
+    `FreeForecast.doubt` says why another method took its place. The method is tried again at every step.
 
     Args:
-        method: the free response asked first.
-        substitutes: asked in turn where the method fails; without any, its failures are raised, and what is finite is
-            believed.
+        method: the free response tried first.
+        substitutes: tried in turn where the method fails; without any, its failures are raised, and what is finite is
+            taken.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class WithSubstitutes:
             absurd = absurdity(answer, free, history, boundary) if self._substitutes else ""
             if absurd:
                 raise DataError(f"free response '{self.name}' {absurd}")
-        except Exception as error:  # whatever a forecaster does, the next one is asked
+        except Exception as error:  # whatever a forecaster does, the next one is tried
             reasons = [str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"]
         else:
             return answer, SubstituteState(after)

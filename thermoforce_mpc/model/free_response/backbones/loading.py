@@ -30,8 +30,8 @@ _HUB_TIMEOUT_S = 5.0
 # Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
 _SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
 SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
-# Backbones in use: frozen, so that one serves all who ask for it, in one pass; and the last one asked for, which the
-# next run of a process will ask for again.
+# Backbones in use: frozen, so that one serves all methods that use it, in one pass; and the last one loaded, which
+# the next run of a process will need again.
 _SHARED: weakref.WeakValueDictionary[tuple[object, ...], Backbone] = weakref.WeakValueDictionary()
 _LAST: deque[Backbone] = deque(maxlen=1)
 
