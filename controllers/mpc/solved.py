@@ -11,6 +11,7 @@ from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
 from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.margins import MarginRules
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
 from controllers.mpc.reason import reason_of
@@ -55,6 +56,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         solver_status=solution.status,
         iterations=solution.iterations,
         seconds={**context.seconds, "solve": solve_s},
+        margins=MarginRules.table(instance.bounds, forecast.state.margins),
         names=names,
         state=replace(forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast), failures=0),
     )

@@ -92,6 +92,8 @@ class Plan:
     for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
     counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
     starts from.
+    `margins` of the first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K,
+    is added to the prediction, `unused_capacity` (M,) the share of each machine that is not planned for.
     `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
     plan at one of them. `why` is one sentence for people; `news` (part of it) what the controller learned in this step
     of sensors, meters or its model; `solver_status` is the status reported by the solver. `state`
@@ -115,6 +117,7 @@ class Plan:
     solver_status: str = ""
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
+    margins: Mapping[str, Array] = field(default_factory=dict)
     names: Names = SINGLE
     acting: tuple[PlanStatus, ...] = ()
     state: object = field(default=None, repr=False)
