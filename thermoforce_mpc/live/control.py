@@ -120,12 +120,12 @@ class _Loop:
         delay_s: float,
         dry: bool,
         outage_h: float,
-        kept: KeptState | None,
-        told: Callable[[Decision], None],
+        kept_state: KeptState | None,
+        on_decision: Callable[[Decision], None],
     ) -> None:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
-        self._dry, self._told, self._kept = dry, told, kept
+        self._dry, self._on_decision, self._kept_state = dry, on_decision, kept_state
         self._new_forecasts = partial(Forecasts, building, controller.horizon_s, controller.step_s, outage_h)
         self._forecasts = self._new_forecasts()
         self._allowed = limits_of(controller)
@@ -138,7 +138,7 @@ class _Loop:
         """Decide and act, `steps` times."""
         index = 0
         instant = self._building.instant(self._clock.now())
-        if self._kept is not None and (kept := self._kept.load(instant)):
+        if self._kept_state is not None and (kept := self._kept_state.load(instant)):
             self._building.count_from(pd.Timestamp(kept.origin))
             self._state, self._applied = kept.state_at(instant), list(kept.applied)
         try:
@@ -151,7 +151,7 @@ class _Loop:
                 log_decision(
                     self._controller.name, index, time_s, decision.plan, levels, decision.refused, decision.notes
                 )
-                self._told(decision)
+                self._on_decision(decision)
                 if self._dry:
                     return
                 self._act(decision, before)
@@ -226,9 +226,9 @@ class _Loop:
 
     def _keep(self, instant: pd.Timestamp, before: object) -> None:
         self._decided = instant, before
-        if self._kept is not None:
+        if self._kept_state is not None:
             origin = self._building.origin.isoformat()
-            self._kept.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
+            self._kept_state.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
 
     def _write(self, u: Sequence[float | None], seconds: float) -> bool:
         """Set levels; says whether they were taken."""
