@@ -18,6 +18,7 @@ from controllers.mpc.reason import reason_of
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Array, Block, Plan, PlanStatus
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.features import ZONE
 
 
@@ -34,7 +35,8 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = instance.levels(solution.u), readings.observation.names
     forced_K = problem.forced_K(forecast.planner.operator, solution.u) + instance.held_K
-    T_zone_C = problem.T_free_C - instance.held_K + forced_K
+    T_free_C = problem.T_free_C - instance.held_K
+    T_zone_C = compose(T_free_C, forced_K)
     slack_K = problem.slack_K(T_zone_C)
     doubts = (*readings.doubts, free.doubt)
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
@@ -45,7 +47,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         why=joined([solution.problem, reason, *doubts, context.bridged]),
         u=u,
         T_free_now_C=problem.features[:, 0, ZONE],
-        T_free_C=problem.T_free_C - instance.held_K,
+        T_free_C=T_free_C,
         T_forced_K=forced_K,
         T_free_low_C=free.quantile_C(0.1),
         T_free_high_C=free.quantile_C(0.9),

@@ -11,6 +11,7 @@ import numpy as np
 
 from thermoforce_mpc.data.clock import Array
 from thermoforce_mpc.data.names import SINGLE, Names, of_each
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables go out
@@ -136,7 +137,7 @@ class Plan:
     @property
     def T_zone_C(self) -> Array:
         """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), (Z, N), °C."""
-        return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
+        return compose(self.T_free_C, self.T_forced_K)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The planned horizon, one row per step at its start; no rows where nothing was solved.
@@ -151,8 +152,8 @@ class Plan:
             u=self.u,
             power_W=self.power_W,
             T_zone_C=self.T_zone_C,
-            T_low_C=self.T_free_low_C + self.T_forced_K,
-            T_high_C=self.T_free_high_C + self.T_forced_K,
+            T_low_C=compose(self.T_free_low_C, self.T_forced_K),
+            T_high_C=compose(self.T_free_high_C, self.T_forced_K),
             T_free_C=self.T_free_C,
             T_forced_K=self.T_forced_K,
             slack_K=self.slack_K,
