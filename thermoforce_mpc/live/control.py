@@ -16,7 +16,8 @@ from typing import Protocol
 import pandas as pd
 
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.errors import DataError, PlantError, ThermoForceError
+from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
 from thermoforce_mpc.model.screening import limits_of, screened_history
@@ -176,8 +177,8 @@ class _Loop:
         building, controller = self._building, self._controller
         record, doubts = screened_history(building.record(instant, self._applied), self._allowed)
         model = getattr(controller, "model", None)
-        if model is not None and model.names != record.names:
-            raise DataError(f"the model is of {model.names}, the map of {record.names}: another building?")
+        if model is not None:
+            check_same_building("the model", model.names, "the map", record.names)
         forecast, _, gaps = self._forecasts.now(record)
         plan = controller.plan(Observation(record, forecast), self._state)
         plan, after = replace(plan, state=None), plan.state

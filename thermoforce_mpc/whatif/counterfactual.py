@@ -15,6 +15,7 @@ import pandas as pd
 
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.dataframes import seconds_at, table
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
@@ -128,8 +129,7 @@ def counterfactual(
         DataError: another building, the stretch is not inside the record, a level was not measured in it, a zone never
             was, or `u` has another shape or leaves [0, 1].
     """
-    if model.names != record.names:
-        raise DataError(f"the model is of {model.names}, the record of {record.names}: another building?")
+    check_same_building("the model", model.names, "the record", record.names)
     levels = np.asarray(u, dtype=np.float64)
     n = levels.shape[-1] if levels.ndim else round(hours * HOUR_S / record.step_s)
     if levels.ndim == 0:
