@@ -53,9 +53,9 @@ class Room(SimpleHouse):
 
     names = NAMES
 
-    def _measure(self, u=np.nan, cooling=np.nan):
-        one = super()._measure(u)
-        both = [super(Room, self)._measure(level) for level in (u, cooling)]
+    def measure(self, u=np.nan, cooling=np.nan):
+        one = super().measure(u)
+        both = [super(Room, self).measure(level) for level in (u, cooling)]
 
         def rows(name):
             return np.array([getattr(part, name)[0] for part in both])
@@ -64,20 +64,20 @@ class Room(SimpleHouse):
             one.time_s, one.T_zone_C, one.T_out_C, 0.0, rows("u"), rows("power_W"), rows("heat_W"), names=NAMES
         )
 
-    def _advance(self, u, duration_s):
+    def step(self, u, duration_s):
         heating, cooling = (None, None) if u is None else u
         cooling = 0.0 if cooling is None else cooling
-        super()._advance(heating, duration_s)
+        super().step(heating, duration_s)
         share = duration_s / HOUR_S
         self.T -= GAIN_K / (1 - POLE) * (1 - POLE**share) * cooling
         used = self._rows[-1][1].u[0]
-        self._rows[-1] = (duration_s, self._measure(used, cooling))
+        self._rows[-1] = (duration_s, self.measure(used, cooling))
         return self._rows[-1][1]
 
     def advance(self, u, duration_s):
         levels = check_levels(u, duration_s, names=NAMES).u
         self.applied.append((levels, duration_s))
-        return self._advance(levels, duration_s)
+        return self.step(levels, duration_s)
 
     def forecast(self, horizon_s, interval_s):
         one = super().forecast(horizon_s, interval_s)
@@ -89,7 +89,7 @@ class Room(SimpleHouse):
         return replace(one, **rows, names=NAMES)
 
     def past(self, step_s):
-        m = [self._first, *(row for _, row in self._rows)] if step_s == HOUR_S else [self._measure()]
+        m = [self._first, *(row for _, row in self._rows)] if step_s == HOUR_S else [self.measure()]
         weather = {name: np.array([getattr(x, name) for x in m]) for name in ("time_s", "T_out_C", "solar_W_m2")}
         acting = {name: np.array([getattr(x, name) for x in m[1:]]).T for name in ("u", "power_W", "heat_W")}
         acting = {name: rows.reshape(2, -1) for name, rows in acting.items()}

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import ChangedResponse
 from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
@@ -147,16 +148,6 @@ def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted
     assert [block.u for block in plan.blocks] == [(1.0,)], "the zone is cold"
 
 
-class Sabotage:
-    name = "sabotage"
-
-    def __init__(self, action) -> None:
-        self.action = action
-
-    def forecast(self, free_C, history, boundary):
-        return self.action(OutdoorResponse().forecast(free_C, history, boundary))
-
-
 def _raise(error):
     raise error
 
@@ -180,7 +171,7 @@ broken = pytest.mark.parametrize(
 
 @broken
 def test_a_broken_forecast_is_replaced_by_the_weather_models_with_a_reason(action):
-    plan = controller(free=Sabotage(action)).plan(observation())
+    plan = controller(free=ChangedResponse(lambda n, found: action(found))).plan(observation())
     assert plan.status is PlanStatus.BRIDGED
     assert "free forecast by linear_weather instead (" in plan.why
     assert np.isfinite(plan.T_zone_C).all()
@@ -188,7 +179,9 @@ def test_a_broken_forecast_is_replaced_by_the_weather_models_with_a_reason(actio
 
 @broken
 def test_a_broken_forecast_without_a_substitute_falls_back_with_a_reason(action):
-    plan = controller(free=Sabotage(action), free_response={"substitutes": False}).plan(observation())
+    plan = controller(free=ChangedResponse(lambda n, found: action(found)), free_response={"substitutes": False}).plan(
+        observation()
+    )
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("no prediction (")
     assert plan.blocks[0].u in ((0.0,), (1.0,))
@@ -208,7 +201,7 @@ def test_a_solver_that_raises_is_a_failed_solve():
 
 
 def test_mistakes_of_the_caller_raise_before_anything_else():
-    seen, mpc = observation(), controller(free=Sabotage(lambda f: _raise(AssertionError("too late"))))
+    seen, mpc = observation(), controller(free=ChangedResponse(lambda n, found: _raise(AssertionError("too late"))))
     with pytest.raises(DataError, match=r"boundary forecast has 23 steps, the horizon needs 24 of 3600 s"):
         mpc.plan(Observation(seen.history, seen.boundary.head(23)))
     old = replace(seen.boundary, time_s=seen.boundary.time_s - 6 * HOUR_S)

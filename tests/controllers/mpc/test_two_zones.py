@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import FaultyHouse, shifted
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
@@ -123,16 +124,14 @@ def first_state(seen: Observation) -> MPCState:
     return state
 
 
-class Stuck(SimpleHouse):
-    """From the second day on its actuator does nothing, which is measured."""
-
-    def _advance(self, u, duration_s):
-        return super()._advance(0.0 if 11 * DAY_S <= self.now_s < 12 * DAY_S else u, duration_s)
+def stuck(house: FaultyHouse, u: float | None) -> float | None:
+    """On the second day the actuator does nothing, which is measured."""
+    return 0.0 if 11 * DAY_S <= house.now_s < 12 * DAY_S else u
 
 
 def test_an_actuator_that_fails_is_handed_back_alone_and_returns():
     period = replace(SimpleHouse().period("x"), scored_s=5 * DAY_S)
-    result = run_closed_loop(TwoHouses(first=Stuck()), mpc(), period)
+    result = run_closed_loop(TwoHouses(first=FaultyHouse(gives=stuck)), mpc(), period)
     held = [step for step in result.steps if step.plan.acting[RADIATOR] is PlanStatus.WATCH]
     assert held
     assert 11 * DAY_S < held[0].time_s <= 12 * DAY_S
@@ -146,14 +145,6 @@ def test_an_actuator_that_fails_is_handed_back_alone_and_returns():
     assert (np.array([s.T_zone_C[1] for s in result.samples[24:]]) - lower).min() > -0.3
 
 
-class Warm(OutdoorResponse):
-    """A forecast that is finite, confident and 12 K too warm."""
-
-    def forecast(self, free_C, history, boundary):
-        right = super().forecast(free_C, history, boundary)
-        return replace(right, quantiles_C=right.quantiles_C + 12.0)
-
-
 @pytest.mark.parametrize("cold", [RADIATOR, FLOOR])
 def test_the_guard_acts_in_the_zone_that_is_outside_and_in_no_other(cold):
     houses = [SimpleHouse(), SimpleHouse()]
@@ -162,7 +153,7 @@ def test_the_guard_acts_in_the_zone_that_is_outside_and_in_no_other(cold):
     plant.reset(10 * DAY_S, 0.0)
     seen = Observation(plant.past(900.0), plant.forecast(DAY_S, HOUR_S))
     free = [OutdoorResponse(), OutdoorResponse()]
-    free[cold] = Warm()
+    free[cold] = shifted(12.0)
     plan = mpc(free=free, actuation={"mode": "modulating", "lowest_level": 0.0}).plan(seen)
     other = 1 - cold
     assert plan.status is PlanStatus.GUARD
@@ -193,14 +184,11 @@ def test_a_zone_without_a_reading_goes_to_native_control_and_the_other_follows_t
 
 
 def test_a_sensor_that_is_silent_for_a_whole_run_and_one_that_comes_back():
-    class Silent(SimpleHouse):
-        def _measure(self, u=np.nan):
-            measurement = super()._measure(u)
-            return replace(measurement, T_zone_C=np.nan) if self.now_s < self.silent_until_s else measurement
+    def silent_until(until_s):
+        return lambda house, seen: replace(seen, T_zone_C=np.nan) if house.now_s < until_s else seen
 
     for until_s in (np.inf, 11 * DAY_S):
-        house = Silent()
-        house.silent_until_s = until_s
+        house = FaultyHouse(silent_until(until_s))
         result = run_closed_loop(TwoHouses(first=house), mpc(), SimpleHouse().period("x"))
         assert {step.plan.acting[FLOOR] for step in result.steps[24:]} == {PlanStatus.SOLVED}
         radiator = [step.plan.acting[RADIATOR] for step in result.steps]

@@ -8,6 +8,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from faults import ChangedResponse, FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
@@ -47,17 +48,6 @@ class Solver:
     def solve(self, problem, guess=None):
         self.calls += 1
         return self.acts(self.calls - 1, self.inner.solve(problem, guess))
-
-
-class Forecaster:
-    name = "exact"
-
-    def __init__(self, acts) -> None:
-        self.acts, self.calls = acts, 0
-
-    def forecast(self, free_C, history, boundary):
-        self.calls += 1
-        return self.acts(self.calls - 1, OutdoorResponse().forecast(free_C, history, boundary))
 
 
 def raising(error: BaseException):
@@ -113,7 +103,7 @@ def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_take
 
 
 def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(released):
-    hanging = Forecaster(lambda n, found: found if n else released.wait(30.0) and found)
+    hanging = ChangedResponse(lambda n, found: found if n else released.wait(30.0) and found)
     controller = mpc(hanging, deadline={"forecast_s": SOON_S})
     seen = observation()
     first = controller.plan(seen)
@@ -129,7 +119,7 @@ def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(re
 
 def test_it_ends_in_time_without_substitutes_too(released):
     controller = mpc(
-        Forecaster(lambda n, found: released.wait(30.0)),
+        ChangedResponse(lambda n, found: released.wait(30.0)),
         deadline={"forecast_s": 0.3},
         free_response={"substitutes": False},
     )
@@ -140,7 +130,7 @@ def test_it_ends_in_time_without_substitutes_too(released):
 
 @pytest.mark.parametrize("error", [Panic("thread panicked"), SystemExit(2), RecursionError()])
 def test_a_forecaster_may_raise_anything(error):
-    plan = mpc(Forecaster(lambda n, found: raising(error))).plan(observation())
+    plan = mpc(ChangedResponse(lambda n, found: raising(error))).plan(observation())
     assert plan.status is PlanStatus.BRIDGED
     assert type(error).__name__ in plan.why
     assert np.isfinite(plan.T_zone_C).all()
@@ -151,11 +141,13 @@ def test_a_forecast_that_is_absurd_for_good_costs_no_comfort():
         return replace(found, quantiles_C=found.quantiles_C * 0.0 - 50.0 + found.levels[:, None])
 
     house = SimpleHouse()
-    result = run_closed_loop(house, mpc(Forecaster(absurd)), house.period("x"))
+    result = run_closed_loop(house, mpc(ChangedResponse(absurd)), house.period("x"))
     assert {step.plan.status for step in result.steps} == {PlanStatus.BRIDGED}
     assert all("to -49.5 °C" in step.plan.why for step in result.steps)
     assert result.kpis["tdis_tot"] < 1.0
-    believed = run_closed_loop(house, mpc(Forecaster(absurd), free_response={"substitutes": False}), house.period("x"))
+    believed = run_closed_loop(
+        house, mpc(ChangedResponse(absurd), free_response={"substitutes": False}), house.period("x")
+    )
     assert believed.kpis["cost_tot"] > 1.2 * result.kpis["cost_tot"], "it would be heated for the cold that never comes"
 
 
@@ -202,7 +194,7 @@ def test_the_ladder_is_climbed_down_and_up_again_and_each_level_is_named():
 def test_after_failures_on_end_it_starts_without_what_it_kept():
     kept = []
 
-    class Following(Forecaster):
+    class Following(ChangedResponse):
         def follow(self, free_C, history, boundary, state):
             kept.append(state)
             return self.forecast(free_C, history, boundary), len(kept)
@@ -240,19 +232,16 @@ def test_minimum_times_hold_over_all_levels_and_every_action_is_inside_limits(se
             ]
         )()
 
-    class Noisy(SimpleHouse):
-        def _measure(self, u=np.nan):
-            measurement = super()._measure(u)
-            shown = measurement.T_zone_C + rng.choice([0.0, 0.0, 0.0, np.nan, 3.0, -300.0])
-            return replace(measurement, T_zone_C=shown)
+    def noisy(house, seen):
+        return replace(seen, T_zone_C=seen.T_zone_C + rng.choice([0.0, 0.0, 0.0, np.nan, 3.0, -300.0]))
 
     controller = mpc(
-        Forecaster(lambda n, found: found if rng.random() < 0.7 else raising(ValueError("broken"))),
+        ChangedResponse(lambda n, found: found if rng.random() < 0.7 else raising(ValueError("broken"))),
         actuation={"mode": "duty", "min_on_s": 900.0, "min_off_s": 900.0},
         fallback={"stand_back": "rule"},
     )
     Solver(controller, broken)
-    house = Noisy()
+    house = FaultyHouse(noisy)
     result = run_closed_loop(house, controller, house.period("x"))
     found = {step.plan.status for step in result.steps}
     assert len(found) >= 4, found
