@@ -111,6 +111,20 @@ class Actuators:
         told = {a: by for a, by in told.items() if not any(block.u[0] for block in found[a][0])}
         return Acted(tuple(blocks for blocks, _ in found), tuple(state for _, state in found), told)
 
+    def named(self, a: int, text: str) -> str:
+        """`text`, with the actuator's name where there are several."""
+        names = self.layout.names.actuators
+        return text if len(names) == 1 else f"{names[a]}: {text}"
+
+    def excluded_in_words(self, acted: Acted) -> list[str]:
+        """Which actuators do not do what was asked of them, because another one acts."""
+        names = self.layout.names.actuators
+        return [
+            self.named(a, f"excluded by {names[by]}" + (", which is native: native control" if native else ""))
+            for a, by in acted.excluded.items()
+            for native in [acted.states[by].native]
+        ]
+
     def _wanted(self, a: int, demand: Demand, state: ActuationState) -> float | None:
         """How much actuator `a` is wanted, see `Layout.excluded`; one that has to stay on before all others."""
         if demand is None or isinstance(demand, tuple):

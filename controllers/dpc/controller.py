@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,8 @@ import numpy as np
 from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
-from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.controller import ThermoForceMPC, at_step
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
@@ -76,8 +76,8 @@ class DPC(ThermoForceMPC):
         if model.layout.lowest[0] < 0.0:
             raise ControllerConfigError("dpc does not heat and cool by room set-points: use thermoforce_mpc")
         self._policy = policy or (load_policy(Path(config.policy)) if config.policy else None)
-        self._progress = progress
-        super().__init__(model, config, name=name)
+        self._progress, self._trained_on = progress, at_step(model, config)[0]
+        super().__init__(model, config, solver=self._policy_solver, name=name)
         self._check()
 
     @property
@@ -93,14 +93,16 @@ class DPC(ThermoForceMPC):
             f"{super().actuation_in_words}; policy of {self.policy.iterations} iterations, loss {self.policy.loss:.3f}"
         )
 
-    def _solver_of(self) -> Callable[[BuildingOperator], PolicySolver]:
+    def _policy_solver(self, operator: BuildingOperator, machinery: EquipmentLayout) -> PolicySolver:
+        """The policy in the place of a solver; trained for the first operator, that of the model, if none was given."""
         if self._policy is None:
             from controllers.dpc.training import train_policy
 
             assert isinstance(self.config, DPCConfig)
-            actuation = self._actuators.each[0]
-            self._policy = train_policy(self._zones[0], actuation, self.config, self.step_s, self._progress)
-        return partial(PolicySolver, self._policy)
+            self._policy = train_policy(
+                self._trained_on.actuator(0), self._actuators.each[0], self.config, self.step_s, self._progress
+            )
+        return PolicySolver(self._policy, operator)
 
     def _check(self) -> None:
         """Raise `ControllerConfigError` for a policy of another operator, step or actuation."""

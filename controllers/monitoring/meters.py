@@ -106,7 +106,7 @@ class Meters:
         """The states at the begin of a run."""
         return (MeterState(),) * len(self._points)
 
-    def believed(self, states: tuple[MeterState, ...], history: Record) -> Record:
+    def mask_rejected(self, states: tuple[MeterState, ...], history: Record) -> Record:
         """The record with readings that were not believed taken as not measured."""
         found: dict[str, Array] = {}
         for (name, row), state in zip(self._points, states, strict=True):
@@ -118,7 +118,7 @@ class Meters:
             rows[np.isin(at, np.array(state.refused_s))] = np.nan
         return replace(history, **found) if found else history  # type: ignore[arg-type]
 
-    def judged(
+    def validate(
         self, states: tuple[MeterState, ...], history: Record, boundary: Boundary
     ) -> tuple[tuple[MeterState, ...], Metered]:
         """The states after the latest readings of `history`; `boundary` is the forecast from now on, without gaps."""
@@ -129,7 +129,7 @@ class Meters:
             state = before
             if config.enabled:
                 state = self._followed(before, name, row, history, boundary)
-                state = self._judged(state, config, name, row, history)
+                state = self._validated(state, config, name, row, history)
             if state.stuck:
                 why.append(f"{label} {state.stuck}: not believed")
             elif before.stuck:
@@ -168,7 +168,7 @@ class Meters:
         # Beyond its capacity a shared machine gives no more, whatever it is asked for.
         return float(np.minimum(np.sum(self.layout.weights[fed] * levels[fed]), 1.0))
 
-    def _judged(self, state: MeterState, config: MeterConfig, name: str, row: int, history: Record) -> MeterState:
+    def _validated(self, state: MeterState, config: MeterConfig, name: str, row: int, history: Record) -> MeterState:
         """The state, with its readings not believed where they are stuck."""
         values = _values(history, name, row)
         at_s = history.time_s[: values.size]

@@ -45,7 +45,7 @@ class SunState:
     failed: str = ""
 
 
-class Sunlit:
+class SunOnSensors:
     """Looks for sun on the sensors of the zones of `model`; it holds no state.
 
     Args:
@@ -57,7 +57,7 @@ class Sunlit:
         self._model, self._config = model, IdentificationConfig()
         self._judged = tuple(judged)
 
-    def looked(self, state: SunState, history: Record) -> SunState:
+    def update(self, state: SunState, history: Record) -> SunState:
         """The state after a look, where it is dark and the last one was in the night before."""
         now_s = float(history.time_s[-1])
         if state.looked_s is None:

@@ -97,7 +97,7 @@ class Watch:
         kept = bands[now - bands[:, 0] <= _USUAL_DAYS * DAY_S]
         return replace(track, pending=(*track.pending, new), bands=kept)
 
-    def judged(
+    def validate(
         self, state: WatchState | None, history: Record, adaptation: AdaptationState | None, predictor: object
     ) -> WatchState:
         """The state after the predictions that came due; it says whether the model may be used in this step.
@@ -132,7 +132,7 @@ class Watch:
         wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
         return replace(state, tracks=tuple(tracks), alarm=fault, since_s=now, wait_h=wait_h)
 
-    def asked(self, state: WatchState, time_s: float, level: float) -> WatchState:
+    def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
         """The state with the mean `level` asked for in the step from `time_s` (NaN: native control)."""
         recent = tuple(item for item in state.asked if time_s - item[0] < LEVELS_H * HOUR_S)
         return replace(state, asked=(*recent, (time_s, level)))

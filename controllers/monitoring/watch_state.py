@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
@@ -129,3 +129,7 @@ class WatchState:
     wait_h: float = 0.0
     returned_s: float = -math.inf
     news: str = ""
+
+    def reason(self, time_s: float) -> str:
+        """Why control was handed back, and how long before `time_s`."""
+        return f"watch: {self.alarm} (found {(time_s - self.since_s) / HOUR_S:.1f} h ago)"

@@ -65,14 +65,16 @@ class Sensor:
     config: SensorConfig = field(default_factory=SensorConfig)
     name: str = ""
 
-    def believed(self, state: SensorState, history: Record, z: int) -> Array:
+    def mask_rejected(self, state: SensorState, history: Record, z: int) -> Array:
         """The readings (n + 1,) of zone `z` in `history`, NaN where they were not believed."""
         T = history.T_zone_C[z]
         if not state.refused_s:
             return T
         return np.where(np.isin(history.time_s, np.array(state.refused_s)), np.nan, T)
 
-    def judged(self, state: SensorState, history: Record, z: int, forced_K: Array | None) -> tuple[SensorState, Sensed]:
+    def validate(
+        self, state: SensorState, history: Record, z: int, forced_K: Array | None
+    ) -> tuple[SensorState, Sensed]:
         """Judge what was measured since the last call.
 
         Args:
@@ -91,11 +93,11 @@ class Sensor:
             else:
                 outside = (raw < self.config.lowest_C) | (raw > self.config.highest_C) | np.isinf(raw)
                 state = _refusing(state, history.time_s[outside & new])
-        seen = _Seen(history.time_s, self.believed(state, history, z), raw, forced_K, history.step_s, state.anchor)
+        seen = _Seen(history.time_s, self.mask_rejected(state, history, z), raw, forced_K, history.step_s, state.anchor)
         before = state.distrust
-        state = self._judged_now(state, seen) if self.config.enabled else state
+        state = self._validated_now(state, seen) if self.config.enabled else state
         state = replace(state, seen_s=now_s)
-        T = self.believed(state, history, z)
+        T = self.mask_rejected(state, history, z)
         if math.isfinite(T[-1]):
             news = f"{self._of}readings are believed again ({before})" if before and not state.distrust else ""
             return state, Sensed(float(T[-1]), news=news)
@@ -109,7 +111,7 @@ class Sensor:
 
     def anchored(self, state: SensorState, history: Record, z: int, context: PredictionContext) -> SensorState:
         """The state with the free forecast of a plan, where its reading was believed and new."""
-        time_s, T = float(history.time_s[-1]), self.believed(state, history, z)
+        time_s, T = float(history.time_s[-1]), self.mask_rejected(state, history, z)
         if not math.isfinite(T[-1]):
             return state
         repeated = T.size > 1 and T[-1] == T[-2]
@@ -122,7 +124,7 @@ class Sensor:
     def _of(self) -> str:
         return f"{self.name}: " if self.name else ""
 
-    def _judged_now(self, state: SensorState, seen: _Seen) -> SensorState:
+    def _validated_now(self, state: SensorState, seen: _Seen) -> SensorState:
         """The state after the reading of now."""
         now_s, y = float(seen.time_s[-1]), float(seen.raw_C[-1])
         if math.isnan(y):

@@ -1,4 +1,4 @@
-"""The zone sensors inside an MPC: which readings it plans from, and which zones it does not know."""
+"""The zone sensors inside an MPC: which readings are planned from, and which zones are not known."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from controllers.monitoring.zone_sensor import Sensor
 from controllers.monitoring.zone_sensor_state import Sensed, SensorState
-from controllers.safety.fallback_policy import Override
-from thermoforce_mpc.data import Array, Layout, Observation, Record
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.predictor import PredictionContext
 
 
@@ -35,13 +34,9 @@ class Zones:
         """Which readings are believed again, in words."""
         return "; ".join(zone.news for zone in self.each if zone.news)
 
-    def held(self, layout: Layout) -> dict[int, Override]:
-        """The actuators of zones that are not known any more, and why."""
-        return {a: Override(None, self.each[z].why) for a, z in enumerate(layout.home) if self.each[z].lost}
-
 
 class ZoneSensors:
-    """Judges the readings of all zones; it holds no state.
+    """Validates the readings of all zones; it holds no state.
 
     Args:
         sensors: of each zone (Z,).
@@ -50,34 +45,33 @@ class ZoneSensors:
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         self._sensors = tuple(sensors)
 
-    def believed(self, states: Sequence[SensorState], history: Record) -> Record:
-        """The record with readings that were not believed taken as not measured."""
+    def mask_rejected(self, states: Sequence[SensorState], history: Record) -> Record:
+        """The record with rejected readings taken as not measured."""
         if not any(state.refused_s for state in states):
             return history
-        rows = [sensor.believed(state, history, z) for z, (sensor, state) in enumerate(self._each(states))]
+        rows = [sensor.mask_rejected(state, history, z) for z, (sensor, state) in enumerate(self._each(states))]
         return replace(history, T_zone_C=np.stack(rows))
 
-    def judged(
-        self, states: Sequence[SensorState], observation: Observation, forced_K: Array | None
-    ) -> tuple[tuple[SensorState, ...], Observation, Zones]:
-        """Judge the readings since the last call.
+    def validate(
+        self, states: Sequence[SensorState], history: Record, forced_K: Array | None
+    ) -> tuple[tuple[SensorState, ...], Record, Zones]:
+        """Validate the readings since the last call.
 
         Args:
             states: after the last call (Z,).
-            observation: as measured.
+            history: as measured.
             forced_K: forced states until now (Z, A, n + 1, r), K; None where unknown.
 
         Returns:
-            The states, the observation with readings that are not believed taken as not measured, and the zones now.
+            The states, the record with rejected readings taken as not measured, and the zones now.
         """
         after, seen = [], []
         for z, (sensor, state) in enumerate(self._each(states)):
             row = None if forced_K is None else forced_K[z].sum(axis=(0, 2))
-            state, zone = sensor.judged(state, observation.history, z, row)
+            state, zone = sensor.validate(state, history, z, row)
             after.append(state)
             seen.append(zone)
-        history = self.believed(after, observation.history)
-        return tuple(after), replace(observation, history=history), Zones(tuple(seen))
+        return tuple(after), self.mask_rejected(after, history), Zones(tuple(seen))
 
     def anchored(
         self, states: Sequence[SensorState], history: Record, context: PredictionContext

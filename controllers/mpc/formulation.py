@@ -1,15 +1,15 @@
-"""Assembly of the numbers of one instance from a prediction, prices and comfort bounds."""
+"""The numbers of one instance of the problem, from a prediction, prices, margins and what overrides hold."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.margins import LearnedMargin, backoff_K, is_fast, learned_share, reserve_K
+from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
@@ -18,12 +18,34 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Share of the highest level from which an actuator counts as fully used.
-_FULLY_USED = 0.95
+# Bounds of a zone that no planned actuator serves are further apart by this on either side, K: what holds its actuators
+# keeps it comfortable, and its neighbours must not be asked to.
+_NOT_PLANNED_FOR_K = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One instance of the problem.
+
+    Attributes:
+        problem: the numbers; the response of held actuators is in its `T_free_C`.
+        bounds: comfort bounds and the margins inside them.
+        held_u: levels of the actuators that an override holds (A, N), 0 for the others; None where none is held.
+        held_K: forced response to them (Z, N), K.
+    """
+
+    problem: MPCProblem
+    bounds: Bounds
+    held_u: Array | None = None
+    held_K: Array | float = 0.0
+
+    def levels(self, u: Array) -> Array:
+        """Levels of all actuators (A, N), given those that were planned."""
+        return u if self.held_u is None else u + self.held_u
 
 
 class Formulation:
-    """Assembles instances of one controller.
+    """Formulates the instances of one controller.
 
     Args:
         config: options of the controller.
@@ -33,7 +55,7 @@ class Formulation:
 
     def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
         self._config, self._actuators, self._layout = config, actuators, model.layout
-        self._cards, self._step_s = model.cards, model.operator.step_s
+        self._step_s, self.margins = model.operator.step_s, MarginRules(config, model, actuators)
         layout, each = self._layout, actuators.each
         self.power = tuple(
             _measured(power).at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else _measured(power)
@@ -60,32 +82,76 @@ class Formulation:
             or model.operator.of_actuator(0).feedback_active
         )
 
-    def problem(
+    def instance(
         self,
         operator: BuildingOperator,
         context: PredictionContext,
         history: Record,
-        peak_W: float,
-        offset_K: Array,
-        missed: LearnedMargin | None = None,
-        kept: Array | None = None,
-    ) -> MPCProblem:
+        margins: Margins,
+        peak_W: float = 0.0,
+        held_u: Array | None = None,
+    ) -> Instance:
         """Return the instance of one step.
 
         Args:
             operator: the operator of the building, adjusted to the actuation.
             context: free response, forced state and boundary conditions of the N steps.
             history: the record until now, for the return water.
+            margins: what was learned of bounds, predictions and capacities.
             peak_W: highest mean power of the building over a step so far, W.
-            offset_K: added to the free response (Z,), K.
-            missed: what was learned of the bounds; by default nothing.
-            kept: share of each machine's capacity that is left unused (M,); by default none.
+            held_u: levels of the actuators that are not planned for (A, N), NaN for the others; None: all are planned.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
         """
+        context.boundary.check("lower_C", "upper_C", "price_per_kWh")
+        bounds = self.margins.bounds(operator, context.free, context.boundary, margins.learned)
+        problem = self._problem(operator, context, history, margins, bounds, peak_W)
+        if held_u is None:
+            return Instance(problem, bounds)
+        return self._with_held(operator, Instance(problem, bounds), np.isfinite(held_u[:, 0]), held_u)
+
+    def _with_held(self, operator: BuildingOperator, instance: Instance, held: NDArray[np.bool_], u: Array) -> Instance:
+        """The instance with the actuators that are `held` (A,) at levels `u` (A, N).
+
+        Their response is known, so it joins the free one; what they take of capacity and power is no longer there for
+        the others. That a machine runs anyway while they are on is not counted.
+        """
+        p, held_u = instance.problem, np.where(held[:, None], u, 0.0)
+        held_K = p.modes_K(operator, held_u)[:, held].sum(axis=(1, 3))
+        served = np.zeros(p.T_free_C.shape[0], dtype=bool)
+        served[[z for a, z in enumerate(self._layout.home) if not held[a]]] = True
+        alone = np.array([bool(self._layout.actuators_of(z)) and not served[z] for z in range(served.size)])
+        away_K = np.where(alone, _NOT_PLANNED_FOR_K, 0.0)[:, None]
+        taken = self.machinery.fed_by @ (self.machinery.share[:, None] * np.maximum(held_u, 0.0))
+        capacity = np.ones(taken.shape) if p.capacity is None else p.capacity
+        held_W = p.power_W(held_u).sum(axis=0)
+        cap = p.power_cap
+        problem = replace(
+            p,
+            planned=~held,
+            forced_state_K=np.where(held[:, None], 0.0, p.forced_state_K),
+            terminal_price_per_K=np.where(held[:, None], 0.0, p.terminal_price_per_K),
+            T_free_C=p.T_free_C + held_K,
+            lower_C=p.lower_C - away_K,
+            upper_C=p.upper_C + away_K,
+            capacity=np.maximum(capacity - taken, 0.0) if taken.any() else p.capacity,
+            peak_so_far_W=max(p.peak_so_far_W - float(held_W.mean()), 0.0),
+            power_cap=cap and replace(cap, limit_W=np.maximum(cap.limit_W - held_W, 0.0)),
+        )
+        return replace(instance, problem=problem, held_u=held_u, held_K=held_K)
+
+    def _problem(
+        self,
+        operator: BuildingOperator,
+        context: PredictionContext,
+        history: Record,
+        margins: Margins,
+        bounds: Bounds,
+        peak_W: float,
+    ) -> MPCProblem:
+        """The numbers with all actuators planned; arguments as in `instance`."""
         aims, boundary, layout = self._config.objective, context.boundary, self._layout
-        boundary.check("lower_C", "upper_C", "price_per_kWh")
         boundary.check("heating_price_per_kWh")
         carbon = np.zeros((len(layout.names.machines), boundary.n_steps))
         if aims.carbon_price_per_kg:
@@ -117,14 +183,13 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        lower_C, upper_C = self._bounds_C(operator, context, missed or LearnedMargin.nothing(len(operator.zones)))
         cap_kW = aims.power_cap_kW
         return MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
-            T_free_C=context.free.median_C + offset_K[:, None],
-            lower_C=lower_C,
-            upper_C=upper_C,
+            T_free_C=context.free.median_C + margins.offset_K[:, None],
+            lower_C=bounds.lower_C,
+            upper_C=bounds.upper_C,
             price_per_kWh=price,
             power_fixed_W=fixed_W,
             power_per_u_W=per_u_W,
@@ -138,111 +203,13 @@ class Formulation:
             if cap_kW is None
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
             power_per_u2_W=per_u2_W if bent else None,
-            capacity=self._capacity(operator, T_out, kept),
+            capacity=self.margins.capacity(operator, T_out, margins.unused),
         )
-
-    def spare(self, used: Array) -> NDArray[np.bool_]:
-        """Whether actuators that protect the lower and the upper bound of each zone had more to give (2, Z).
-
-        `used` (A,): mean level of the last step.
-        """
-        more = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
-        for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
-            if self._config.reserve and used[a] < _FULLY_USED * self._actuators.each[a].highest:
-                more[0 if sign > 0 else 1, z] = True
-        return more
-
-    def kept_capacity(self, before: Array, operator: BuildingOperator, history: Record) -> Array:
-        """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""
-        kept = before.copy()
-        for m, fed, full, reference_W in self._metered(operator, history.T_out_C[-2:-1]):
-            u, heat_W = history.u[fed, -1], history.heat_W[fed, -1]
-            full_W, share = full[:, 0] * reference_W, self.machinery.share[fed]
-            most_W = float(np.mean(reference_W / share))
-            load = float((share * u * full[:, 0]).sum())
-            kept[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
-        return kept
 
     def expected_power_W(self, a: int, record: Record) -> Array:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
         levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
         return self.power[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
-
-    def _capacity(self, operator: BuildingOperator, T_out_C: Array, kept: Array | None) -> Array | None:
-        """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
-
-        Metered actuators take more at full level the colder it is. Their shares, those of the record's mean, are taken
-        as those at 0 °C: after a mild record that asks for some too much, which `kept` (M,), the share to be left
-        unused, takes back. What the machine has is taken as constant.
-        """
-        found = np.ones((len(self._layout.names.machines), T_out_C.size))
-        if kept is not None:
-            found *= 1.0 - kept[:, None]
-        for m, fed, full, _ in self._metered(operator, T_out_C):
-            shares = self.machinery.share[fed]
-            found[m] *= shares.sum() / (shares @ full)
-        return None if (found == 1.0).all() else found
-
-    def _metered(self, operator: BuildingOperator, T_out_C: Array) -> Iterator[tuple[int, list[int], Array, Array]]:
-        """Machines with known shares whose several actuators are all metered: number, actuators, heat at full level.
-
-        The heat (A of the machine, n) is relative to that at the reference outdoors, 0 °C, which follows (A,), W.
-        """
-        for m in np.flatnonzero(self.machinery.shared).tolist():
-            fed = self._layout.fed_by(m)
-            maps = [operator.of_actuator(a).heat_input for a in fed]
-            if self.machinery.share[fed].all() and all(one.heat is not None for one in maps):
-                full = np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
-                yield m, fed, full, np.array([one.reference_W for one in maps])
-
-    def _bounds_C(
-        self, operator: BuildingOperator, context: PredictionContext, missed: LearnedMargin
-    ) -> tuple[Array, Array]:
-        """Comfort bounds at the end of each step with all margins inside, (Z, N) each, °C."""
-        c, boundary = self._config, context.boundary
-        rows = []
-        for z in range(len(operator.zones)):
-            own = self._layout.actuators_of(z)
-            signs = {self._layout.signs[a] for a in own}
-            # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
-            low = c.backoff_level if 1 in signs or not own else c.backoff_level_other
-            high = c.backoff_level if -1 in signs else c.backoff_level_other
-            below, above = (
-                np.minimum(
-                    backoff_K(context.free, self._step_s, level, c.backoff_violation_K, below=is_lower)[z],
-                    c.backoff_max_K,
-                )
-                for level, is_lower in ((low, True), (high, False))
-            )
-            lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
-            if any(is_fast(operator.of_actuator(a)) for a in own):
-                # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
-                lower_C = np.maximum(boundary.lower_C[z, :-1], lower_C)
-                upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
-            # Margins wider than half the band would swap the bounds.
-            half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
-            by_loops = any(self._actuators.each[a].by_rooms for a in own)
-            learned = missed.inside_K(z, lower_C, upper_C, by_loops=by_loops)
-            inside = {sign: self._reserve_K(operator, z, sign) + learned[i] for i, sign in enumerate((1, -1))}
-            rows.append(
-                (
-                    lower_C + np.minimum(c.comfort_margin_K + below + inside[1], half),
-                    upper_C - np.minimum(c.comfort_margin_K + above + inside[-1], half),
-                )
-            )
-        return np.stack([lower for lower, _ in rows]), np.stack([upper for _, upper in rows])
-
-    def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
-        """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""
-        found = [
-            reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
-            for a in self._layout.actuators_of(z)
-            if self._layout.signs[a] == sign and self._keeps_reserve(a)
-        ]
-        return max(found, default=0.0)
-
-    def _keeps_reserve(self, a: int) -> bool:
-        return self._config.reserve and not self._actuators.each[a].by_rooms
 
     def _cooling(self, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (M, N), currency/kWh; None where there are none."""

@@ -1,225 +1,247 @@
-"""What moves the comfort bounds inside, or a capacity down: back-off, reserve, and what a run learns of both.
+"""All that moves the comfort bounds inside, or a machine's capacity down, in one table.
 
-Back-off under forecast uncertainty is a chance and an integrated chance constraint. With a fixed chance level the
-frequency of violations is constant, but their size grows with the forecast uncertainty. An integrated chance constraint
-(Klein Haneveld 1986) bounds the expected violation in K instead. The chance level is active where forecasts are good;
-elsewhere it is lowered, equally for all lead times, until the expected violation over the next 6 h is within its limit.
+| margin | moves | applies | comes from |
+|---|---|---|---|
+| comfort | both bounds | always | `comfort_margin_K` |
+| back-off | each bound, by lead time | chance levels below 0.5, or `backoff_violation_K` | band of the free forecast |
+| reserve | the bound that actuation protects | fast zones and coarse sensors, unless loops keep room set-points | card of the model |
+| learned | each bound | readings were beyond it while there was more to give; with room set-points only where it is set back | this run |
+| offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
+| unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
 
-The reserve is for what a plan cannot see in a fast zone. It knows the zone at the ends of its steps; in a zone that an
-hour at full level moves by more than 0.6 K, on/off blocks let it swing in between, the model's error of the next hour
-is felt at once, and a coarse sensor hides both. What is missed all the same shows in the readings afterwards: a sensor
-that lags behind a room in on/off blocks, a machine that is weaker than its law. Where readings are beyond the bound
-although the machine had more to give, by more in the mean than a plan may expect to be, the learned reserve grows;
-otherwise it fades.
-
-The share of a shared machine's capacity that plans leave unused is learned from what its actuators got. What one takes
-at a level is known on the average; a cold floor takes more. At the machine's limit the water cools, and what one takes
-too much another lacks, most in the warmest room. Where a metered actuator got clearly less than its level stands for,
-plans keep away from the limit by more; where all got theirs at the limit, by less.
-"""
+`MarginRules.learn` moves the last three after each step, `MarginRules.bounds` adds the first four.
+"""  # noqa: E501
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
-from controllers.actuation.actuator import Actuation
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast
-from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from controllers.actuation.actuators import Actuators
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.margin_rules import (
+    OF_LOOPS,
+    LearnedMargin,
+    backoff_K,
+    is_fast,
+    learned_K,
+    learned_share,
+    of_plans,
+    reserve_K,
+)
+from controllers.safety.fallback_policy import GoodPlan
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), decreasing.
-_Z = np.linspace(0.0, 4.0, 401)
-_SHORTFALL = norm.pdf(_Z) - _Z * norm.sf(_Z)
-# `np.interp` needs increasing abscissae.
-_BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
-# Calibrated quantile level from which the standard deviation is computed, and its normal score.
-_SPREAD_LEVEL = 0.1
-_SPREAD_Z = float(norm.isf(_SPREAD_LEVEL))
-# Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
-_AHEAD_H = 6.0
-
-
-def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
-    """Back-off from the lower (`below`) or upper bound at the end of each step, (N,) or (Z, N), K, nonnegative.
-
-    Args:
-        forecast: free response with calibrated quantiles.
-        step_s: length of its steps, s.
-        level: allowed probability of violating the bound, in (0, 0.5].
-        violation_K: allowed expected violation, mean over the next 6 h, K; None for the chance level alone.
-        below: True for the lower bound, False for the upper.
-    """
-    T_C = forecast.median_C
-    sign, quantile, spread_at = (1.0, level, _SPREAD_LEVEL) if below else (-1.0, 1.0 - level, 1.0 - _SPREAD_LEVEL)
-    chance = np.maximum(sign * (T_C - forecast.quantile_C(quantile)), 0.0)
-    if violation_K is None:
-        return np.asarray(chance)
-    sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
-    soon = sd[..., : max(1, round(_AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
-    # Solve sd · shortfall(z) = violation.
-    z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
-    return np.asarray(np.maximum(chance, z * sd))
-
-
-# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
-_FAST_K = 0.6
-# Mean share of on-time that is assumed for the swing.
-_SHARE = 0.35
-# Share of the held-out error one hour ahead: half of it is felt below the bound.
-_ERROR_SHARE = 0.5
-# Most that is reserved, K: what a thermostat keeps above its bound. Beyond, comfort costs more than a thermostat's.
-_MOST_K = 0.3
-
-
-def is_fast(operator: OperatorParameters) -> bool:
-    """Whether an hour at full level moves the zone by more than 0.6 K."""
-    return _hour_K(operator) > _FAST_K
-
-
-def _hour_K(operator: OperatorParameters) -> float:
-    """Effect of an hour at full level, K (of one step, if that is longer)."""
-    steps = max(1, round(HOUR_S / operator.step_s))
-    return abs(float(operator.impulse(steps).sum())) * min(1.0, HOUR_S / operator.step_s)
-
-
-def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
-    """Reserve inside the bound that actuation protects, K.
-
-    The standard deviation of the sensor's rounding; in a fast zone also half the swing of on/off blocks and half the
-    held-out error of the next hour.
-    """
-    rounding_K = card.uncertainty.get("sensor_resolution_K", 0.0) / math.sqrt(12.0)
-    if not is_fast(operator):
-        return min(rounding_K, _MOST_K)
-    verdict = card.competence
-    errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
-    found = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors) + rounding_K
-    return min(found, _MOST_K) if math.isfinite(found) else _MOST_K
-
-
-def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
-    """Half the swing of the zone under on/off blocks, K: on and off for as long as the minimum times ask."""
-    if actuation.modulates:
-        return 0.0
-    c, step_s = actuation.config, operator.step_s
-    cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
-    return 0.5 * abs(float(operator.impulse(1)[0])) * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
+# Share of the highest level from which an actuator counts as fully used.
+_FULLY_USED = 0.95
+# Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
+_OFFSET_K = 0.3
 
 
 @dataclass(frozen=True)
-class Learning:
-    """How a reserve is learned.
+class Margins:
+    """What a run has learned.
 
-    Attributes:
-        growth_1_h: growth, K per hour and K of mean violation above the allowed one; in a step at most the violation.
-        most_K: the most that is learned, and that one reading counts, K.
-        allowed_K: mean violation that a plan may expect, K.
+    `offset_K` (Z,): recent mean error of the zone temperatures planned for the end of a step. `learned`: reserve inside
+    the bounds. `unused` (M,): share of each machine's capacity that plans leave unused.
     """
 
-    growth_1_h: float
-    most_K: float
-    allowed_K: float
-
-
-def of_plans(allowed_K: float) -> Learning:
-    """For plans of levels: 0.05 K too much all day adds 0.2 K; at most what a thermostat keeps above its bound."""
-    return Learning(0.25, 0.3, allowed_K)
-
-
-# Where the plant's own loops keep set-points. They miss them by short drops, as of a fan that pauses at night: few
-# readings show them, so one is made up for at once in steps of 15 min. Chosen on two cold weeks of the small office.
-OF_LOOPS = Learning(4.0, 1.0, 0.001)
-# How much wider than at its tightest a bound is set back, K.
-_SET_BACK_K = 0.5
-
-
-@dataclass(frozen=True)
-class LearnedMargin:
-    """What a run has learned of its bounds.
-
-    Attributes:
-        reserve_K: reserve inside the lower and the upper bound of each zone (2, Z), K.
-        tightest_C: the highest lower and the lowest upper bound of each zone that it has met (2, Z), °C.
-    """
-
-    reserve_K: Array
-    tightest_C: Array
+    offset_K: Array = field(default_factory=lambda: np.zeros(1))
+    learned: LearnedMargin = field(default_factory=lambda: LearnedMargin.nothing(1))
+    unused: Array = field(default_factory=lambda: np.zeros(1))
 
     @classmethod
-    def nothing(cls, zones: int) -> LearnedMargin:
+    def nothing(cls, zones: int, machines: int) -> Margins:
         """At the begin of a run."""
-        return cls(np.zeros((2, zones)), np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)]))
+        return cls(np.zeros(zones), LearnedMargin.nothing(zones), np.zeros(machines))
 
-    def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
-        """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
-        lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
-        tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
-        return LearnedMargin(self.reserve_K, np.stack(tightest_C))
 
-    def set_back(self, z: int | slice, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
-        """Where bounds of zone `z` (N,), or of zones at an instant, °C, are wider than at their tightest, (2, N).
+@dataclass(frozen=True)
+class Bounds:
+    """Comfort bounds with all margins inside, (Z, N) each, °C, and the margins of the first step by name.
 
-        There loops cycle at low load, and a reserve costs little. The instants ahead do not tell: a weekend is longer.
+    `first_step`: `comfort`, `backoff`, `reserve` and `learned` inside the lower and the upper bound (2, Z), K.
+    """
+
+    lower_C: Array
+    upper_C: Array
+    first_step: dict[str, Array]
+
+
+class MarginRules:
+    """Learns margins and adds them up.
+
+    Args:
+        config: options of the controller.
+        model: the building at the control step.
+        actuators: how its actuators are run.
+    """
+
+    def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
+        self._config, self._actuators, self._layout = config, actuators, model.layout
+        self._cards, self._step_s, self._shares = model.cards, model.operator.step_s, np.array(model.layout.shares)
+
+    def learn(
+        self,
+        operator: BuildingOperator,
+        before: Margins,
+        good: GoodPlan | None,
+        observation: Observation,
+        forecast: Boundary,
+    ) -> Margins:
+        """The margins after the last step.
+
+        Args:
+            operator: of the model as identified, adjusted to the actuation.
+            before: those it was planned with.
+            good: the last solved plan.
+            observation: what is believed now.
+            forecast: boundary conditions as they were given, for the bounds.
         """
-        tightest_C = self.tightest_C[:, z]
-        return np.stack([lower_C < tightest_C[0] - _SET_BACK_K, upper_C > tightest_C[1] + _SET_BACK_K])
+        learned = before.learned.meeting(forecast.lower_C, forecast.upper_C)
+        if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
+            return replace(before, learned=learned)
+        return Margins(
+            self._learned_offset_K(before.offset_K, good, observation),
+            self._learned_margin(learned, observation, forecast),
+            self._learned_unused(operator, before.unused, observation.history),
+        )
 
-    def inside_K(self, z: int, lower_C: Array, upper_C: Array, *, by_loops: bool) -> Array:
-        """Reserve inside the bounds (N,) of zone `z`, (2, N), K; `by_loops`: only where they are set back."""
-        reserve_K = np.repeat(self.reserve_K[:, z, None], lower_C.size, axis=1)
-        return reserve_K * self.set_back(z, lower_C, upper_C) if by_loops else reserve_K
+    def bounds(
+        self, operator: BuildingOperator, free: FreeForecast, boundary: Boundary, learned: LearnedMargin
+    ) -> Bounds:
+        """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 
+        Args:
+            operator: the operator of the building, adjusted to the actuation.
+            free: the free forecast of all zones.
+            boundary: the bounds, N steps.
+            learned: what was learned of them.
+        """
+        c, rows = self._config, []
+        for z in range(len(operator.zones)):
+            own = self._layout.actuators_of(z)
+            signs = {self._layout.signs[a] for a in own}
+            # The bound that actuation protects has the chance level of its own; both, where heat and cold are at hand.
+            low = c.backoff_level if 1 in signs or not own else c.backoff_level_other
+            high = c.backoff_level if -1 in signs else c.backoff_level_other
+            below, above = (
+                np.minimum(
+                    backoff_K(free, self._step_s, level, c.backoff_violation_K, below=is_lower)[z], c.backoff_max_K
+                )
+                for level, is_lower in ((low, True), (high, False))
+            )
+            lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
+            if any(is_fast(operator.of_actuator(a)) for a in own):
+                # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
+                lower_C = np.maximum(boundary.lower_C[z, :-1], lower_C)
+                upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
+            # Margins wider than half the band would swap the bounds.
+            half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
+            by_loops = any(self._actuators.each[a].by_rooms for a in own)
+            learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
+            reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
+            inside_K = reserves_K[:, None] + learned_K
+            rows.append(
+                (
+                    lower_C + np.minimum(c.comfort_margin_K + below + inside_K[0], half),
+                    upper_C - np.minimum(c.comfort_margin_K + above + inside_K[1], half),
+                    (np.full(2, c.comfort_margin_K), np.array([below[0], above[0]]), reserves_K, learned_K[:, 0]),
+                )
+            )
+        lower, upper, firsts = zip(*rows, strict=True)
+        names = ("comfort", "backoff", "reserve", "learned")
+        first_step = {
+            name: np.stack(of_zones, axis=1) for name, of_zones in zip(names, zip(*firsts, strict=True), strict=True)
+        }
+        return Bounds(np.stack(lower), np.stack(upper), first_step)
 
-def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s: float, learning: Learning) -> Array:
-    """The reserve inside each bound after a step, K, from that before it, any shape.
+    def capacity(self, operator: BuildingOperator, T_out_C: Array, unused: Array) -> Array | None:
+        """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
 
-    Args:
-        before_K: reserve so far, K.
-        beyond_K: how far the reading at the end of the step was beyond the bound, K, negative inside; NaN: not known.
-        spare: whether the actuators that protect the bound were less than fully used in the step; where they were, or
-            where there are none, nothing is learned.
-        step_s: length of the step, s.
-        learning: rate and limits.
-    """
-    violation_K = np.clip(beyond_K, 0.0, learning.most_K)
-    change_K = min(learning.growth_1_h * step_s / HOUR_S, 1.0) * (violation_K - learning.allowed_K)
-    learned = spare & np.isfinite(beyond_K)
-    return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), 0.0, learning.most_K))
+        Metered actuators take more at full level the colder it is. Their shares, those of the record's mean, are taken
+        as those at 0 °C: after a mild record that asks for some too much, which `unused` (M,) takes back. What the
+        machine has is taken as constant.
+        """
+        most = np.ones((len(self._layout.names.machines), T_out_C.size)) * (1.0 - unused[:, None])
+        for m, fed, full, _ in self._metered(operator, T_out_C):
+            shares = self._shares[fed]
+            most[m] *= shares.sum() / (shares @ full)
+        return None if (most == 1.0).all() else most
 
+    def _learned_offset_K(self, before_K: Array, good: GoodPlan, observation: Observation) -> Array:
+        """Mean errors of planned zone temperatures one step ahead (Z,), K, forgotten over `offset_h`.
 
-# Heat below this share of what the level stands for is lacking.
-_LACKING = 0.8
-# Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
-# below, a warm floor takes less than its level stands for.
-_ALL_ASKED, _AT_LIMIT = 0.85, 0.92
-# Levels below this say nothing of heat.
-_LEAST_LEVEL = 0.1
-# Change of the share that is kept: while heat is lacking, and while none is, 1/h; and the most that is kept.
-_GROWTH_1_H, _FADING_1_H, _MOST = 0.12, 0.01, 0.25
+        A machine that gives more or less heat at a level than its law misses every step to the same side; the mean of
+        these errors is added to the prediction, so that the zone settles on the bound (offset-free control).
+        """
+        if self._config.offset_h is None:
+            return before_K
+        error = observation.T_zone_C - good.T_zone_C[:, 0]
+        weight = -np.expm1(-self._step_s / HOUR_S / self._config.offset_h)
+        # The plan held the offset of its time: what it missed comes on top.
+        offset_K = before_K + weight * np.where(np.isfinite(error), error, 0.0)
+        return np.clip(offset_K, -_OFFSET_K, _OFFSET_K)
 
+    def _learned_margin(self, before: LearnedMargin, observation: Observation, forecast: Boundary) -> LearnedMargin:
+        """Reserve inside the bounds after a step that a plan decided."""
+        allowed_K = self._config.backoff_violation_K
+        # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
+        by_loops = self._config.actuation.mode == "room_setpoints"
+        learning = OF_LOOPS if by_loops else None if allowed_K is None else of_plans(allowed_K)
+        if learning is None:
+            return before
+        T_C, lower_C, upper_C = observation.T_zone_C, forecast.lower_C[:, 0], forecast.upper_C[:, 0]
+        beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
+        spare = self._spare(observation.history.u[:, -1])
+        if by_loops:
+            spare &= before.set_back(slice(None), lower_C, upper_C)
+        return replace(before, reserve_K=learned_K(before.reserve_K, beyond_K, spare, self._step_s, learning))
 
-def learned_share(
-    before: float, load: float, most_W: float, heat_W: Array, expected_W: Array, u: Array, step_s: float
-) -> float:
-    """The share kept of one machine's capacity after a step.
+    def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record) -> Array:
+        """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""
+        unused = before.copy()
+        for m, fed, full, reference_W in self._metered(operator, history.T_out_C[-2:-1]):
+            u, heat_W = history.u[fed, -1], history.heat_W[fed, -1]
+            full_W, share = full[:, 0] * reference_W, self._shares[fed]
+            most_W = float(np.mean(reference_W / share))
+            load = float((share * u * full[:, 0]).sum())
+            unused[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
+        return unused
 
-    Args:
-        before: share kept so far.
-        load: what the actuators asked for in the step, as a share of the capacity.
-        most_W: the capacity, W.
-        heat_W: what each got, (A,), W; NaN: not metered.
-        expected_W: what their levels stand for, (A,), W.
-        u: their mean levels in the step, (A,).
-        step_s: length of the step, s.
-    """
-    if not (np.isfinite(heat_W).all() and np.isfinite(u).all()) or load < _ALL_ASKED * (1.0 - before):
-        return before
-    lacking = (np.abs(heat_W) < _LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
-    at_limit = np.abs(heat_W.sum()) >= _AT_LIMIT * most_W
-    rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
-    return float(np.clip(before + rate * step_s / HOUR_S, 0.0, _MOST))
+    def _spare(self, used: Array) -> NDArray[np.bool_]:
+        """Whether actuators that protect the lower and the upper bound of each zone had more to give (2, Z).
+
+        `used` (A,): mean level of the last step.
+        """
+        more = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
+        for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
+            if self._config.reserve and used[a] < _FULLY_USED * self._actuators.each[a].highest:
+                more[0 if sign > 0 else 1, z] = True
+        return more
+
+    def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
+        """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""
+        reserves = [
+            reserve_K(operator.of_actuator(a), self._actuators.each[a], self._cards[a])
+            for a in self._layout.actuators_of(z)
+            if self._layout.signs[a] == sign and self._config.reserve and not self._actuators.each[a].by_rooms
+        ]
+        return max(reserves, default=0.0)
+
+    def _metered(self, operator: BuildingOperator, T_out_C: Array) -> Iterator[tuple[int, list[int], Array, Array]]:
+        """Machines with known shares whose several actuators are all metered: number, actuators, heat at full level.
+
+        The heat (A of the machine, n) is relative to that at the reference outdoors, 0 °C, which follows (A,), W.
+        """
+        for m in range(len(self._layout.names.machines)):
+            fed = self._layout.fed_by(m)
+            maps = [operator.of_actuator(a).heat_input for a in fed]
+            if len(fed) > 1 and self._shares[fed].all() and all(one.heat is not None for one in maps):
+                full = np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
+                yield m, fed, full, np.array([one.reference_W for one in maps])

@@ -1,4 +1,4 @@
-"""The watch inside an MPC: what it is given before and after each plan, and predictions in the shadow.
+"""The watch inside an MPC: what it is given before and after each plan, and predictions in the background.
 
 Each actuator is watched on its home zone (`single_actuator_records`), so that control of one may be handed back alone.
 """
@@ -12,11 +12,11 @@ from typing import TypeVar
 from controllers.checks import message_of
 from controllers.monitoring.single_actuator import single_actuator_context, single_actuator_records
 from controllers.monitoring.watch import Watch
-from controllers.monitoring.watch_state import Track, WatchState
+from controllers.monitoring.watch_state import Track
 from controllers.mpc.planner import Planner
 from controllers.mpc.reason import with_news
 from controllers.mpc.state import MPCState
-from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
+from thermoforce_mpc.data import Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, gather
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
@@ -29,9 +29,10 @@ class WatchedPredictions:
     """Moves what the watches need in and out of the state of an MPC; it holds no state.
 
     Args:
-        watches: judge the predictions, one per actuator (A,).
+        watches: compare predictions with what came, one per actuator (A,).
         planner: the planner of an adapted model, given the adaptations of all actuators.
         model: the building as identified.
+        enabled: whether predictions are compared.
     """
 
     def __init__(
@@ -39,16 +40,14 @@ class WatchedPredictions:
         watches: Sequence[Watch],
         planner: Callable[[Sequence[AdaptationState | None]], Planner],
         model: ThermalModel,
+        *,
+        enabled: bool,
     ) -> None:
         self._watches, self._planner, self._model = tuple(watches), planner, model
+        self.enabled = enabled
 
-    @property
-    def enabled(self) -> bool:
-        """Whether predictions are judged."""
-        return self._watches[0].config.enabled
-
-    def judged(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
-        """The state with the predictions that came due judged; where control returns, with the model that held.
+    def validate(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
+        """The state with the predictions that came due compared; where control returns, with the model that held.
 
         `forced_K` (Z, A, n + 1, r): forced states until now, see `single_actuator_records`.
         """
@@ -56,20 +55,20 @@ class WatchedPredictions:
         for a, (watch, record) in enumerate(zip(self._watches, records, strict=True)):
             before = now.watch[a]
             try:
-                found = watch.judged(before, record, now.adaptation[a], now.predictor)
+                after = watch.validate(before, record, now.adaptation[a], now.predictor)
             except Exception as error:  # what watches must not stop what it watches
                 news = f"predictions could not be judged ({message_of(error)})"
                 now = replace(now, watch=_with(now.watch, a, replace(before, news=news)))
                 continue
-            if before.alarm and not found.alarm:
-                used = found.tracks[0]
+            if before.alarm and not after.alarm:
+                used = after.tracks[0]
                 predictor = _later(now.predictor, used.predictor)
                 now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=predictor)
-            now = replace(now, watch=_with(now.watch, a, found))
+            now = replace(now, watch=_with(now.watch, a, after))
         return now
 
-    def put_down(self, now: MPCState, context: PredictionContext, planner: Planner) -> MPCState:
-        """The state with the predictions of a plan put down for all actuators in use, where one is due."""
+    def record_prediction(self, now: MPCState, context: PredictionContext, planner: Planner) -> MPCState:
+        """The state with the predictions of a plan recorded for all actuators in use, where one is due."""
         states = list(now.watch)
         for a, watch in enumerate(self._watches):
             if not watch.due(float(context.boundary.time_s[0])) or states[a].alarm:
@@ -82,8 +81,8 @@ class WatchedPredictions:
             states[a] = replace(states[a], tracks=(issued,))
         return replace(now, watch=tuple(states))
 
-    def shadowed(self, observation: Observation, now: MPCState) -> Computation[MPCState]:
-        """The state with new predictions of the models that are judged while another controller acts.
+    def predict_in_background(self, observation: Observation, now: MPCState) -> Computation[MPCState]:
+        """The state with new predictions of the models that are watched while another controller acts.
 
         `observation` has the boundary forecast of the horizon.
         """
@@ -106,7 +105,7 @@ class WatchedPredictions:
         issued = self._watches[a].issued(track, single_actuator_context(context, a), planner.operator.of_actuator(a))
         return replace(issued, predictor=context.state)
 
-    def asked(self, observation: Observation, plan: Plan) -> Plan:
+    def record_request(self, observation: Observation, plan: Plan) -> Plan:
         """The plan, its state with the levels asked for."""
         assert isinstance(plan.state, MPCState)
         if not self.enabled:
@@ -118,14 +117,10 @@ class WatchedPredictions:
                 float("nan") if (u := block.u[a]) is None or block.band_C[a] else u * block.duration_s
                 for block in plan.blocks
             ]
-            states[a] = watch.asked(states[a], observation.time_s, sum(levels) / watch.step_s)
+            states[a] = watch.record_request(states[a], observation.time_s, sum(levels) / watch.step_s)
             if states[a].news:
                 news.append(self.named(a, f"watch: {states[a].news}"))
         return replace(with_news(plan, *news), state=replace(plan.state, watch=tuple(states)))
-
-    def reason(self, state: WatchState, time_s: float) -> str:
-        """Why control was handed back, and when."""
-        return f"watch: {state.alarm} (found {(time_s - state.since_s) / HOUR_S:.1f} h ago)"
 
     def doubtful(self, now: MPCState, a: int) -> bool:
         """See `Watch.doubtful`."""

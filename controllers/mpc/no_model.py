@@ -58,10 +58,10 @@ class NoModelController(ActuatedController):
         _, states = self._begun(observation, state, NoModelState)
         demands, who = zip(*(fallback.standing_back(observation) for fallback in self._fallbacks), strict=True)
         acting = self._actuators.realise(demands, self._step_s, states)
-        told = "; ".join(self._told(a, one) for a, one in enumerate(who))
+        told = "; ".join(self._actuators.named(a, one) for a, one in enumerate(who))
         if len(set(who)) == 1:
             told = who[0]
-        told = "; ".join([told, *self._excluded(acting)])
+        told = "; ".join([told, *self._actuators.excluded_in_words(acting)])
         why = f"gate: no model could be identified ({self.reason}): {told}"
         after = NoModelState(acting.states, observation.time_s)
         return Plan(acting.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)

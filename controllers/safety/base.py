@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol, TypeVar
 
 from controllers.actuation.actuator import Actuation, ActuationState
-from controllers.actuation.actuators import Acted, Actuators
+from controllers.actuation.actuators import Actuators
 from controllers.checks import check_later, check_observation, checked_state
 from controllers.safety.fallback_policy import FallbackConfig, FallbackPolicy
 from thermoforce_mpc.data import Layout, Observation
@@ -85,21 +85,3 @@ class ActuatedController:
         check_later(before.last_s, observation.time_s)
         until_s = None if before.last_s is None else before.last_s + self._step_s
         return before, self._actuators.now(before.actuation, observation.history, until_s)
-
-    def _ahead(self, observation: Observation) -> Observation:
-        """The observation with the boundary forecast of the horizon only."""
-        return Observation(observation.history, observation.boundary.head(self._n_steps))
-
-    def _excluded(self, acted: Acted) -> list[str]:
-        """Which actuators do not do what was asked of them, because another one acts."""
-        names = self._layout.names.actuators
-        return [
-            self._told(a, f"excluded by {names[by]}" + (", which is native: native control" if native else ""))
-            for a, by in acted.excluded.items()
-            for native in [acted.states[by].native]
-        ]
-
-    def _told(self, a: int, why: str) -> str:
-        """`why`, with the actuator's name where there are several."""
-        names = self._layout.names.actuators
-        return why if len(names) == 1 else f"{names[a]}: {why}"

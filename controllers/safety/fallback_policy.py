@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Set-points of the on/off rule stay within this, whatever the bounds say, °C.
@@ -138,11 +138,3 @@ class FallbackPolicy:
         of = "" if known.size else " (no bounds)"
         why = f"{T:.2f} °C against {setpoint:.2f} °C{of}: {'on' if on else 'off'}"
         return self.level if on else 0.0, why
-
-
-@dataclass(frozen=True)
-class Override:
-    """Why an actuator is not left to the plan; `status` None: that of what acts instead."""
-
-    status: PlanStatus | None
-    why: str

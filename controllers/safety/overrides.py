@@ -1,14 +1,32 @@
-"""What overrules a plan: the competence gate (docs/how-it-works/competence.md) before, the comfort guard after it."""
+"""What takes an actuator from the plan: one class an override, asked in order, the first that applies wins.
+
+Before a plan is made: the watch (the model does not hold), the competence gate (it never did,
+docs/how-it-works/competence.md), a zone that is not known any more. What they hold is known to the plan. After it: the
+comfort guard, where a zone is far outside its band at the planned level.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
 
+import numpy as np
 from pydantic import Field
 
-from thermoforce_mpc.data import Observation
+from controllers.monitoring.watch_state import WatchState
+from controllers.monitoring.zone_sensors import Zones
+from controllers.safety.fallback_policy import FallbackPolicy
+from thermoforce_mpc.data import DAY_S, Array, Layout, Observation, PlanStatus, Record
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.scenario.settings import StrictModel
+
+
+class GateConfig(StrictModel):
+    """Options of the competence gate."""
+
+    enabled: bool = Field(True, description="do not act on a model whose held-out data condemn it")
 
 
 class GuardConfig(StrictModel):
@@ -16,6 +34,156 @@ class GuardConfig(StrictModel):
 
     enabled: bool = Field(True, description="override a plan while the zone is far outside the comfort band")
     margin_K: float = Field(1.0, gt=0, le=10, description="distance from the band at which the guard acts, K")
+
+
+@dataclass(frozen=True)
+class Override:
+    """What one actuator does in the place of a plan: its level (None: native control), what acts by name, and why."""
+
+    level: float | None
+    status: PlanStatus
+    why: str
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What overrides decide from.
+
+    `zones`: what is known of each zone now; `watch` (A,): the watch over each actuator's predictions; `planned`: mean
+    level of actuators over the step by their number, empty before there is a plan.
+    """
+
+    observation: Observation
+    zones: Zones
+    watch: tuple[WatchState, ...]
+    planned: Mapping[int, float] = field(default_factory=dict)
+
+
+class OverrideRule(Protocol):
+    """Says which actuators are not left to the plan."""
+
+    def overrides(self, situation: Situation) -> Mapping[int, Override]:
+        """The overrides by number of the actuator."""
+        ...
+
+
+def decide(rules: Sequence[OverrideRule], situation: Situation) -> dict[int, Override]:
+    """Which actuators are overridden, by number in increasing order: of several rules the first that applies wins."""
+    first: dict[int, Override] = {}
+    for rule in rules:
+        for a, override in rule.overrides(situation).items():
+            first.setdefault(a, override)
+    return dict(sorted(first.items()))
+
+
+class WatchAlarm:
+    """Control was handed back because predictions did not come true.
+
+    Args:
+        fallbacks: what acts instead, of each actuator (A,).
+    """
+
+    def __init__(self, fallbacks: Sequence[FallbackPolicy]) -> None:
+        self._fallbacks = tuple(fallbacks)
+
+    def overrides(self, situation: Situation) -> dict[int, Override]:
+        """Of the actuators whose watch has given alarm."""
+        time_s = situation.observation.time_s
+        alarms = {a: state.reason(time_s) for a, state in enumerate(situation.watch) if state.alarm}
+        return {a: stood_back(self._fallbacks[a], situation, PlanStatus.WATCH, why) for a, why in alarms.items()}
+
+
+class CompetenceGate:
+    """A model that is below the bar does not act.
+
+    Args:
+        config: options.
+        competences: verdict of each actuator's model (A,); None: not judged.
+        fallbacks: what acts instead (A,).
+    """
+
+    def __init__(
+        self,
+        config: GateConfig,
+        competences: Sequence[Competence | None],
+        fallbacks: Sequence[FallbackPolicy],
+    ) -> None:
+        self._fallbacks = tuple(fallbacks)
+        self._reasons = {a: why for a, one in enumerate(competences) if (why := gate_reason(config, one))}
+
+    @property
+    def closes_all(self) -> bool:
+        """Whether no actuator may be planned for."""
+        return len(self._reasons) == len(self._fallbacks)
+
+    def overrides(self, situation: Situation) -> dict[int, Override]:
+        """Of the actuators whose model is not competent."""
+        return {a: stood_back(self._fallbacks[a], situation, PlanStatus.GATE, why) for a, why in self._reasons.items()}
+
+
+class LostZone:
+    """A zone whose temperature is not known any more, by sensor or model.
+
+    Args:
+        layout: what acts where.
+        fallbacks: what acts instead (A,).
+    """
+
+    def __init__(self, layout: Layout, fallbacks: Sequence[FallbackPolicy]) -> None:
+        self._layout, self._fallbacks = layout, tuple(fallbacks)
+
+    def overrides(self, situation: Situation) -> dict[int, Override]:
+        """Of the actuators of such zones."""
+        zones = situation.zones.each
+        lost = {a: zones[z].why for a, z in enumerate(self._layout.home) if zones[z].lost}
+        return {a: stood_back(self._fallbacks[a], situation, None, why) for a, why in lost.items()}
+
+
+class ComfortGuard:
+    """Full level or off where a zone is far outside the comfort band, whatever the plan says.
+
+    Args:
+        config: options.
+        layout: what acts where.
+        highest: highest level that may be planned, of each actuator (A,).
+    """
+
+    def __init__(self, config: GuardConfig, layout: Layout, highest: Sequence[float]) -> None:
+        self._config, self._layout, self._highest = config, layout, tuple(highest)
+
+    def overrides(self, situation: Situation) -> dict[int, Override]:
+        """Of the planned actuators whose planned level does not bring such a zone back."""
+        guarded = {}
+        for a, planned in situation.planned.items():
+            level = guard_level(
+                self._config,
+                situation.observation,
+                u=planned,
+                highest=self._highest[a],
+                sign=self._layout.signs[a],
+                zone=self._layout.home[a],
+            )
+            if level is not None:
+                guarded[a] = Override(level[0], PlanStatus.GUARD, level[1])
+        return guarded
+
+
+def stood_back(policy: FallbackPolicy, situation: Situation, status: PlanStatus | None, why: str) -> Override:
+    """Native control or the on/off rule (`fallback.stand_back`); `status` None: that of which of them acts."""
+    level, who = policy.standing_back(situation.observation, situation.zones.T_C)
+    return Override(level, status or unplanned_status(level), f"{why}: {who}")
+
+
+def unplanned_status(level: float | None) -> PlanStatus:
+    """What acts where a level is not of a plan: the on/off rule, or native control (None)."""
+    return PlanStatus.NATIVE if level is None else PlanStatus.THERMOSTAT
+
+
+def gate_reason(config: GateConfig, competence: Competence | None) -> str | None:
+    """Return why a controller must not act on a model of this verdict; None where it may, or was not judged."""
+    if not config.enabled or competence is None or competence.competent:
+        return None
+    return f"gate: the model is {competence.in_words()}"
 
 
 def guard_level(
@@ -46,14 +214,17 @@ def guard_level(
     return level, f"guard: {T:.2f} °C is {side} the comfort band at a planned level of {u:.2f}: {level:.2f} instead"
 
 
-class GateConfig(StrictModel):
-    """Options of the competence gate."""
+def expected_levels(overrides: Mapping[int, Override], history: Record, n_steps: int) -> Array:
+    """Levels that overridden actuators are expected at over `n_steps`, (A, N); NaN for those that are planned.
 
-    enabled: bool = Field(True, description="do not act on a model whose held-out data condemn it")
-
-
-def gate_reason(config: GateConfig, competence: Competence | None) -> str | None:
-    """Return why a controller must not act on a model of this verdict; None where it may, or was not judged."""
-    if not config.enabled or competence is None or competence.competent:
-        return None
-    return f"gate: the model is {competence.in_words()}"
+    What acts in their place follows its own loop, so its mean level of the last day stands for it; the level of the
+    first step is known where it is not native control. Without any measured level it is taken to be off.
+    """
+    levels = np.full((history.u.shape[0], n_steps), np.nan)
+    for a, override in overrides.items():
+        recent = history.u[a, -max(1, round(DAY_S / history.step_s)) :] if history.n_steps else np.zeros(0)
+        measured = recent[np.isfinite(recent)]
+        levels[a] = measured.mean() if measured.size else 0.0
+        if override.level is not None:
+            levels[a, 0] = override.level
+    return levels

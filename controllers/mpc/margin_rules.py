@@ -1,0 +1,225 @@
+"""The size of each margin (`margins`): back-off, reserve, and what a run learns.
+
+Back-off under forecast uncertainty is a chance and an integrated chance constraint. With a fixed chance level the
+frequency of violations is constant, but their size grows with the forecast uncertainty. An integrated chance constraint
+(Klein Haneveld 1986) bounds the expected violation in K instead. The chance level is active where forecasts are good;
+elsewhere it is lowered, equally for all lead times, until the expected violation over the next 6 h is within its limit.
+
+The reserve is for what a plan cannot see in a fast zone. It knows the zone at the ends of its steps; in a zone that an
+hour at full level moves by more than 0.6 K, on/off blocks let it swing in between, the model's error of the next hour
+is felt at once, and a coarse sensor hides both. What is missed all the same shows in the readings afterwards: a sensor
+that lags behind a room in on/off blocks, a machine that is weaker than its law. Where readings are beyond the bound
+although the machine had more to give, by more in the mean than a plan may expect to be, the learned reserve grows;
+otherwise it fades.
+
+The share of a shared machine's capacity that plans leave unused is learned from what its actuators got. What one takes
+at a level is known on the average; a cold floor takes more. At the machine's limit the water cools, and what one takes
+too much another lacks, most in the warmest room. Where a metered actuator got clearly less than its level stands for,
+plans keep away from the limit by more; where all got theirs at the limit, by less.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from controllers.actuation.actuator import Actuation
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+# Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), decreasing.
+_Z = np.linspace(0.0, 4.0, 401)
+_SHORTFALL = norm.pdf(_Z) - _Z * norm.sf(_Z)
+# `np.interp` needs increasing abscissae.
+_BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
+# Calibrated quantile level from which the standard deviation is computed, and its normal score.
+_SPREAD_LEVEL = 0.1
+_SPREAD_Z = float(norm.isf(_SPREAD_LEVEL))
+# Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
+_AHEAD_H = 6.0
+
+
+def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
+    """Back-off from the lower (`below`) or upper bound at the end of each step, (N,) or (Z, N), K, nonnegative.
+
+    Args:
+        forecast: free response with calibrated quantiles.
+        step_s: length of its steps, s.
+        level: allowed probability of violating the bound, in (0, 0.5].
+        violation_K: allowed expected violation, mean over the next 6 h, K; None for the chance level alone.
+        below: True for the lower bound, False for the upper.
+    """
+    T_C = forecast.median_C
+    sign, quantile, spread_at = (1.0, level, _SPREAD_LEVEL) if below else (-1.0, 1.0 - level, 1.0 - _SPREAD_LEVEL)
+    chance = np.maximum(sign * (T_C - forecast.quantile_C(quantile)), 0.0)
+    if violation_K is None:
+        return np.asarray(chance)
+    sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
+    soon = sd[..., : max(1, round(_AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
+    # Solve sd · shortfall(z) = violation.
+    z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
+    return np.asarray(np.maximum(chance, z * sd))
+
+
+# Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
+_FAST_K = 0.6
+# Mean share of on-time that is assumed for the swing.
+_SHARE = 0.35
+# Share of the held-out error one hour ahead: half of it is felt below the bound.
+_ERROR_SHARE = 0.5
+# Most that is reserved, K: what a thermostat keeps above its bound. Beyond, comfort costs more than a thermostat's.
+_MOST_K = 0.3
+
+
+def is_fast(operator: OperatorParameters) -> bool:
+    """Whether an hour at full level moves the zone by more than 0.6 K."""
+    return _hour_K(operator) > _FAST_K
+
+
+def _hour_K(operator: OperatorParameters) -> float:
+    """Effect of an hour at full level, K (of one step, if that is longer)."""
+    steps = max(1, round(HOUR_S / operator.step_s))
+    return abs(float(operator.impulse(steps).sum())) * min(1.0, HOUR_S / operator.step_s)
+
+
+def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
+    """Reserve inside the bound that actuation protects, K.
+
+    The standard deviation of the sensor's rounding; in a fast zone also half the swing of on/off blocks and half the
+    held-out error of the next hour.
+    """
+    rounding_K = card.uncertainty.get("sensor_resolution_K", 0.0) / math.sqrt(12.0)
+    if not is_fast(operator):
+        return min(rounding_K, _MOST_K)
+    verdict = card.competence
+    errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
+    found = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors) + rounding_K
+    return min(found, _MOST_K) if math.isfinite(found) else _MOST_K
+
+
+def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
+    """Half the swing of the zone under on/off blocks, K: on and off for as long as the minimum times ask."""
+    if actuation.modulates:
+        return 0.0
+    c, step_s = actuation.config, operator.step_s
+    cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
+    return 0.5 * abs(float(operator.impulse(1)[0])) * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How a reserve is learned.
+
+    Attributes:
+        growth_1_h: growth, K per hour and K of mean violation above the allowed one; in a step at most the violation.
+        most_K: the most that is learned, and that one reading counts, K.
+        allowed_K: mean violation that a plan may expect, K.
+    """
+
+    growth_1_h: float
+    most_K: float
+    allowed_K: float
+
+
+def of_plans(allowed_K: float) -> Learning:
+    """For plans of levels: 0.05 K too much all day adds 0.2 K; at most what a thermostat keeps above its bound."""
+    return Learning(0.25, 0.3, allowed_K)
+
+
+# Where the plant's own loops keep set-points. They miss them by short drops, as of a fan that pauses at night: few
+# readings show them, so one is made up for at once in steps of 15 min. Chosen on two cold weeks of the small office.
+OF_LOOPS = Learning(4.0, 1.0, 0.001)
+# How much wider than at its tightest a bound is set back, K.
+_SET_BACK_K = 0.5
+
+
+@dataclass(frozen=True)
+class LearnedMargin:
+    """What a run has learned of its bounds.
+
+    Attributes:
+        reserve_K: reserve inside the lower and the upper bound of each zone (2, Z), K.
+        tightest_C: the highest lower and the lowest upper bound of each zone that it has met (2, Z), °C.
+    """
+
+    reserve_K: Array
+    tightest_C: Array
+
+    @classmethod
+    def nothing(cls, zones: int) -> LearnedMargin:
+        """At the begin of a run."""
+        return cls(np.zeros((2, zones)), np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)]))
+
+    def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
+        """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
+        lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
+        tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
+        return LearnedMargin(self.reserve_K, np.stack(tightest_C))
+
+    def set_back(self, z: int | slice, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
+        """Where bounds of zone `z` (N,), or of zones at an instant, °C, are wider than at their tightest, (2, N).
+
+        There loops cycle at low load, and a reserve costs little. The instants ahead do not tell: a weekend is longer.
+        """
+        tightest_C = self.tightest_C[:, z]
+        return np.stack([lower_C < tightest_C[0] - _SET_BACK_K, upper_C > tightest_C[1] + _SET_BACK_K])
+
+    def inside_K(self, z: int, lower_C: Array, upper_C: Array, *, by_loops: bool) -> Array:
+        """Reserve inside the bounds (N,) of zone `z`, (2, N), K; `by_loops`: only where they are set back."""
+        reserve_K = np.repeat(self.reserve_K[:, z, None], lower_C.size, axis=1)
+        return reserve_K * self.set_back(z, lower_C, upper_C) if by_loops else reserve_K
+
+
+def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s: float, learning: Learning) -> Array:
+    """The reserve inside each bound after a step, K, from that before it, any shape.
+
+    Args:
+        before_K: reserve so far, K.
+        beyond_K: how far the reading at the end of the step was beyond the bound, K, negative inside; NaN: not known.
+        spare: whether the actuators that protect the bound were less than fully used in the step; where they were, or
+            where there are none, nothing is learned.
+        step_s: length of the step, s.
+        learning: rate and limits.
+    """
+    violation_K = np.clip(beyond_K, 0.0, learning.most_K)
+    change_K = min(learning.growth_1_h * step_s / HOUR_S, 1.0) * (violation_K - learning.allowed_K)
+    learned = spare & np.isfinite(beyond_K)
+    return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), 0.0, learning.most_K))
+
+
+# Heat below this share of what the level stands for is lacking.
+_LACKING = 0.8
+# Plans ask for all that they may from this share of it; a machine is at its limit from this share of its capacity:
+# below, a warm floor takes less than its level stands for.
+_ALL_ASKED, _AT_LIMIT = 0.85, 0.92
+# Levels below this say nothing of heat.
+_LEAST_LEVEL = 0.1
+# Change of the share that is kept: while heat is lacking, and while none is, 1/h; and the most that is kept.
+_GROWTH_1_H, _FADING_1_H, _MOST = 0.12, 0.01, 0.25
+
+
+def learned_share(
+    before: float, load: float, most_W: float, heat_W: Array, expected_W: Array, u: Array, step_s: float
+) -> float:
+    """The share kept of one machine's capacity after a step.
+
+    Args:
+        before: share kept so far.
+        load: what the actuators asked for in the step, as a share of the capacity.
+        most_W: the capacity, W.
+        heat_W: what each got, (A,), W; NaN: not metered.
+        expected_W: what their levels stand for, (A,), W.
+        u: their mean levels in the step, (A,).
+        step_s: length of the step, s.
+    """
+    if not (np.isfinite(heat_W).all() and np.isfinite(u).all()) or load < _ALL_ASKED * (1.0 - before):
+        return before
+    lacking = (np.abs(heat_W) < _LACKING * np.abs(expected_W)) & (u >= _LEAST_LEVEL)
+    at_limit = np.abs(heat_W.sum()) >= _AT_LIMIT * most_W
+    rate = _GROWTH_1_H if at_limit and lacking.any() else -_FADING_1_H
+    return float(np.clip(before + rate * step_s / HOUR_S, 0.0, _MOST))

@@ -1,0 +1,112 @@
+"""From a checked solution to a plan for people and for the next step, and what it asks of each actuator now."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from controllers.actuation.actuators import Actuators, Demand
+from controllers.actuation.room_setpoints import room_blocks, within_C
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.formulation import Instance
+from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.prediction import Forecast
+from controllers.mpc.readings import Readings, joined
+from controllers.mpc.reason import reason_of
+from controllers.optimisation.solution import Solution
+from controllers.safety.fallback_policy import GoodPlan
+from thermoforce_mpc.data import Array, Block, Plan, PlanStatus
+from thermoforce_mpc.model.operator.features import ZONE
+
+
+def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast: Forecast, readings: Readings) -> Plan:
+    """The plan of a checked solution, without blocks; its state remembers it as the last good one.
+
+    Args:
+        instance: what was solved.
+        solution: its levels.
+        solve_s: what the solve cost, s.
+        forecast: what it was made on.
+        readings: what was believed.
+    """
+    problem, context, free = instance.problem, forecast.context, forecast.context.free
+    u, names = instance.levels(solution.u), readings.observation.names
+    forced_K = problem.forced_K(forecast.planner.operator, solution.u) + instance.held_K
+    T_zone_C = problem.T_free_C - instance.held_K + forced_K
+    slack_K = problem.slack_K(T_zone_C)
+    doubts = (*readings.doubts, free.doubt)
+    status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
+    reason = reason_of(problem, names.zones, T_zone_C, slack_K, free)
+    return Plan(
+        blocks=(),
+        status=status if solution.optimal else PlanStatus.ACCEPTABLE,
+        why=joined([solution.problem, reason, *doubts, context.bridged]),
+        u=u,
+        T_free_now_C=problem.features[:, 0, ZONE],
+        T_free_C=problem.T_free_C - instance.held_K,
+        T_forced_K=forced_K,
+        T_free_low_C=free.quantile_C(0.1),
+        T_free_high_C=free.quantile_C(0.9),
+        slack_K=slack_K,
+        power_W=problem.power_W(u),
+        time_s=context.boundary.time_s[: u.shape[1]],
+        origin=readings.history.origin,
+        solver_status=solution.status,
+        iterations=solution.iterations,
+        seconds={**context.seconds, "solve": solve_s},
+        names=names,
+        state=replace(forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast), failures=0),
+    )
+
+
+def _good_plan(time_s: float, u: Array, T_zone_C: Array, forecast: Forecast) -> GoodPlan:
+    """What is remembered of a plan: a zone that was never measured has no prediction to compare with."""
+    free = forecast.context.free
+    good = GoodPlan(time_s, u, T_zone_C.copy(), 0.5 * (free.quantile_C(0.9) - free.quantile_C(0.1)))
+    for kept in (good.T_zone_C, good.band_K):
+        kept[list(forecast.context.unmeasured)] = np.nan
+    return good
+
+
+class FirstStep:
+    """What a plan asks of each actuator in its first step: a level, or room set-points; it holds no state.
+
+    Args:
+        config: options of the controller.
+        actuators: how the actuators are run.
+        step_s: control step, s.
+    """
+
+    def __init__(self, config: MPCConfig, actuators: Actuators, step_s: float) -> None:
+        self._config, self._actuators, self._step_s = config, actuators, step_s
+
+    def demands(self, plan: Plan, readings: Readings, learned: LearnedMargin) -> list[Demand]:
+        """The demands on all actuators (A,)."""
+        T_end_C = plan.T_zone_C[:, 0]
+        return [
+            self._room_blocks(readings, a, float(plan.u[a, 0]), T_end_C, learned)
+            if actuation.by_rooms
+            else float(plan.u[a, 0])
+            for a, actuation in enumerate(self._actuators.each)
+        ]
+
+    def _room_blocks(
+        self, readings: Readings, a: int, u: float, T_end_C: Array, learned: LearnedMargin
+    ) -> tuple[Block, ...]:
+        """Room set-points of the first step for actuator `a`, from the planned temperatures of all zones (Z,), °C."""
+        layout, bounds = self._actuators.layout, readings.observation.boundary
+        z = layout.home[a]
+        lower_C, upper_C = bounds.lower_C[z, :1], bounds.upper_C[z, :1]
+        inside_K = self._config.comfort_margin_K + learned.inside_K(z, lower_C, upper_C, by_loops=True)[:, 0]
+        last = readings.history.u[a, -1:]
+        return room_blocks(
+            u,
+            float(T_end_C[z]),
+            T_now_C=float(readings.zones.T_C[z]),
+            u_last=float(last[0]) if last.size else float("nan"),
+            bounds_C=within_C(float(lower_C[0]), float(upper_C[0]), inside_K),
+            lowest=layout.lowest[a],
+            step_s=self._step_s,
+            block_s=self._actuators.each[a].config.block_s,
+        )
